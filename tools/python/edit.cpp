@@ -102,7 +102,7 @@ EditedRun& insert_actor(EditedRun& edited, const LoadedRun& other, const std::st
 
 std::unique_ptr<LoadedRun> save_edited_run(const EditedRun& edited, const fs::path& folder, bool overwrite) {
     auto loaded = edited.copy_run();
-    save_run_in(loaded->run, folder, overwrite);
+    save_run_in(*loaded, folder, overwrite);
     return loaded;
 }
 

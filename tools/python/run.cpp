@@ -3,15 +3,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <variant>
 
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
 #include <relidar/diff/rays.h>
 #include <relidar/simulate/actor_boxes.hpp>
+#include <relidar/simulate/device_points.hpp>
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "config.hpp"
+#include "device_array.hpp"
 #include "integers.hpp"
 #include "module.hpp"
 #include "poses.hpp"
@@ -116,6 +119,16 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
                           make_array("visible_share", {n}, shares.data(), n)});
 }
 
+/// Adds the spawned actors to the names and boxes of a scan.
+void add_spawned(const std::vector<SpawnedActor>& actors, ScanOutputOptions& format) {
+    for (const auto& [handle, name, category, size_m] : actors) {
+        const auto instance = std::size_t(handle);
+        if (format.instance_names.size() <= instance) format.instance_names.resize(instance + 1);
+        format.instance_names[instance] = name;
+        format.actors.push_back({.id = name, .category = category, .size_m = size_m, .world_from_box = {}});
+    }
+}
+
 /// Renders a scan and returns its arrays. Checks all arguments before it locks the
 /// device, so that an error does not block other threads.
 py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
@@ -144,6 +157,7 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
         renderer->set_weather(weather);
         renderer->count_actor_rays(arguments.boxes);
         scan = renderer->render(sensor, request, arguments.sample);
+        add_spawned(renderer->spawned(), format);
     }
     py::dict arrays =
         to_array_dict(scan_arrays(scan, find_nearest_frame(run.sequence, request.time_s), format));
@@ -153,11 +167,36 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     return arrays;
 }
 
-std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict& settings,
-                                         const SharedDevice& device) {
-    Run run = load_run(folder);
-    set_values(run.config, settings);
-    return std::make_unique<LoadedRun>(std::move(run), device);
+/// Renders the points of a scan, which stay on the device.
+py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
+    const Run& run = loaded.run;
+    const int lidar = find_lidar(run.sequence, arguments.lidar);
+    const ScanRequest request = make_request(arguments, run, lidar);
+    const SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
+    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
+    DevicePoints points;
+    {
+        const DeviceLock use(renderer.opened());
+        renderer->show_instances(std::vector<bool>(run.scene.instances.size(), true));
+        renderer->set_weather({});
+        renderer->submit_points(sensor, request, request.time_s, arguments.sample,
+                                ScanRenderer::SubmissionTiming::now, ScanRenderer::PointMemory::device);
+        points = renderer->wait_for_device_points();
+    }
+    using shared::ReturnedPoint;
+    const SharedDevice& device = loaded.device;
+    const auto add = [&]<class Number>(py::dict& arrays, const char* name, Number, std::size_t member_bytes,
+                                       py::ssize_t width = 0) {
+        arrays[name] = wrap_member<Number>(device, points.points, member_bytes, points.n_points, width);
+    };
+    py::dict arrays;
+    add(arrays, "position", 0.0f, offsetof(ReturnedPoint, position), 3);
+    add(arrays, "intensity", 0.0f, offsetof(ReturnedPoint, intensity));
+    add(arrays, "time", 0.0f, offsetof(ReturnedPoint, time_offset_s));
+    add(arrays, "ring", std::int32_t(0), offsetof(ReturnedPoint, ring));
+    add(arrays, "instance", std::int32_t(0), offsetof(ReturnedPoint, instance));
+    arrays["pose"] = pose_matrix(points.dataset_from_points);
+    return arrays;
 }
 
 py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
@@ -184,6 +223,20 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
     dict["view_origin"] = move_to_numpy<double>(std::vector{view.x, view.y, view.z}, {3});
     dict["shape"] = py::make_tuple(frame.scan.rays.rows, frame.scan.rays.columns);
     return dict;
+}
+
+void spawn_actor(LoadedRun& run, const std::variant<std::string, LoadedRun*>& actor,
+                 const std::string& name) {
+    DeviceObject<ScanRenderer>& renderer = run.get_renderer();
+    const DeviceLock use(renderer.opened());
+    if (const auto* track = std::get_if<std::string>(&actor)) renderer->spawn(*track, name);
+    else renderer->spawn(std::get<LoadedRun*>(actor)->run, name);
+}
+
+void despawn_actor(LoadedRun& run, const std::string& name) {
+    DeviceObject<ScanRenderer>& renderer = run.get_renderer();
+    const DeviceLock use(renderer.opened());
+    renderer->despawn(name);
 }
 
 std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
@@ -258,7 +311,7 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
         .def(
             "save",
             [](LoadedRun& run, const fs::path& folder, bool overwrite) {
-                save_run_in(run.run, folder, overwrite);
+                save_run_in(run, folder, overwrite);
             },
             py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
             "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left behind. "
@@ -279,6 +332,32 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
             py::arg("boxes") = false, render_help.c_str())
         .def(
+            "points",
+            [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
+               std::optional<py::dict> actors, std::string lidar,
+               std::optional<IntegerArgument<std::uint64_t, "sample">> sample) {
+                return render_points(run, {sensor,
+                                           pose,
+                                           time,
+                                           std::move(actors),
+                                           std::move(lidar),
+                                           {},
+                                           sample,
+                                           "",
+                                           false,
+                                           "",
+                                           false});
+            },
+            py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
+            py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
+            py::arg("sample") = py::none(),
+            "Renders the points of a scan, which stay in the memory of the device. The arguments accept the "
+            "same values as in render(). Without `sample`, the host only reads the number of points.\n\n"
+            "Returns a dict of DeviceArray: position [n,3], intensity, time (seconds from `time`) [n] "
+            "float32, "
+            "ring, instance [n] int32; pose [4,4] float64 of the sensor at `time`, in whose frame the points "
+            "are. Intensities are not rounded to the steps of the log.")
+        .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
                 SimulatedSensor choice = sensor_for_run(sensor, run.run, find_lidar(run.run.sequence, lidar));
@@ -296,6 +375,17 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
              "    0: dropped; intensity; weight, 0: ignored), view_origin [3] float64 (of the sensor), shape "
              "(rows, "
              "columns).")
+        .def("spawn", &spawn_actor, py::arg("actor"), py::arg("name"),
+             "Adds an actor to the scene of the following scans, without loading the scene again. Only "
+             "scans that name it in `actors` show it.\n\n"
+             "actor: a track of this run, a spawned actor, or another run with a single actor, for example "
+             "an asset\n"
+             "name: a name that no other actor has\n\n"
+             "Raises UsageError for an unknown actor or a name in use, and DataError if the surfels have "
+             "another primitive.")
+        .def("despawn", &despawn_actor, py::arg("name"),
+             "Removes a spawned actor. Raises UsageError if there is none with this name.")
+        .def(py::pickle(&pickle_run, &unpickle_run))
         .def("with_surfels", &replace_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the number of "
              "surfels differs.");
@@ -331,6 +421,16 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses [n,4,4]) "
             "of the centre of the box, in the form of render().")
         .def_property_readonly(
+            "categories",
+            [](const LoadedRun& run) {
+                std::map<std::string, std::string> categories;
+                for (const ModelInstance& instance : run.run.scene.instances)
+                    if (const BoxTrack* box = find_box(run.run.sequence, instance.track))
+                        categories[box->id] = box->category;
+                return categories;
+            },
+            "Class names of the actors in the dataset of the log: dict of track -> name.")
+        .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
                 std::vector<std::string> edits;
@@ -341,21 +441,6 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
 }
 
 }  // namespace
-
-void save_run_in(Run& run, const fs::path& folder, bool overwrite) {
-    if (!overwrite && is_run_folder(folder))
-        throw UsageError(
-            fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
-                        "overwrite=True replaces the run",
-                        folder.string()));
-    const fs::path before = std::exchange(run.folder, folder);
-    try {
-        save_run(run);
-    } catch (...) {
-        run.folder = before;
-        throw;
-    }
-}
 
 DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
@@ -374,7 +459,10 @@ DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
 void bind_run_class(py::module_& module) {
     py::class_<LoadedRun> type(module, "Run",
                                "A trained scene with the sensor, poses and tracks of its log, as written by "
-                               "`relidar train`. It is immutable.");
+                               "`relidar train`. Its content does not change. A pickled run has "
+                               "neither its device nor its spawned actors: it uses the default device of the "
+                               "process that reads it. Its files are part of the pickle only if the run is "
+                               "not stored in its folder as it is.");
     bind_methods(type);
     bind_properties(type);
 }

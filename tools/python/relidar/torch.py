@@ -8,6 +8,7 @@ are copies on the host. docs/python.md is the guide.
 import numpy as np
 
 import relidar
+from relidar.scan_dataset import ScanDataset  # noqa: F401
 
 try:
     import torch

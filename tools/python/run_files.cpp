@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+// Loads, saves and pickles runs. A pickle has the folder of a run if its files have the
+// content of the run, otherwise the content of these files.
+#include <algorithm>
+
+#include <fmt/ranges.h>
+#include <pybind11/stl.h>
+
+#include "config.hpp"
+#include "run.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Returns the sizes and times of the files that contain a run. Empty without a folder.
+std::string list_run_files(const fs::path& folder) {
+    std::vector<std::string> files;
+    std::error_code missing;
+    for (const fs::directory_entry& file : fs::directory_iterator(folder, missing)) {
+        const fs::path& path = file.path();
+        if (path.extension() != ".safetensors" && path.filename() != "scene.json") continue;
+        files.push_back(fmt::format("{} {} {}", path.filename().string(), file.file_size(),
+                                    file.last_write_time().time_since_epoch().count()));
+    }
+    std::ranges::sort(files);
+    return fmt::format("{}", fmt::join(files, "\n"));
+}
+
+py::object make_temp_folder() {
+    return py::module_::import("tempfile").attr("TemporaryDirectory")(py::arg("prefix") = "relidar-");
+}
+
+py::object python_path(const py::handle& folder) {
+    return py::module_::import("pathlib").attr("Path")(folder);
+}
+
+}  // namespace
+
+std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict& settings,
+                                         const SharedDevice& device) {
+    Run run = load_run(folder);
+    set_values(run.config, settings);
+    auto loaded = std::make_unique<LoadedRun>(std::move(run), device);
+    loaded->files_on_disk = list_run_files(folder);
+    return loaded;
+}
+
+void save_run_in(LoadedRun& loaded, const fs::path& folder, bool overwrite) {
+    Run& run = loaded.run;
+    if (!overwrite && is_run_folder(folder))
+        throw UsageError(
+            fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
+                        "overwrite=True replaces the run",
+                        folder.string()));
+    const fs::path before = std::exchange(run.folder, folder);
+    try {
+        save_run(run);
+    } catch (...) {
+        run.folder = before;
+        throw;
+    }
+    loaded.files_on_disk = list_run_files(folder);
+}
+
+py::tuple pickle_run(const LoadedRun& loaded) {
+    const py::object settings = py::cast(loaded.run.config).attr("values")();
+    const fs::path& folder = loaded.run.folder;
+    const std::string absolute = folder.empty() ? "" : fs::absolute(folder).lexically_normal().string();
+    if (!loaded.files_on_disk.empty() && loaded.files_on_disk == list_run_files(folder))
+        return py::make_tuple(absolute, settings, loaded.files_on_disk, py::none());
+    const py::object temporary = make_temp_folder();
+    Run copy = loaded.run;
+    copy.scene = with_all_blocks(copy.scene);
+    copy.folder = fs::path(temporary.attr("name").cast<std::string>()) / "run";
+    save_run(copy);
+    py::dict files;
+    for (const py::handle& file : python_path(py::cast(copy.folder.string())).attr("iterdir")())
+        files[file.attr("name")] = file.attr("read_bytes")();
+    temporary.attr("cleanup")();
+    return py::make_tuple(absolute, settings, "", files);
+}
+
+std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
+    const fs::path folder = state[0].cast<std::string>();
+    const auto settings = py::dict(state[1]);
+    if (state[3].is_none()) {
+        auto loaded = load_run_with(folder, settings, nullptr);
+        if (loaded->files_on_disk == state[2].cast<std::string>()) return loaded;
+        throw DataError(fmt::format("cannot unpickle the run {}: its files have changed since it was pickled",
+                                    folder.string()));
+    }
+    const py::object temporary = make_temp_folder();
+    for (const auto& [name, content] : py::dict(state[3]))
+        (python_path(temporary.attr("name")) / py::reinterpret_borrow<py::object>(name))
+            .attr("write_bytes")(content);
+    Run run = load_run(temporary.attr("name").cast<std::string>());
+    temporary.attr("cleanup")();
+    set_values(run.config, settings);
+    run.folder = folder;
+    return std::make_unique<LoadedRun>(std::move(run), nullptr);
+}
+
+}  // namespace relidar::python
