@@ -6,7 +6,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
 #include "../base/kernel.glsl"
-#include "../base/atomic_add.glsl"
+#include "relidar/base/atomic_add.glsl"
 #include "shared/gpu.h"
 RELIDAR_PARAMS(CheckAtomicsParams);
 

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates compute pipelines from embedded SPIR-V modules and specialisation constants.
+// Creates compute pipelines from SPIR-V modules and specialisation constants.
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
 #include <cstdio>
+#include <cstring>
 
 #include <fmt/format.h>
 
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/spirv.hpp"
 #include "gpu/stream.hpp"
@@ -40,12 +42,11 @@ bool skips_dead_loads(const std::string& driver_name) {
 
 /// Returns the SPIR-V code of a kernel after the edits that this device needs.
 /// @param base name of the kernel without its variant
-std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view name,
+std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<const std::uint32_t> module,
                                         std::string_view base, const KernelConstants& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
-    std::vector<std::uint32_t> words =
-        gpu::mark_params_readonly(gpu::remove_branches(embedded_spirv(name), values));
+    std::vector<std::uint32_t> words = gpu::mark_params_readonly(gpu::remove_branches(module, values));
     // These edits help only the CPU driver lavapipe. make_nonuniform() comes first,
     // because hoist_loads() moves the loads that it must recognise.
     if (device.info.driver.starts_with("llvmpipe")) {
@@ -150,13 +151,17 @@ std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, co
     std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
     for (const SpecialisationConstant& c : kernel.constants)
         key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
+    // Modules of programs can have equal names, so the key contains the code.
+    if (kernel.loaded_words)
+        key.append(reinterpret_cast<const char*>(kernel.words.data()), kernel.words.size_bytes());
     std::shared_future<gpu::CompiledPipeline>& made = device.pipelines.by_key[key];
     if (!made.valid())
-        made = std::async(mode, [&device, module = kernel.module, stem = kernel.name,
-                                 constants = kernel.constants, subgroups = kernel.subgroups] {
+        made = std::async(mode, [&device, module = kernel.module, stem = kernel.name, words = kernel.words,
+                                 loaded_words = kernel.loaded_words, constants = kernel.constants,
+                                 subgroups = kernel.subgroups] {
             const CompilerSlot compiler_slot(device.pipelines.compilers);
-            const std::string constants_shown = format_constants(embedded_spirv(module), constants);
-            return create_pipeline(device, kernel_spirv(device, module, stem, constants),
+            const std::string constants_shown = format_constants(words, constants);
+            return create_pipeline(device, kernel_spirv(device, words, stem, constants),
                                    constants_shown.empty() ? module : module + " " + constants_shown,
                                    constants, subgroups);
         });
@@ -178,20 +183,38 @@ const char* constant_name(SpecialisationConstantId constant_id) {
 KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const KernelConstants& constants,
                        SubgroupRequirement subgroups)
     : impl_(std::make_unique<Impl>()) {
-    Device::Impl& device = owner.impl();
-    impl_->device = &device;
     impl_->module = std::string(kernel_name);
     impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
-    impl_->constants = constants;
+    impl_->words = embedded_spirv(kernel_name);
     impl_->subgroups = subgroups;
+    if (gpu::can_split(impl_->name)) impl_->speed = &owner.impl().launch_limit.speed_of(impl_->name);
+    start_compilation(owner, constants);
+}
+
+KernelBase::KernelBase(Device& owner, std::span<const std::uint32_t> spirv_words,
+                       const std::string& kernel_name, std::size_t params_bytes)
+    : impl_(std::make_unique<Impl>()) {
+    gpu::check_module(spirv_words, kernel_name, params_bytes);
+    impl_->module = impl_->name = kernel_name;
+    impl_->loaded_words =
+        std::make_shared<const std::vector<std::uint32_t>>(spirv_words.begin(), spirv_words.end());
+    impl_->words = *impl_->loaded_words;
+    // Without `speed`, launches are never split. The kernel may use thread_count().
+    start_compilation(owner, {});
+}
+
+/// Sets the remaining members and finds or creates the pipeline.
+void KernelBase::start_compilation(Device& owner, const KernelConstants& constants) {
+    Device::Impl& device = owner.impl();
+    impl_->device = &device;
+    impl_->constants = constants;
     KernelConstants& all = impl_->constants;
     const auto size = std::find_if(all.begin(), all.end(), [](const SpecialisationConstant& c) {
         return c.id == SpecialisationConstantId::WORKGROUP_SIZE;
     });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::list_pointers(embedded_spirv(kernel_name));
-    if (gpu::can_split(impl_->name)) impl_->speed = &device.launch_limit.speed_of(impl_->name);
+    impl_->addresses = gpu::list_pointers(impl_->words);
     impl_->made_ =
         find_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
     if (device.compile_only) compile_pipeline();
@@ -254,7 +277,7 @@ void KernelBase::compile_pipeline() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
-    s.constants = format_constants(embedded_spirv(impl_->module), impl_->constants);
+    s.constants = format_constants(impl_->words, impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
@@ -268,6 +291,16 @@ void KernelBase::compile_pipeline() {
 }
 
 KernelBase::~KernelBase() = default;
+
+std::vector<std::uint32_t> read_spirv(const std::filesystem::path& file) {
+    const std::string bytes = read_file(file);
+    if (bytes.size() % sizeof(std::uint32_t) != 0)
+        fail("cannot read the kernel {}: found {} bytes, expected a multiple of 4 (SPIR-V)", file.string(),
+             bytes.size());
+    std::vector<std::uint32_t> words(bytes.size() / sizeof(std::uint32_t));
+    std::memcpy(words.data(), bytes.data(), bytes.size());
+    return words;
+}
 
 bool lanes_reconverge(const Device& device) {
     const gpu::OptionalFeatures& optional = device.impl().optional;

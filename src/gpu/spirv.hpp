@@ -2,13 +2,14 @@
 // Reads SPIR-V modules and edits them when they are loaded. Execution modes are added
 // here because they depend on the device, and because glslang may not know the GLSL
 // extensions for them. Parameters are marked read-only here because the GLSL qualifier
-// would affect too many variables (shaders/base/kernel.glsl).
+// would affect too many variables (relidar/base/kernel.glsl).
 #pragma once
 
 #include <cstdint>
 #include <map>
 #include <set>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -47,6 +48,15 @@ SpirvWords make_nonuniform(std::span<const std::uint32_t> words);
 SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants);
 
 SpirvWords list_pointers(std::span<const std::uint32_t> words);
+
+/// Returns the size of the parameter struct, or 0 if the module has none or if C++ cannot
+/// share its type.
+std::uint32_t find_params_size(std::span<const std::uint32_t> words);
+
+/// Checks that a module of a program has the interface of a kernel.
+/// @throws errors of Kernel::from_spirv()
+void check_module(std::span<const std::uint32_t> words, const std::string& kernel_name,
+                  std::size_t params_bytes);
 
 std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> words);
 

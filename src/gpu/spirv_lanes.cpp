@@ -5,7 +5,7 @@
 //   %place = OpAccessChain %pointer %array %int_0 (%index + %lane_zero)
 //
 // The second line replaces `%index` with the sum. The result of the first line is zero
-// because `nothing` is a multiple of 256 (shaders/base/kernel.glsl).
+// because `nothing` is a multiple of 256 (relidar/base/kernel.glsl).
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"

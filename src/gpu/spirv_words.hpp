@@ -20,8 +20,8 @@ inline constexpr std::uint32_t kOpName = 5, kOpMemberName = 6, kOpLine = 8, kOpE
                                kOpTypePointer = 32, kOpConstantTrue = 41, kOpConstantFalse = 42,
                                kOpConstant = 43, kOpConstantComposite = 44, kOpSpecConstant = 50,
                                kOpSpecConstantOp = 52, kOpFunction = 54, kOpFunctionParameter = 55,
-                               kOpFunctionCall = 57, kOpVariable = 59, kOpLoad = 61, kOpStore = 62,
-                               kOpAccessChain = 65, kOpDecorate = 71, kOpMemberDecorate = 72,
+                               kOpFunctionEnd = 56, kOpFunctionCall = 57, kOpVariable = 59, kOpLoad = 61,
+                               kOpStore = 62, kOpAccessChain = 65, kOpDecorate = 71, kOpMemberDecorate = 72,
                                kOpCompositeConstruct = 80, kOpBitcast = 124, kOpIAdd = 128,
                                kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170,
                                kOpINotEqual = 171, kOpBitwiseAnd = 199, kOpControlBarrier = 224,
@@ -29,8 +29,8 @@ inline constexpr std::uint32_t kOpName = 5, kOpMemberName = 6, kOpLine = 8, kOpE
                                kOpSelectionMerge = 247, kOpLabel = 248, kOpBranch = 249,
                                kOpBranchConditional = 250, kOpSwitch = 251, kOpNoLine = 317;
 // Decorations, a value of the decoration kBuiltIn, storage classes, and a memory operand.
-inline constexpr std::uint32_t kSpecId = 1, kArrayStride = 6, kBuiltIn = 11, kNonWritable = 24, kOffset = 35,
-                               kCoherent = 23, kAliasedPointer = 5356;
+inline constexpr std::uint32_t kSpecId = 1, kArrayStride = 6, kBuiltIn = 11, kNonWritable = 24, kBinding = 33,
+                               kOffset = 35, kCoherent = 23, kAliasedPointer = 5356;
 inline constexpr std::uint32_t kLocalInvocationIndex = 29;
 inline constexpr std::uint32_t kInput = 1, kPrivateStorage = 6, kPushConstant = 9, kPhysicalStorage = 5349;
 inline constexpr std::uint32_t kAligned = 2;

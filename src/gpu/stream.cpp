@@ -391,6 +391,11 @@ void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_byte
     });
 }
 
+void record_launch(Stream& stream, const KernelBase& kernel, std::uint32_t n_threads, const void* params,
+                   std::size_t params_bytes) {
+    stream.impl().record_launch(kernel, n_threads, params, params_bytes);
+}
+
 ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
     ++stream.impl().n_concurrent;
 }

@@ -16,8 +16,12 @@ namespace relidar {
 
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
-    std::string module;  ///< Name of the embedded SPIR-V module.
+    std::string module;  ///< Name of the SPIR-V module.
     std::string name;    ///< Name of the kernel without its variant.
+    std::span<const std::uint32_t> words;
+    /// Contains `words` if the library does not contain the module. Shared with the
+    /// thread that compiles the pipeline.
+    std::shared_ptr<const std::vector<std::uint32_t>> loaded_words;
     std::vector<SpecialisationConstant> constants;
     SubgroupRequirement subgroups = SubgroupRequirement::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
@@ -153,12 +157,6 @@ void reserve_spare(std::size_t n_needed, const Reserve& reserve) {
     } catch (const OutOfDeviceMemory&) {
         reserve(n_needed);
     }
-}
-
-template <class Params>
-void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
-    if (n_threads)
-        stream.impl().record_launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

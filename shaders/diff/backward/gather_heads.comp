@@ -7,7 +7,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
 #include "../traversal/includes.glsl"
-#include "../../base/atomic_add.glsl"
+#include "relidar/base/atomic_add.glsl"
 #include "../shared/backward.h"
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"

@@ -16,7 +16,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "../traversal/includes.glsl"
-#include "../../base/atomic_add.glsl"
+#include "relidar/base/atomic_add.glsl"
 #include "../../base/compensated.glsl"
 #include "../shared/backward.h"
 #include "hit_gradient.glsl"

@@ -10,8 +10,8 @@
 #extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
-#include "../../base/atomic_add.glsl"
-#include "../../base/reduce.glsl"
+#include "relidar/base/atomic_add.glsl"
+#include "relidar/base/reduce.glsl"
 #include "../../base/fixed_point.glsl"
 RELIDAR_PARAMS(ChamferParams);
 

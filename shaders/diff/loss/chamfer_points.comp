@@ -7,8 +7,8 @@
 #extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
-#include "../../base/atomic_add.glsl"
-#include "../../base/reduce.glsl"
+#include "relidar/base/atomic_add.glsl"
+#include "relidar/base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
 // If the blending weights of a ray sum to less, its simulated range is unreliable.

@@ -9,8 +9,8 @@
 #extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
-#include "../../base/atomic_add.glsl"
-#include "../../base/reduce.glsl"
+#include "relidar/base/atomic_add.glsl"
+#include "relidar/base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
 /// Computes the L1 loss of the depth and adds its derivative to the gradient. With

@@ -7,8 +7,8 @@
 #extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/likelihood_loss.h"
-#include "../../base/atomic_add.glsl"
-#include "../../base/reduce.glsl"
+#include "relidar/base/atomic_add.glsl"
+#include "relidar/base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
 /// Returns the loss of one ray with a measured return, and adds its derivative to the

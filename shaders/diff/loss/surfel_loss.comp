@@ -8,8 +8,8 @@
 #include "../../base/kernel.glsl"
 #include "../../scene/find_model.glsl"
 #include "../shared/loss.h"
-#include "../../base/atomic_add.glsl"
-#include "../../base/reduce.glsl"
+#include "relidar/base/atomic_add.glsl"
+#include "relidar/base/reduce.glsl"
 RELIDAR_PARAMS(SurfelLossParams);
 
 /// Returns the penalty for a standard deviation of a surfel that is too large.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adds a float to a buffer atomically. Uses the device's float atomics if it has them,
-// otherwise compare-and-swap on the bits. Each kernel is built in both variants
-// (RELIDAR_FLOAT_ATOMICS), and the host selects the variant that the device supports.
+// otherwise compare-and-swap on the bits. Each kernel of the library is built in both
+// variants (RELIDAR_FLOAT_ATOMICS), and the host selects the variant that the device
+// supports. Compare-and-swap runs on every device.
 #ifndef RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 #define RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 

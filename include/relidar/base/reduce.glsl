@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums values over a workgroup and adds the sum to memory with one atomic operation. One
 // atomic operation per thread would be slow, because a GPU executes atomics on the same
-// float one after another. Include this file after kernel.glsl, shared/ and
+// float one after another. Include this file after kernel.glsl and
 // atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 #define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
