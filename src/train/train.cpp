@@ -116,6 +116,7 @@ TrainResult train(Device& device, const Log& sequence, const Split& split, const
     const Config training_config = with_useful_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, training_config);
+    loop.add_losses(session.losses);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
     report_evicted(loop.training_frames(), config, session);
     if (session.start) {

@@ -182,6 +182,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
       reports_(device),
       extent_m_(extent_m ? *extent_m : scene_extent_m(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
+    for (const std::unique_ptr<Loss>& loss : losses_) active_losses_.push_back(loss.get());
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             pose_instances(initial, sequence, timing_of(sequence.frames[std::size_t(frames_[i].position)]));
@@ -211,7 +212,7 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
 void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
     // computes the losses (equations 10-11)
-    for (const std::unique_ptr<Loss>& loss : losses_)
+    for (Loss* loss : active_losses_)
         loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, terms);
     differentiable_.record_backward();  // computes the gradients (equation 9)
 }
@@ -236,7 +237,7 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     record_batch(batch.rays, batch.targets, terms);
     DeviceGradients& gradients = differentiable_.gradients();
     refiner_.record_gradients(stream_, frame_index, frame, batch, gradients, step);
-    for (const std::unique_ptr<Loss>& loss : losses_)
+    for (Loss* loss : active_losses_)
         loss->add_regularisers(
             stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
             terms);

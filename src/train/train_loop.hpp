@@ -56,6 +56,10 @@ public:
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
+    /// Adds losses that the caller owns to those of the settings.
+    void add_losses(const std::vector<Loss*>& losses) {
+        active_losses_.insert(active_losses_.end(), losses.begin(), losses.end());
+    }
     /// Submits one iteration. Waits only for an earlier submission, for densification, or
     /// to increase the memory for hits.
     /// @param step  counts from 1
@@ -100,9 +104,10 @@ private:
     BatchSampler batches_;
     PoseRefiner refiner_;
     DifferentiableRenderer differentiable_;
-    Renderer& renderer_;  ///< the renderer of differentiable_
-    Stream& stream_;      ///< the stream of the renderer
-    std::vector<std::unique_ptr<Loss>> losses_;
+    Renderer& renderer_;                         ///< the renderer of differentiable_
+    Stream& stream_;                             ///< the stream of the renderer
+    std::vector<std::unique_ptr<Loss>> losses_;  ///< the losses of the settings
+    std::vector<Loss*> active_losses_;           ///< losses_, then the losses of the caller
     Adam adam_;
     Densifier densifier_;
     DensifyReport densified_;

@@ -69,5 +69,5 @@ if(NOT n_scans EQUAL 6 OR NOT EXISTS ${WORK_DIR}/scans/scans.json)
 endif()
 run(${build}_examples/closed_loop ${WORK_DIR}/run)   # fails unless the program stops behind the actor
 message(STATUS "closed_loop: ${output}")
-run(${build}_examples/own_loss ${WORK_DIR}/street)   # fails unless the loss decreases
+run(${build}_examples/own_loss ${WORK_DIR}/street ${build}_examples/robust_loss.spv)   # fails unless the loss decreases
 message(STATUS "own_loss: ${output}")

@@ -72,8 +72,10 @@ struct SurfelGradients {
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
 };
 
-/// Base class of a loss. A loss computes one or several terms. A custom loss overrides
-/// add_ray_losses() or add_regularisers() and is added to the list of losses.
+/// Base class of a loss. A loss computes one or several terms. The loss of a program
+/// overrides add_ray_losses() or add_regularisers(), adds its value to the term
+/// RELIDAR_CUSTOM_TERM, and is passed to train() in TrainSession::losses. It runs its own
+/// kernels (relidar/gpu/kernel.hpp), see tools/examples/robust_loss.hpp.
 class Loss {
 public:
     virtual ~Loss() = default;

@@ -35,10 +35,12 @@ struct LossWeights {
 };
 
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) #name,
-/// Names of the loss terms, in the order of their indices.
-inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
+/// Names of the loss terms, in the order of their indices. The last term is the sum of
+/// the losses of a program (TrainSession::losses).
+inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM) "custom"};
 #undef RELIDAR_TERM
 inline constexpr int kLossTerms = kLossTermNames.size();
+static_assert(kLossTerms == RELIDAR_CUSTOM_TERM + 1);
 
 /// Index of each term in a row of loss terms, for example loss_term::depth.
 namespace loss_term {
@@ -46,6 +48,7 @@ namespace loss_term {
     inline constexpr std::size_t name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // Defines one constant per term.
 #undef RELIDAR_TERM
+inline constexpr std::size_t custom = RELIDAR_CUSTOM_TERM;
 }  // namespace loss_term
 
 }  // namespace relidar

@@ -29,4 +29,8 @@
          mark_expert("weight of the negative log-likelihood of the measured range "                          \
                      "given the hits of the ray, averaged over rays with a return; 0: as in the paper"))
 
+// Column of the loss terms to which the losses of a program add their values
+// (TrainSession::losses). It follows the columns of the list above.
+#define RELIDAR_CUSTOM_TERM 8u
+
 #endif

@@ -24,6 +24,7 @@
 
 namespace relidar {
 
+class Loss;
 struct Checkpoint;
 struct Run;
 namespace shared {
@@ -83,18 +84,24 @@ using TrainProgressCallback = std::function<bool(const TrainProgress&)>;
 struct TrainSession {
     /// Empty = no checkpoints. Written at the intervals train.checkpoint_*, and when
     /// training stops early.
-    std::filesystem::path checkpoints;
+    std::filesystem::path checkpoints = {};
     /// Null = start from the beginning.
     const Checkpoint* start = nullptr;
     /// Called after every iteration. Returns true to stop the training.
-    std::function<bool()> stop;
+    std::function<bool()> stop = {};
     /// Receives one-line messages that are not in the training log, for example about a
     /// full disk.
-    std::function<void(const std::string&)> note;
+    std::function<void(const std::string&)> note = {};
     /// Of the initialisation. An exception from the callback ends training.
     Progress progress = {};
     /// Times of "initialise", "train", "drops" (of the sensor) and "coverage".
     StageTimes* stages = nullptr;
+    /// Losses of the program, in addition to those of the settings. They must use the
+    /// same device and exist until train() returns. The log sums their values in the term
+    /// `custom`. An exception from a loss ends training. A checkpoint does not contain
+    /// the losses: pass equal losses to a resumed training. train_actors() and other
+    /// processes do not use them.
+    std::vector<Loss*> losses = {};
 };
 
 struct LogPreparationCallbacks {
