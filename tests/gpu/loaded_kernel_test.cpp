@@ -47,8 +47,8 @@ TEST_F(LoadedKernel, RunsLikeAKernelOfTheLibrary) {
     for (std::size_t i = 0; i < values.size(); ++i) values[i] = glm::vec4(float(i));
     const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
     // Another module with the same name must not get the pipeline of this module.
-    const auto other = Kernel<shared::ListTouchedParams>::from_spirv(
-        device(), module_of("scene/list_touched"), "mine.spv");
+    const auto other =
+        Kernel<shared::ListTouchedParams>::from_spirv(device(), module_of("scene/list_touched"), "mine.spv");
     Stream stream(device(), true);
     for (const bool from_file : {false, true}) {
         const CopyKernel kernel = from_file ? CopyKernel::from_spirv(device(), file)
@@ -70,7 +70,8 @@ TEST(SpirvParameters, HaveTheSizeOfTheStruct) {
     EXPECT_EQ(gpu::find_params_size(module_of("diff/loss/ssim_vjp")), sizeof(shared::SsimParams));
     EXPECT_EQ(gpu::find_params_size(module_of("diff/loss/chamfer_nearest")),
               sizeof(shared::ChamferNearestParams));
-    EXPECT_EQ(gpu::find_params_size(module_of("diff/loss/surfel_loss@_swap")), sizeof(shared::SurfelLossParams));
+    EXPECT_EQ(gpu::find_params_size(module_of("diff/loss/surfel_loss@_swap")),
+              sizeof(shared::SurfelLossParams));
     for (const EmbeddedKernel& kernel : embedded_kernels())
         EXPECT_GT(gpu::find_params_size(kernel.words), 0u) << kernel.name;
 }
@@ -85,9 +86,9 @@ TEST_F(LoadedKernel, WrongModulesAreErrors) {
     const auto entry = std::find(other_name.begin(), other_name.end(), main_text);
     ASSERT_NE(entry, other_name.end());
     *entry = 0x656e6f6e;  // "none"
-    for (const Words& wrong : {Words{}, Words(words.begin(), words.begin() + 4), other_magic, newer, truncated,
-                               other_name, without(words, gpu::kOpEntryPoint), without(words, gpu::kOpName),
-                               without(words, gpu::kOpDecorate)})
+    for (const Words& wrong :
+         {Words{}, Words(words.begin(), words.begin() + 4), other_magic, newer, truncated, other_name,
+          without(words, gpu::kOpEntryPoint), without(words, gpu::kOpName), without(words, gpu::kOpDecorate)})
         EXPECT_THROW(CopyKernel::from_spirv(device(), wrong, "wrong"), DataError);
     EXPECT_THROW(Kernel<shared::SsimParams>::from_spirv(device(), words, "wrong"), UsageError);
     const ScratchFolder folder;

@@ -75,8 +75,7 @@ TEST_F(OwnLoss, HasTheValuesAndDerivativesOfItsFormula) {
         // Rounding of the range D / W, times the largest second derivative of the loss,
         // and rounding of the sum with the gradients of other losses.
         const double rounding = 2.0 * kWeight / (n_returned * kScaleM * kScaleM) * range_m * 0x1p-22;
-        EXPECT_NEAR(gradients[i].depth, 3.0 + d_depth,
-                    0x1p-22 + rounding / weight + 1e-5 * std::abs(d_depth))
+        EXPECT_NEAR(gradients[i].depth, 3.0 + d_depth, 0x1p-22 + rounding / weight + 1e-5 * std::abs(d_depth))
             << "ray " << i;
         EXPECT_NEAR(gradients[i].weight, -2.0 + d_weight,
                     0x1p-22 + rounding * depth / (weight * weight) + 1e-5 * std::abs(d_weight))
