@@ -50,22 +50,26 @@ public:
         const auto type_entry = types_.find(type_id);
         if (type_entry == types_.end()) return {};
         const SpirvInstruction t = type_entry->second;
+        Extent extent;
         switch (t[0] & 0xffffu) {
             case kOpTypeInt:
             case kOpTypeFloat: return {t[2] / 8, t[2] / 8};
             case kOpTypePointer: return {8, 8};
-            case kOpTypeVector: {
-                const Extent component = find_extent(t[2]);
-                return {t[3] * component.size, component.alignment};
-            }
-            case kOpTypeArray: {
-                const auto n = constants_.find(t[3]), stride = strides_.find(type_id);
-                if (n == constants_.end() || stride == strides_.end()) return {};
-                return {n->second * stride->second, find_extent(t[2]).alignment};
-            }
-            case kOpTypeStruct: return find_struct_extent(type_id, t);
-            default: return {};
+            case kOpTypeVector: extent = find_extent(t[2]); return {t[3] * extent.size, extent.alignment};
+            case kOpTypeArray:
+                if (!constants_.contains(t[3]) || !strides_.contains(type_id)) return {};
+                return {constants_.at(t[3]) * strides_.at(type_id), find_extent(t[2]).alignment};
+            default: break;
         }
+        for (std::uint32_t k = 0; k + 2 < t.size(); ++k) {
+            const Extent member = find_extent(t[k + 2]);
+            if (member.alignment == 0 || !offsets_.contains({type_id, k})) return {};
+            extent.size = std::max(extent.size, offsets_.at({type_id, k}) + member.size);
+            extent.alignment = std::max(extent.alignment, member.alignment);
+        }
+        if (extent.alignment > 0)
+            extent.size += (extent.alignment - extent.size % extent.alignment) % extent.alignment;
+        return extent;
     }
 
 private:
@@ -74,19 +78,6 @@ private:
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    Extent find_struct_extent(std::uint32_t type_id, SpirvInstruction type) const {
-        Extent extent;
-        for (std::uint32_t k = 0; k + 2 < type.size(); ++k) {
-            const Extent member = find_extent(type[k + 2]);
-            const auto offset = offsets_.find({type_id, k});
-            if (member.alignment == 0 || offset == offsets_.end()) return {};
-            extent.size = std::max(extent.size, offset->second + member.size);
-            extent.alignment = std::max(extent.alignment, member.alignment);
-        }
-        if (extent.alignment == 0) return {};
-        extent.size = (extent.size + extent.alignment - 1) / extent.alignment * extent.alignment;
-        return extent;
-    }
     void store_type(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
         if (opcode == kOpTypeInt || opcode == kOpTypeFloat || opcode == kOpTypeVector ||
@@ -117,47 +108,32 @@ std::uint32_t find_params_size(std::span<const std::uint32_t> words) {
 void check_module(std::span<const std::uint32_t> words, const std::string& kernel_name,
                   std::size_t params_bytes) {
     constexpr std::uint32_t kMagic = 0x07230203, kMaxVersion = 0x00010600, kComputeModel = 5;
-    const std::string doing = fmt::format("cannot load the kernel {}", kernel_name);
-    if (words.size() < kHeaderWords || words[0] != kMagic)
-        fail("{}: found {} words that begin with {:#010x}, expected a SPIR-V module ({:#010x})", doing,
-             words.size(), words.empty() ? 0u : words[0], kMagic);
-    if (words[1] > kMaxVersion)
-        fail("{}: found SPIR-V {}.{}, expected at most 1.6 (Vulkan 1.3)", doing, words[1] >> 16,
-             (words[1] >> 8) & 0xffu);
+    const auto require = [&](bool is_present, const char* part) {
+        if (!is_present) fail("cannot load the kernel {}: found a module without {}", kernel_name, part);
+    };
+    require(words.size() >= kHeaderWords && words[0] == kMagic, "the magic number of SPIR-V");
+    require(words[1] <= kMaxVersion, "a SPIR-V version up to 1.6 (Vulkan 1.3)");
     for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
-        if (const std::size_t n = words[at] >> 16; n == 0 || n > words.size() - at)
-            fail("{}: the instruction at word {} has {} words, but the module has only {} words", doing, at,
-                 n, words.size());
+        require(words[at] >> 16 > 0 && words[at] >> 16 <= words.size() - at, "its last words (truncated)");
     bool has_main = false, has_bindings = false;
     std::uint32_t last_opcode = 0;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         last_opcode = opcode;
-        has_main = has_main ||
-                   (opcode == kOpEntryPoint && instruction.size() > 4 && instruction[1] == kComputeModel &&
-                    std::string_view(read_spirv_string(instruction.subspan(3))) == "main");
-        has_bindings =
-            has_bindings || (opcode == kOpDecorate && instruction.size() > 2 && instruction[2] == kBinding);
+        if (opcode == kOpEntryPoint && instruction.size() > 4 && instruction[1] == kComputeModel)
+            has_main = has_main || std::string_view(read_spirv_string(instruction.subspan(3))) == "main";
+        if (opcode == kOpDecorate && instruction.size() > 2 && instruction[2] == kBinding)
+            has_bindings = true;
     });
-    if (last_opcode != kOpFunctionEnd)
-        fail("{}: the module ends with instruction {}, expected the end of a function", doing, last_opcode);
-    if (!has_main) fail("{}: the module has no compute entry point main()", doing);
-    if (has_bindings)
-        fail("{}: the module has variables with a binding, expected only buffer references in its parameters",
-             doing);
-    if (!list_constants(words).contains(0))
-        fail(
-            "{}: the workgroup size is not the specialisation constant 0, expected that the source includes "
-            "relidar/base/kernel.glsl",
-            doing);
+    require(last_opcode == kOpFunctionEnd, "a function at its end (truncated)");
+    require(has_main, "a compute entry point main()");
+    require(!has_bindings && list_constants(words).contains(0), "the interface of relidar/base/kernel.glsl");
     const std::uint32_t size = find_params_size(words);
-    if (size == 0)
-        fail(
-            "{}: the module has no parameter struct, expected RELIDAR_PARAMS(...) with numbers, vectors, "
-            "arrays and buffer references, and a module with names",
-            doing);
+    require(size > 0, "names or without RELIDAR_PARAMS of numbers, vectors, arrays and pointers");
     if (size != params_bytes)
-        fail<UsageError>("{}: its parameter struct has {} bytes, but that of the program has {} bytes", doing,
-                         size, params_bytes);
+        fail<UsageError>(
+            "cannot load the kernel {}: its parameter struct has {} bytes, expected {} bytes as in the "
+            "program",
+            kernel_name, size, params_bytes);
 }
 
 }  // namespace relidar::gpu

@@ -5,8 +5,6 @@
 // rendered, targets. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "relidar/base/atomic_add.glsl"
-#include "relidar/base/kernel.glsl"
 #include "relidar/base/reduce.glsl"
 #include "robust_loss.h"
 RELIDAR_PARAMS(RobustLossParams);

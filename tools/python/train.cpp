@@ -6,6 +6,7 @@
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/train/train.hpp>
 #include "calls.hpp"
+#include "losses.hpp"
 #include "module.hpp"
 #include "run.hpp"
 #include "sequence.hpp"
@@ -21,6 +22,7 @@ struct TrainArguments {
     std::optional<std::function<void(const std::string&)>> note;
     std::optional<fs::path> checkpoints;
     bool resume;
+    std::vector<py::function> losses;
     SharedDevice device;
 };
 
@@ -47,8 +49,13 @@ std::optional<Checkpoint> load_checkpoint(const TrainArguments& arguments,
     return load_newest(*arguments.checkpoints, print_note);
 }
 
-TrainResult train_scene(LockableDevice& device, Run& run, const TrainArguments& arguments,
+TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArguments& arguments,
                         PythonCallGuard& python_calls) {
+    std::vector<std::unique_ptr<PythonLoss>> owned_losses;
+    std::vector<Loss*> losses;
+    for (const py::function& function : arguments.losses)
+        losses.push_back(
+            owned_losses.emplace_back(std::make_unique<PythonLoss>(device, python_calls, function)).get());
     const auto note = [&](const std::string& line) {
         python_calls([&] {
             if (arguments.note) (*arguments.note)(line);
@@ -56,7 +63,7 @@ TrainResult train_scene(LockableDevice& device, Run& run, const TrainArguments& 
     };
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
-    const DeviceLock use(device);
+    const DeviceLock use(*device);
     prepare_log(run.sequence, run.split, run.config,
                 {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
     if (start) check_resume(*start, run.sequence, run.split, run.config);
@@ -67,8 +74,12 @@ TrainResult train_scene(LockableDevice& device, Run& run, const TrainArguments& 
                }) &&
                go_on;
     };
-    return train(device.device, run.sequence, run.split, run.config, report,
-                 {arguments.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
+    return train(device->device, run.sequence, run.split, run.config, report,
+                 {.checkpoints = arguments.checkpoints.value_or(""),
+                  .start = start ? &*start : nullptr,
+                  .stop = stop,
+                  .note = note,
+                  .losses = std::move(losses)});
 }
 
 void align_held_out(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
@@ -127,7 +138,7 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     PythonCallGuard python;
     TrainResult result;
     try {
-        result = train_scene(*device, run, arguments, python);
+        result = train_scene(device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback has raised an exception, raises this exception instead of
         // the error of the library.
@@ -166,13 +177,14 @@ void bind_train(py::module_& module) {
         [](const LoadedLog& sequence, std::optional<Config> config,
            std::optional<std::function<py::object(const TrainProgress&)>> callback,
            std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints,
-           bool resume, SharedDevice device) {
-            return train_run(sequence, {std::move(config), std::move(callback), std::move(note),
-                                        std::move(checkpoints), resume, std::move(device)});
+           bool resume, std::vector<py::function> losses, SharedDevice device) {
+            return train_run(sequence,
+                             {std::move(config), std::move(callback), std::move(note), std::move(checkpoints),
+                              resume, std::move(losses), std::move(device)});
         },
         py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
         py::arg("note") = py::none(), py::arg("checkpoints") = py::none(), py::arg("resume") = false,
-        py::arg("device") = py::none(),
+        py::arg("losses") = py::tuple(), py::arg("device") = py::none(),
         "Trains a scene on the training frames of a log. With refine.enabled, it also trains the network "
         "that corrects ray-drop.\n\n"
         "config: settings; of dataset.*, only test_every and test_frames have an effect, because the log is "
@@ -183,9 +195,25 @@ void bind_train(py::module_& module) {
         "and for each problem that does not end the training\n"
         "checkpoints: folder for checkpoints of the scene; a checkpoint is also written if the training "
         "stops early, for example by Ctrl-C. The subfolder drop_network has the checkpoints of the network\n"
-        "resume: continue from the newest checkpoint in this folder, if there is one\n\n"
+        "resume: continue from the newest checkpoint in this folder, if there is one; pass equal losses\n"
+        "losses: functions that get each batch of rays as an object. Each returns a torch tensor with one "
+        "number that depends on batch.rendered, or adds to batch.gradients and returns a float. The result "
+        "is "
+        "added to the losses of the settings, as the term \"custom\". Attributes of batch:\n"
+        "- rendered: dict of depth (metres, not divided by weight), weight, intensity, hit_logit, "
+        "drop_logit: "
+        "[n]\n"
+        "- measured: dict of range (metres, 0: no return), intensity, weight (0: unknown): [n]\n"
+        "- rays: dict of origins [n,3], directions [n,3], times [n] (seconds, 3e38: unknown), world frame\n"
+        "- gradients: dict like rendered, of all losses so far\n"
+        "- shape: (rows, columns) if the rays form an image, otherwise None\n"
+        "- n_returned, n_known: number of known rays with a return, and of known rays\n"
+        "The arrays are torch tensors, or numpy arrays if torch is not installed. They are views of the "
+        "memory "
+        "of the device, valid until the loss returns\n\n"
         "Returns a Run that exists only in memory; call save() to store it. Raises KeyboardInterrupt on "
-        "Ctrl-C, the exceptions of the callback, and DataError if the log cannot be used for training.");
+        "Ctrl-C, the exceptions of the callback and the losses, and DataError if the log cannot be used for "
+        "training.");
 }
 
 }  // namespace relidar::python

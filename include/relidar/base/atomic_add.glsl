@@ -5,6 +5,7 @@
 // supports. Compare-and-swap runs on every device.
 #ifndef RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 #define RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
+#include "relidar/base/kernel.glsl"
 
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicBits { uint at[]; };

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums values over a workgroup and adds the sum to memory with one atomic operation. One
 // atomic operation per thread would be slow, because a GPU executes atomics on the same
-// float one after another. Include this file after kernel.glsl and
-// atomic_add.glsl.
+// float one after another.
 #ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 #define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
+#include "relidar/base/atomic_add.glsl"
 
 // The reduction requires a workgroup size that is a power of two.
 shared float reduce_partial[gl_WorkGroupSize.x];

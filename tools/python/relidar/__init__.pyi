@@ -229,6 +229,7 @@ def train(
     note: Callable[[str], object] | None = None,
     checkpoints: _Path | None = None,
     resume: bool = False,
+    losses: _Sequence[Callable[[Any], Any]] = (),
     device: Device | None = None,
 ) -> Run: ...
 
