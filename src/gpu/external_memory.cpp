@@ -3,9 +3,11 @@
 // structs with different names.
 #include "gpu/external_memory.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstring>
+#include <mutex>
 
 #include <dlfcn.h>
 #include <unistd.h>
@@ -91,12 +93,12 @@ const ComputeLibrary* load_library(const LibraryNames& names) {
     return loaded->init(0) == 0 ? loaded.release() : nullptr;
 }
 
+/// A process uses cards of one vendor, so only one library is loaded.
 const ComputeLibrary* find_library(std::uint32_t vendor_id) {
-    static const ComputeLibrary* const kCuda = load_library(kLibraries[0]);
-    if (vendor_id == kLibraries[0].vendor_id) return kCuda;
-    if (vendor_id != kLibraries[1].vendor_id) return nullptr;
-    static const ComputeLibrary* const kHip = load_library(kLibraries[1]);
-    return kHip;
+    const auto names = std::ranges::find(kLibraries, vendor_id, &LibraryNames::vendor_id);
+    if (names == std::end(kLibraries)) return nullptr;
+    static const ComputeLibrary* const kLoaded = load_library(*names);
+    return kLoaded && kLoaded->names == names ? kLoaded : nullptr;
 }
 
 /// Returns the index of the Vulkan device in the library.
@@ -183,6 +185,8 @@ int export_block(const Device::Impl& device, const MemoryBlock& block) {
 MemoryAddress import_block(const Device::Impl& device, MemoryBlock& block) {
     const ComputeLibrary* library = find_library(device.info.vendor_id);
     if (!library) return {};
+    static std::mutex mutex;
+    const std::lock_guard lock(mutex);
     if (!block.imported) block.imported = std::make_shared<ImportedBlock>(*library, device, block);
     const auto& imported = *static_cast<const ImportedBlock*>(block.imported.get());
     return {library->names->interface, imported.pointer, imported.device_index};

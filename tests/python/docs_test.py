@@ -9,6 +9,7 @@ import pathlib
 import re
 import runpy
 import subprocess
+import sys
 import unittest
 
 import numpy as np

@@ -29,7 +29,7 @@ class Case:
     With spherical harmonics along the surfel, only the first instance of a model defines the
     direction, so the actor has a single instance."""
 
-    def __init__(self, direction):
+    def __init__(self, direction, deterministic=False):
         random = np.random.default_rng(32)
         surfels = {"mean": np.c_[random.uniform(4, 8, 32), random.uniform(-1, 1, (32, 2))], "rotation": random.normal(size=(32, 4)),
                    "log_scale": random.uniform(-1.2, -0.3, (32, 2)), "opacity_logit": random.normal(size=32),
@@ -44,8 +44,9 @@ class Case:
         directions = unit(np.c_[np.ones(40), random.uniform(-0.15, 0.15, (40, 2))])
         self.rays = origins.astype(np.float32), directions.astype(np.float32)
         self.upstream = {name: random.uniform(0.5, 1.5, 40).astype(np.float32) for name in UPSTREAM}
-        config = relidar.Config("paper", {"image.sh_direction": direction})
-        self.renderer = relidar.DifferentiableRenderer(relidar.Scene(self.surfels, models, instances), config, poses=True, rays=True)
+        self.config = relidar.Config("paper", {"image.sh_direction": direction, "train.deterministic": deterministic})
+        self.model = relidar.Scene(self.surfels, models, instances)
+        self.renderer = relidar.DifferentiableRenderer(self.model, self.config, poses=True, rays=True)
         self.renderer.place(self.poses, self.view)
         self.renderer.forward(*self.rays)
         self.gradients = self.renderer.backward(self.upstream)

@@ -6,12 +6,13 @@ import importlib.util
 import subprocess
 import sys
 import unittest
+import warnings
 
 import numpy as np
 
 import relidar
 from common import TestCase, log, run
-from gradient_test import LIMIT, STEP, UPSTREAM, Case, unit
+from gradient_test import LIMIT, STEP, UPSTREAM, Case
 
 if importlib.util.find_spec("torch"):
     import torch
@@ -92,39 +93,35 @@ class TorchCase(Case):
     """The same scene, in a Scene of relidar.torch and in a DifferentiableRenderer."""
 
     def __init__(self, direction="ray", device=None):
-        super().__init__(direction)
-        instances = [{"model": 0, "track": ""}, {"model": 1, "track": "a"}, {"model": 1, "track": "b"}][: len(self.poses)]
-        models = [{"name": "background", "first": 0, "count": 20}, {"name": "actor", "first": 20, "count": 12}]
-        config = relidar.Config("paper", {"image.sh_direction": direction, "train.deterministic": True})
-        scene = relidar.Scene(self.surfels, models, instances)
-        self.renderer = relidar.DifferentiableRenderer(scene, config, poses=True, rays=True)
-        self.scene = relidar.torch.Scene(scene, config, poses=True, rays=True, device=device)
-        self.rays_tensor = torch.from_numpy(np.hstack(self.rays))
-        self.mean_origin = self.rays_tensor[:, :3].mean(0).double().numpy()
+        super().__init__(direction, deterministic=True)
+        self.scene = relidar.torch.Scene(self.model, self.config, poses=True, rays=True, device=device)
+        self.tensor = torch.from_numpy(np.hstack(self.rays))
 
-    def expected(self, surfels=None, rays=None, poses=None, view=None):
+    def expected(self, surfels=None, rays=None, view=None):
         """Returns values and gradients of the DifferentiableRenderer."""
         rays = self.rays if rays is None else rays
         self.renderer.upload(surfels or self.surfels)
-        self.renderer.place(self.poses if poses is None else poses, self.mean_origin if view is None else view)
-        return self.renderer.forward(*rays), self.renderer.backward(self.upstream)
+        self.renderer.place(self.poses, torch.from_numpy(rays[0]).mean(0).double().numpy() if view is None else view)
+        upstream = {name: np.ascontiguousarray(array[: len(rays[0])]) for name, array in self.upstream.items()}
+        return self.renderer.forward(*rays), self.renderer.backward(upstream)
 
-    def loss(self, out):
-        return sum((out[name].double() * torch.from_numpy(self.upstream[name])).sum() for name in UPSTREAM)
+    def render(self, rays=None, **arguments):
+        return relidar.torch.render(self.scene, self.tensor if rays is None else rays, **{"poses": self.poses, **arguments})
+
+    def loss_of(self, out):
+        return sum((out[name] * torch.from_numpy(self.upstream[name][: len(out[name])])).double().sum() for name in UPSTREAM)
 
 
 @unittest.skipUnless(importlib.util.find_spec("torch"), "PyTorch is not installed")
 class Torch(TestCase):
     STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opacity_logits": "opacity_logit", "features": "sh"}
 
-    def loss_of(self, case, out):
-        return sum((out[name] * torch.from_numpy(case.upstream[name])).sum() for name in UPSTREAM)
-
-    def check_equal(self, case, out, expected):
+    def check_equal(self, out, expected):
         for name, values in expected.items():
             self.assert_same(out[name].detach().numpy().view(values.dtype), values)
 
-    def check_gradients(self, case, gradients):
+    def check_backward(self, case, out, gradients):
+        case.loss_of(out).backward()
         for name, stored in self.STORED.items():
             self.assert_same(getattr(case.scene, name).grad.numpy(), gradients[stored])
             getattr(case.scene, name).grad = None
@@ -132,118 +129,101 @@ class Torch(TestCase):
     def test_equals_the_renderer(self):
         for device in None, relidar.Device(share_memory=False):
             for direction in "ray", "surfel":
-                case = TorchCase(direction, device)
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always")
+                    case = TorchCase(direction, device)
+                self.assertEqual(len(caught), int(device is not None))
                 values, gradients = case.expected()
-                rays = case.rays_tensor.clone().requires_grad_()
-                poses = torch.from_numpy(case.poses).requires_grad_()
-                out = relidar.torch.render(case.scene, rays, poses=poses)
-                self.check_equal(case, out, values)
-                self.loss_of(case, out).backward()
-                self.check_gradients(case, gradients)
+                rays = case.tensor.clone().requires_grad_()
+                out = case.render(rays)
+                self.check_equal(out, values)
+                self.check_backward(case, out, gradients)
                 self.assert_same(rays.grad.numpy(), gradients["rays"])
 
     def test_earlier_batches_are_rendered_again(self):
         case = TorchCase()
         other = tuple(np.ascontiguousarray(array[::-1][:17]) for array in case.rays)
-        upstream = dict(case.upstream)
-        batches = relidar.torch.render(case.scene, [case.rays_tensor, torch.from_numpy(np.hstack(other))],
-                                      poses=torch.from_numpy(np.stack([case.poses] * 2)))
-        for batch, rays in enumerate((case.rays, other)):
-            case.upstream = {name: np.ascontiguousarray(array[: len(rays[0])]) for name, array in upstream.items()}
-            values, gradients = case.expected(rays=rays, view=torch.from_numpy(rays[0]).mean(0).double().numpy())
-            self.check_equal(case, batches[batch], values)
-            self.loss_of(case, batches[batch]).backward()
-            self.check_gradients(case, gradients)
+        batches = case.render([case.tensor, tuple(torch.from_numpy(array) for array in other)], poses=np.stack([case.poses] * 2))
+        for out, rays in zip(batches, (case.rays, other)):
+            values, gradients = case.expected(rays=rays)
+            self.check_equal(out, values)
+            self.check_backward(case, out, gradients)
 
     def test_two_scenes_and_changes_in_place(self):
         first, second = TorchCase(), TorchCase()
-        out = relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses)
-        relidar.torch.render(second.scene, second.rays_tensor[:5], poses=second.poses)
-        self.loss_of(first, out).backward()
-        self.check_gradients(first, first.expected()[1])
+        out = first.render()
+        second.render(second.tensor[:5])
+        self.check_backward(first, out, first.expected()[1])
         with torch.no_grad():
             first.scene.means += 0.1
         moved = dict(first.surfels, mean=first.surfels["mean"] + np.float32(0.1))
         self.assert_same(first.scene.surfels()["mean"], moved["mean"])
-        self.check_equal(first, relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses), first.expected(moved)[0])
-        self.check_equal(second, relidar.torch.render(second.scene, second.rays_tensor, poses=second.poses), second.expected()[0])
-        out = relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses)
-        relidar.torch.render(first.scene, first.rays_tensor, means=torch.zeros(32, 3), scales=torch.ones(32, 2))
-        self.loss_of(first, out).backward()   # a replacement ends with its call
-        self.check_gradients(first, first.expected(moved)[1])
-        out = relidar.torch.render(first.scene, first.rays_tensor)
+        out = first.render()
+        self.check_equal(out, first.expected(moved)[0])
+        self.check_equal(second.render(), second.expected()[0])
+        first.render(means=torch.zeros(32, 3), scales=torch.ones(32, 2))   # only in this call
+        self.assert_same(first.scene.surfels()["mean"], moved["mean"])
+        self.check_backward(first, out, first.expected(moved)[1])
+        out = first.render()
         with torch.no_grad():
             first.scene.means += 0.1
         with self.assertRaisesRegex(RuntimeError, "modified by an inplace operation"):
-            first.loss(out).backward()
+            first.loss_of(out).backward()
 
-    def check_step(self, name, loss, tensor, tangent=lambda step: step):
+    def check_step(self, name, loss, tensor):
         """Compares dL/d(tensor) with the difference of the loss over a step along the gradient."""
-        tensor = tensor.detach().requires_grad_()
+        tensor = tensor.detach().clone().requires_grad_()
         loss(tensor).backward()
-        gradient = tangent(tensor.grad)
-        step = gradient * (STEP / gradient.double().norm())
+        step = tensor.grad * (STEP / tensor.grad.double().norm())
         with torch.no_grad():
             difference = (loss(tensor + step) - loss(tensor - step)) / 2
-        expected = (step.double() * gradient.double()).sum()
-        self.assertAlmostEqual(float(difference), float(expected), delta=LIMIT * float(expected), msg=name)
+        expected = float((step.double() * tensor.grad.double()).sum())
+        self.assertAlmostEqual(float(difference), expected, delta=LIMIT * expected, msg=name)
 
     def test_differences(self):
         """What PyTorch computes around the kernels: activations, motions, and the frame of the sensor."""
         for direction in "ray", "surfel":
             case = TorchCase(direction)
-            scene, poses = case.scene, torch.from_numpy(case.poses)
-            sensor = torch.from_numpy(relidar.pose(0.1, -0.2, 0.1, 5, 3, 2))
-            inverse = torch.linalg.inv(sensor).float()
+            scene, poses, sensor = case.scene, torch.from_numpy(case.poses), torch.from_numpy(relidar.pose(0.1, -0.2, 0.1, 5, 3, 2))
+            turn, shift = sensor[:3, :3].float(), sensor[:3, 3].float()
             origins, directions = (torch.from_numpy(array) for array in case.rays)
-            local = torch.cat([origins @ inverse[:3, :3].T + inverse[:3, 3], directions @ inverse[:3, :3].T], 1)
+            origins, directions = (origins - shift) @ turn, directions @ turn
 
-            def loss(rays=local, sensor=sensor, poses=poses, **parameters):
-                return case.loss(relidar.torch.render(scene, rays, sensor=sensor, poses=poses, **parameters))
+            def loss(rays=(origins, directions), **arguments):
+                return case.loss_of(case.render(rays, **{"sensor": sensor, **arguments}))
 
             motion = torch.zeros(6, dtype=torch.float64, requires_grad=True)
             loss(sensor=relidar.torch.move(sensor, motion)).backward()
-            turn, shift = sensor[:3, :3].float(), sensor[:3, 3].float()
-            world = torch.cat([local[:, :3] @ turn.T + shift, local[:, 3:] @ turn.T], 1)
-            expected = case.expected(rays=[part.contiguous().numpy() for part in world.split(3, 1)], view=sensor[:3, 3].numpy().copy())[1]["sensor"]
+            world = (origins @ turn.T + shift).numpy(), (directions @ turn.T).numpy()
+            expected = case.expected(rays=world, view=sensor[:3, 3].numpy().copy())[1]["sensor"]
             np.testing.assert_allclose(motion.grad.numpy(), expected, rtol=1e-5)
-            if direction == "ray":   # the same as a motion of every ray
+            motion.grad = None
+            if direction == "ray":   # the same as a motion of every ray; `surfel` also depends on the view origin
                 moved = relidar.torch.move(sensor, motion).float()
-                motion.grad = None
-                case.loss(relidar.torch.render(scene, (local[:, :3] @ moved[:3, :3].T + moved[:3, 3], local[:, 3:] @ moved[:3, :3].T),
-                                               poses=poses)).backward()
+                loss((origins @ moved[:3, :3].T + moved[:3, 3], directions @ moved[:3, :3].T), sensor=None).backward()
                 np.testing.assert_allclose(motion.grad.numpy(), expected, rtol=1e-4)
-            for name, axes in (("shift", slice(0, 3)), ("turn", slice(3, 6))):
-                part = torch.zeros(6, dtype=torch.float64)
-                part[axes] = 1
-                motions = torch.zeros(len(poses), 6, dtype=torch.float64)
-                rows = torch.ones(len(poses), 1, dtype=torch.float64)
-                rows[0] = 0
-                self.check_step(f"poses {name}", lambda m: loss(poses=relidar.torch.move(poses, m * part * rows)), motions)
-            if direction == "ray":   # with `surfel`, the position of the sensor also depends on the origins
-                self.check_step("origins", lambda x: loss((x, local[:, 3:])), local[:, :3].clone())
-            self.check_step("directions", lambda x: loss((local[:, :3], x / x.norm(dim=1, keepdim=True))), local[:, 3:].clone())
-            for name, value in {"means": scene.means, "quats": scene.quats, "scales": scene.scales,
-                                "opacities": scene.opacities, "features": scene.features}.items():
-                self.check_step(name, lambda x: loss(**{name: x}), value.clone())
+                self.check_step("origins", lambda x: loss((x, directions)), origins)
+            self.check_step("directions", lambda x: loss((origins, x / x.norm(dim=1, keepdim=True))), directions)
+            rows = torch.tensor([0.0] + [1.0] * (len(poses) - 1), dtype=torch.float64)[:, None]
+            for axes in ([1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1]):
+                self.check_step(f"poses {axes}", lambda m: loss(poses=relidar.torch.move(poses, m * rows * torch.tensor(axes))),
+                                torch.zeros(len(poses), 6, dtype=torch.float64))
+            for name in "means", "quats", "scales", "opacities", "features":
+                self.check_step(name, lambda x: loss(**{name: x}), getattr(scene, name))
 
     def test_gradcheck(self):
         motion = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
         poses = torch.from_numpy(np.stack([relidar.pose(1, 2, 3, 10, 20, 30), relidar.pose(-1, 0, 2, 50)]))
         torch.autograd.gradcheck(lambda m: relidar.torch.move(poses, m)[..., :3, :], motion)
-        scales = torch.tensor([0.1, 2.0], dtype=torch.float64, requires_grad=True)
         for _, inverse in relidar.torch._ACTIVATED.values():
-            torch.autograd.gradcheck(inverse, scales * 0.4)
+            torch.autograd.gradcheck(inverse, torch.tensor([0.1, 0.8], dtype=torch.float64, requires_grad=True))
         # The gradient of poses gives the same derivative for every small motion.
         d_motion, centre = torch.randn(2, 6, dtype=torch.float64), torch.randn(2, 3, dtype=torch.float64)
-        moved = relidar.torch.move(poses, motion)
-        (moved * relidar.torch._pose_gradient(poses, d_motion)).sum().backward()
-        torch.testing.assert_close(motion.grad, d_motion)
         about = torch.cat([d_motion[:, :3], d_motion[:, 3:] + torch.cross(centre, d_motion[:, :3], dim=1)], 1)
-        motion.grad = None
-        moved = relidar.torch.move(poses, motion)
-        (moved * relidar.torch._pose_gradient(poses, d_motion, centre)).sum().backward()
-        torch.testing.assert_close(motion.grad, about)
+        for gradient, expected in ((relidar.torch._pose_gradient(poses, d_motion), d_motion),
+                                   (relidar.torch._pose_gradient(poses, d_motion, centre), about)):
+            actual = torch.autograd.grad((relidar.torch.move(poses, motion) * gradient).sum(), motion)
+            torch.testing.assert_close(actual, (expected,))
 
     def test_training_copies_nothing(self):
         """A run of the street: values of frames, a falling loss, no copies through the host."""
@@ -277,6 +257,7 @@ class Torch(TestCase):
         frame = relidar.torch.Frame(run(), log(), 2)
         scan = log().scan(2)
         self.assertEqual(frame.shape, scan["range"].shape)
+        np.testing.assert_allclose(frame.view_origin + run().world_offset, run().trajectory[1][2][:3, 3], atol=1e-6)
         self.assert_same(frame.range.numpy() > 0, scan["range"].ravel() > 0)
         rendered = run().render(time=run().times[2])
         out = relidar.torch.render(relidar.torch.Scene.from_run(run()), frame)
@@ -287,7 +268,7 @@ class Torch(TestCase):
 
     def test_bad_input(self):
         case = TorchCase()
-        render, scene, rays = relidar.torch.render, case.scene, case.rays_tensor
+        render, scene, rays = relidar.torch.render, case.scene, case.tensor
         self.assert_fails(relidar.DataError, "rays: found float64 [40, 6]", render, scene, rays.double())
         self.assert_fails(relidar.DataError, "rays: found float32 [6, 40]", render, scene, rays.T)
         self.assert_fails(relidar.DataError, "origins: found float32 [40, 6]", render, scene, (rays, rays))
@@ -303,15 +284,13 @@ class Torch(TestCase):
 
     def test_dlpack_arguments(self):
         case = TorchCase()
-        origins, directions = (torch.from_numpy(array) for array in case.rays)
+        values, gradients = case.expected()
         case.renderer.upload({name: torch.from_numpy(array) for name, array in case.surfels.items()})
-        case.renderer.place(torch.from_numpy(case.poses), torch.from_numpy(case.mean_origin))
-        rendered = case.renderer.forward(origins, directions)
-        gradients = case.renderer.backward({name: torch.from_numpy(array) for name, array in case.upstream.items()})
-        values, expected = case.expected()
-        for name in values:
-            self.assert_same(rendered[name], values[name])
-        self.assert_same(gradients["sh"], expected["sh"])
+        case.renderer.place(torch.from_numpy(case.poses), case.tensor[:, :3].mean(0).double())
+        rendered = case.renderer.forward(*(torch.from_numpy(array) for array in case.rays))
+        actual = case.renderer.backward({name: torch.from_numpy(array) for name, array in case.upstream.items()})
+        self.assert_same(rendered["depth"], values["depth"])
+        self.assert_same(actual["sh"], gradients["sh"])
 
 
 if __name__ == "__main__":

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "device_array.hpp"
 
-#include <cstdio>
-#include <numeric>
-
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
@@ -92,23 +89,10 @@ void copy_values(const py::object& object, const py::object& source) {
     array.buffer.upload(data, n_bytes, array.offset_bytes);
 }
 
-/// Prints once per process that a device cannot share its memory.
-void note_copies(const DeviceArray& array) {
-    static bool noted = false;
-    if (std::exchange(noted, true)) return;
-    std::fprintf(
-        stderr,
-        "relidar: note: tensors of %s are copies through the host, because it does not share its memory\n",
-        array.device->device.info().name.c_str());
-}
-
 py::object to_capsule(const py::object& object, const py::object& copy) {
     const auto& array = object.cast<const DeviceArray&>();
     const MemoryAddress address = array.buffer.address_for_others();
-    if (address.interface == MemoryAddress::Interface::none) {
-        note_copies(array);
-        return to_host(object).attr("__dlpack__")();
-    }
+    if (address.interface == MemoryAddress::Interface::none) return to_host(object).attr("__dlpack__")();
     if (!copy.is_none() && copy.cast<bool>())
         throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
     auto* made = new ExportedTensor{

@@ -83,6 +83,11 @@ py::object vehicle_path(const Log& sequence) {
     return to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
+py::object world_offset(const Log& sequence) {
+    const glm::dvec3& offset = sequence.world_offset_m;
+    return move_to_numpy<double>(std::vector{offset.x, offset.y, offset.z}, {3});
+}
+
 py::object mounting_dict(const Log& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)

@@ -20,6 +20,7 @@ struct LoadedLog {
 pybind11::object frame_times(const Log& sequence);
 pybind11::object frame_numbers(const Log& sequence);
 pybind11::object vehicle_path(const Log& sequence);
+pybind11::object world_offset(const Log& sequence);
 pybind11::object mounting_dict(const Log& sequence);
 pybind11::object track_dict(const Log& sequence, const std::vector<std::string>& track_names);
 
@@ -35,6 +36,10 @@ void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
             "trajectory", [get](const Owner& owner) { return vehicle_path(get(owner)); },
             "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, "
             "in the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.")
+        .def_property_readonly(
+            "world_offset", [get](const Owner& owner) { return world_offset(get(owner)); },
+            "Origin of the scene's frame in the dataset's world, [3] float64, metres. Both have the same "
+            "axes.")
         .def_property_readonly(
             "mountings", [get](const Owner& owner) { return mounting_dict(get(owner)); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "

@@ -5,6 +5,8 @@ The parameters of a Scene are tensors in the memory of the renderer, so that opt
 place. Nothing is copied through the host if relidar and PyTorch use the same device. Otherwise tensors
 are copies on the host. docs/python.md is the guide.
 """
+import warnings
+
 import numpy as np
 
 import relidar
@@ -46,9 +48,19 @@ def _check(name, values, shape, dtypes=(torch.float32,), device=None):
     return tensor
 
 
+def _is_shared(array):
+    """Returns True if PyTorch can use the memory of a DeviceArray."""
+    return array.is_shared and (array.__dlpack_device__()[0] == 1 or torch.cuda.is_available())
+
+
+def _read(array):
+    """Returns a tensor of the memory of a DeviceArray, or a copy."""
+    return torch.from_dlpack(array) if _is_shared(array) else torch.from_numpy(array.numpy())
+
+
 def _write(array, values):
     """Replaces the values of a DeviceArray, without the host if both use the same device."""
-    if not array.is_shared:
+    if not _is_shared(array):
         return array.copy_from(values.detach().cpu().contiguous())
     target = torch.from_dlpack(array)
     target.copy_(values.detach())
@@ -124,7 +136,9 @@ class Scene:
         arrays = self.renderer.device_parameters()
         self._arrays = {name: arrays[stored] for name, stored in _STORED.items() if stored in arrays}
         for name, array in self._arrays.items():
-            setattr(self, name, torch.from_dlpack(array).requires_grad_())
+            setattr(self, name, _read(array).requires_grad_())
+        if not _is_shared(arrays["mean"]):
+            warnings.warn(f"tensors of {self.renderer.device.info.name} are copies through the host, because PyTorch cannot use its memory")
         self._n_renders = 0
         self._kept = {}   # parameters that a call of render() has replaced
 
@@ -166,7 +180,7 @@ class Scene:
                 own.copy_(value)
             elif name in self._kept:
                 own.copy_(self._kept.pop(name))
-            if not array.is_shared:
+            if not _is_shared(array):
                 _write(array, own)
         origins, directions, time = rays[:, :3], rays[:, 3:6], rays[:, 6:]
         if sensor is not None:
@@ -184,7 +198,7 @@ class Scene:
         rendered = self.renderer.forward_device(len(rays), request.columns)
         self._d_rendered = rendered["d_rendered"]
         self._n_renders += 1
-        return tuple(torch.from_dlpack(rendered[name]).clone() for name in _BLENDED + _OTHER)
+        return tuple(_read(rendered[name]).clone() for name in _BLENDED + _OTHER)
 
     def _backpropagate(self, d_rendered):
         """Returns DeviceArrays of the gradients of the last batch."""
@@ -235,16 +249,15 @@ class _Render(torch.autograd.Function):
         d_rays = d_sensor = d_poses = None
         if needs_rays:
             d_rays = torch.zeros_like(rays)
-            d_rays[:, :6] = torch.from_dlpack(arrays["rays"])
+            d_rays[:, :6] = _read(arrays["rays"])
             if sensor is not None:
-                d_rays[:, :3] @= sensor[:3, :3].to(rays)
-                d_rays[:, 3:6] @= sensor[:3, :3].to(rays)
+                d_rays[:, :6] = (d_rays[:, :6].reshape(-1, 2, 3) @ sensor[:3, :3].to(rays)).reshape(-1, 6)
         if needs_sensor:
             centre = sensor.new_tensor(ctx.request.view_origin(rays, sensor)) - sensor[:3, 3]
-            d_sensor = _pose_gradient(sensor, torch.from_dlpack(arrays["sensor"]).to(sensor), centre)
+            d_sensor = _pose_gradient(sensor, _read(arrays["sensor"]).to(sensor), centre)
         if needs_poses:
-            d_poses = _pose_gradient(poses, torch.from_dlpack(arrays["poses"]).to(poses))
-        d_values = (torch.from_dlpack(arrays[_STORED[name]]).clone() if needed else None
+            d_poses = _pose_gradient(poses, _read(arrays["poses"]).to(poses))
+        d_values = (_read(arrays[_STORED[name]]).clone() if needed else None
                     for name, needed in zip(scene._arrays, ctx.needs_input_grad[5:]))
         return (None, None, d_rays, d_sensor, d_poses, *d_values)
 
