@@ -125,10 +125,9 @@ void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch&
                 "depends on batch.rendered, or a float after adding to batch.gradients",
                 py::str(result.attr("shape")).cast<std::string>(),
                 result.attr("requires_grad").cast<bool>()));
-        const py::tuple d_values =
-            torch_.attr("autograd").attr("grad")(result, values, py::arg("allow_unused") = true);
-        for (std::size_t i = 0; i < d_values.size(); ++i)
-            if (const py::object d = d_values[i]; !d.is_none()) gradients[i].attr("add_")(d);
+        result.attr("backward")();
+        for (std::size_t i = 0; i < values.size(); ++i)
+            if (const py::object d = values[i].attr("grad"); !d.is_none()) gradients[i].attr("add_")(d);
         result = result.attr("detach")().attr("reshape")(1);
     } else {
         const double number = PyFloat_AsDouble(result.ptr());

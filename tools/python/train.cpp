@@ -207,7 +207,7 @@ void bind_train(py::module_& module) {
         "- rays: dict of origins [n,3], directions [n,3], times [n] (seconds, 3e38: unknown), world frame\n"
         "- gradients: dict like rendered, of all losses so far\n"
         "- shape: (rows, columns) if the rays form an image, otherwise None\n"
-        "- n_returned, n_known: number of known rays with a return, and of known rays\n"
+        "- n_returned, n_known: expected number of known rays with a return, and of known rays\n"
         "The arrays are torch tensors, or numpy arrays if torch is not installed. They are views of the "
         "memory "
         "of the device, valid until the loss returns\n\n"
