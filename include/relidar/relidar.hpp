@@ -26,6 +26,7 @@
 #include <relidar/run/config.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/score/evaluation.hpp>
 #include <relidar/score/metrics.hpp>

@@ -2,6 +2,7 @@
 // Initialises actors. An actor is the set of surfels of one tracked moving box, in the
 // frame of the box (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include <unordered_map>
 
@@ -18,9 +19,6 @@
 namespace relidar {
 namespace {
 
-constexpr double kPointMargin_m = 0.1;  // some labelled boxes are too small
-// Points in the lowest part of a box are removed, because they belong to the ground.
-constexpr double kGroundHeight_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the returns of one scan that lie inside boxes, in the frames of the boxes.
@@ -33,10 +31,10 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
     if (present.empty()) return;
     for_each_return(log, frame, second_returns, [&](const WorldReturn& hit) {
         for (const std::size_t b : present) {
-            if (!boxes[b].contains_point(hit.point_m, hit.time_s, kPointMargin_m)) continue;
+            if (!boxes[b].contains_point(hit.point_m, hit.time_s, kObjectMargin_m)) continue;
             const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(hit.time_s));
             const glm::dvec3 local = box_from_world * hit.point_m;
-            if (local.z < -0.5 * boxes[b].size_m.z + kGroundHeight_m) continue;
+            if (!is_on_object(local, boxes[b].size_m)) continue;
             samples[b].push_back({glm::vec3(local), hit.intensity,
                                   glm::vec3(box_from_world.rotation * hit.direction),
                                   static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
@@ -73,16 +71,6 @@ bool is_actor(const BoxTrack& box, const InitOptions& options) {
     if (!options.actor_tracks.empty()) return has_word(options.actor_tracks, box.id);
     return options.actor_classes == kEveryClass || has_word(options.actor_classes, box.category) ||
            has_word(options.actor_classes, name_of(parse_kind(box.category)));
-}
-
-/// Returns the kind of object in a box. If the box has no label, guesses the kind from
-/// its size: persons and cyclists are narrow and tall.
-ObjectKind guess_kind(const BoxTrack& box) {
-    if (box.category != kDiscoveredCategory) return parse_kind(box.category);
-    const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
-    if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
-    if (length < 1.3) return ObjectKind::person;
-    return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
 /// Checks that the size of a box is positive and that all its poses are finite.
@@ -152,7 +140,7 @@ void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
     scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
                             static_cast<std::uint32_t>(surfels.size()),
-                            glm::vec3(0.5 * box.size_m + kPointMargin_m),
+                            glm::vec3(0.5 * box.size_m + kObjectMargin_m),
                             static_cast<float>(changing.period_m), std::move(observed_surface)});
     scene.surfels.append_surfels(surfels);
 }

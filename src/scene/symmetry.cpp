@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Mirrors surfels at the x-z plane of a box.
+#include <relidar/scene/labels.hpp>
 #include <relidar/scene/symmetry.hpp>
 
 namespace relidar {
 namespace {
 
-// minimum length of a vehicle without a class; cyclists are shorter
-constexpr double kShortestVehicle_m = 3.0;
 // Maximum distance between the left and the mirrored right surface of a symmetric object.
 // The middle of a too large box is not exactly its symmetry plane.
 constexpr double kMostAsymmetry_m = 0.15;
@@ -15,10 +14,7 @@ constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 }  // namespace
 
-bool is_vehicle(const BoxTrack& box) {
-    return parse_kind(box.category) == ObjectKind::vehicle ||
-           (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
-}
+bool is_vehicle(const BoxTrack& box) { return guess_kind(box) == ObjectKind::vehicle; }
 
 Surfels mirror_surfels(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {

@@ -91,15 +91,18 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
 
 py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& options) {
     const std::vector<ActorBox> boxes = actor_boxes_of(scan, options);
-    std::vector<std::string> tracks, categories;
+    std::vector<std::string> tracks, categories, kinds, notes;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
-    std::vector<std::int32_t> points;
+    std::vector<std::int32_t> points, is_static;
     const auto append = [](std::vector<double>& values, const glm::dvec3& vector) {
         values.insert(values.end(), {vector.x, vector.y, vector.z});
     };
     for (const ActorBox& box : boxes) {
         tracks.push_back(box.track);
         categories.push_back(box.category);
+        kinds.emplace_back(name_of(box.kind));
+        notes.emplace_back(name_of(box.note));
+        is_static.push_back(box.is_static);
         append(sizes_m, box.size_m);
         append(velocities_mps, box.velocity_mps);
         times_s.push_back(box.time_s);
@@ -111,6 +114,8 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
     }
     const std::size_t n = boxes.size();
     return to_array_dict({make_text_array("track", tracks), make_text_array("category", categories),
+                          make_text_array("class", kinds), make_text_array("note", notes),
+                          make_array("is_static", {n}, is_static.data(), n),
                           make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
                           make_array("time_s", {n}, times_s.data(), n),
                           make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
@@ -287,8 +292,11 @@ constexpr const char* kHelpAfterWeather =
     "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or\n"
     "[rows,columns,3]; unseen, the share of rays that cross space that the log has not observed, if the run "
     "has this information and the scan shows the background.\n"
-    "With `boxes`, also the dict boxes of the n actors that a ray would hit, each at the time at which the "
-    "sensor faces it: track and category [n] str,\n"
+    "With `boxes`, also the dict boxes of the n actors and standing objects that a ray would hit, each at "
+    "the time at which the sensor faces it: track,\n"
+    "category, class (vehicle, cyclist, person, other) and note (\"\", \"covered\", \"not_observed\") [n] "
+    "str, "
+    "is_static [n] int32 (1: part of the background),\n"
     "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points (first returns "
     "on it) [n] int32, visible_share [n].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "

@@ -5,6 +5,7 @@
 #include <bit>
 
 #include <relidar/run/edit.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/place_points.hpp>
 
@@ -58,7 +59,7 @@ void write_actor(const Run& run, const std::string& actor_name, v1::Actor& messa
     const BoxTrack* box = find_box(run.sequence, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
-    message.set_category(box->category);
+    message.set_category(label_of(*box));
     write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
     double length_m = 0.0;
@@ -127,6 +128,9 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
         write_vector(box.velocity_mps, *written.mutable_velocity_mps());
         written.set_points(box.n_points);
         written.set_visible_share(box.visible_share);
+        written.set_kind(name_of(box.kind));
+        written.set_is_static(box.is_static);
+        written.set_note(name_of(box.note));
     }
 }
 

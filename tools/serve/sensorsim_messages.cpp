@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
@@ -170,7 +171,7 @@ void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicOb
         if (box == run.sequence.boxes.end()) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
         object.set_id(name);
-        object.set_semantic_class(box->category);
+        object.set_semantic_class(label_of(*box));
         object.mutable_object_size()->set_x(float(box->size_m.x));
         object.mutable_object_size()->set_y(float(box->size_m.y));
         object.mutable_object_size()->set_z(float(box->size_m.z));

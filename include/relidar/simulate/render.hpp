@@ -39,12 +39,18 @@ struct UnobservedActorSide {
 };
 using UnobservedActorSides = std::vector<UnobservedActorSide>;
 
-/// Numbers of rays that hit an actor. A ray counts if surfaces absorb at least half of
-/// its light, and if the surfels' drop probability is below 0.5.
+/// Numbers of rays that hit an actor or a standing object (list_standing()). A ray counts
+/// if surfaces absorb at least half of its light, and if the surfels' drop probability is
+/// below 0.5.
+///
+/// The points of a standing object cannot be rendered alone. Of the rays that cross its
+/// box, those that nothing stops before the box show which share hits the object. The
+/// blocked rays are assumed to hit it with the same share.
 struct ActorVisibility {
     std::string track;
     std::size_t n_rays = 0;  ///< rays that hit the actor first
-    /// rays that would hit the actor if no other object hid it
+    /// Rays that would hit the actor if no other object hid it. 0 for a standing object
+    /// if rays pass through its box, but meet no surface there.
     std::size_t n_rays_alone = 0;
 };
 using ActorViews = std::vector<ActorVisibility>;

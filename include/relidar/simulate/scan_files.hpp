@@ -70,6 +70,8 @@ struct ScanOutputOptions {
     std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
     /// In relidar's world frame. Recordings store them as boxes.
     std::vector<BoxTrack> actors;
+    /// list_standing() of the run. Their boxes are stored like those of actors.
+    std::vector<BoxTrack> standing;
     glm::dvec3 world_offset_m{0.0};
     /// File with the poses of the sensor. If empty, the poses of the log's sensor are
     /// used.
@@ -115,8 +117,8 @@ std::string to_topic_name(const std::string& name);
 /// a cloud is the time of its first ray; times of points are relative to it. Points in
 /// the sensor frame are converted to the world by the transforms at their own times, or
 /// with ScanOutputOptions::deskew at the stamp. A box on /actors has the time at which
-/// the sensor faces it; boxes on /actors_autoware have the time of the cloud, and
-/// velocities. A scan is logged at the time of its last ray, after the transforms that it
+/// the sensor faces it; boxes on /actors_autoware have the time of the first ray of all sensors,
+/// and velocities. Each message has all actors once, also of a rig. A scan is logged at the time of its last ray, after the transforms that it
 /// needs.
 class ScanRecordingsWriter {
 public:

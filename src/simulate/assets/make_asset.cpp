@@ -9,6 +9,7 @@
 #include <fmt/ranges.h>
 
 #include <relidar/run/edit.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/scene/symmetry.hpp>
 
 #include "base/fail.hpp"
@@ -84,7 +85,7 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
     AssetDescription& facts = asset.facts;
     facts = {make_asset_name(*box),
              box->category,
-             is_vehicle(*box) ? ObjectKind::vehicle : parse_kind(box->category),
+             guess_kind(*box),
              box->size_m,
              run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
              track,

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Measures how much of each actor is visible in a scan. Divides the number of rays that
-// hit the actor by the number that would hit it if the scene contained nothing else.
-
+// hit the actor by the number that would hit it if the scene contained nothing else. For
+// standing objects, which are part of the background, estimates the latter number.
+#include <relidar/scene/labels.hpp>
 #include "simulate/render/footprint.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
@@ -25,6 +26,14 @@ std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
     return in_world;
 }
 
+/// Returns true if a ray passes through a sphere, or begins in it.
+bool is_near(const FiredRay& ray, const glm::dvec3& centre_m, double radius_m) {
+    const glm::dvec3 to_centre_m = centre_m - ray.origin;
+    const double along_m = glm::dot(to_centre_m, ray.direction);
+    return along_m > -radius_m &&
+           glm::dot(to_centre_m, to_centre_m) - along_m * along_m < radius_m * radius_m;
+}
+
 /// Returns the indices of the rays that pass near a model. The test uses a sphere that
 /// contains the model during the full sweep.
 RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
@@ -34,15 +43,30 @@ RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sw
                      end_m = pose.motion.pose_at(pose.world_from_model, double(last_s)).translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
     RayIndices nearby;
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-        const glm::dvec3 to_centre_m = 0.5 * (begin_m + end_m) - rays[i].origin;
-        const double along_m = glm::dot(to_centre_m, rays[i].direction);
-        if (along_m > -radius_m &&
-            glm::dot(to_centre_m, to_centre_m) - along_m * along_m < radius_m * radius_m)
-            nearby.push_back(i);
-    }
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (is_near(rays[i], 0.5 * (begin_m + end_m), radius_m)) nearby.push_back(i);
     return nearby;
 }
+
+/// Rays that cross the box of a standing object.
+struct CrossingRays {
+    std::size_t n_blocked = 0;  ///< meet another object before they leave the box
+    std::size_t n_hits = 0;     ///< return from the background in the box
+    std::size_t n_dropped = 0;  ///< meet the background in the box without a return
+    std::size_t n_empty = 0;    ///< meet no surface before they leave the box
+
+    /// Returns the estimated visibility, or nothing if no ray would hit the object.
+    std::optional<ActorVisibility> visibility(const std::string& track) const {
+        // Rays near an edge of a box can miss the object in it.
+        constexpr std::size_t kMinEmptyRays = 5;
+        const std::size_t n_open = n_hits + n_dropped + n_empty;
+        if (n_hits > 0)
+            return ActorVisibility{track, n_hits, n_hits + (n_blocked * n_hits + n_open / 2) / n_open};
+        if (n_dropped == 0 && n_empty >= kMinEmptyRays && n_empty > n_blocked)
+            return ActorVisibility{track, 0, 0};
+        return n_blocked > 0 ? std::optional(ActorVisibility{track, 0, n_blocked}) : std::nullopt;
+    }
+};
 
 }  // namespace
 
@@ -81,6 +105,36 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
     // Restores the instances of the full scene for the steps that follow.
     prepare_scene(lanes->single_lane(), sweep);
+}
+
+/// Counts the rays that return from standing objects, and estimates how many would if no
+/// other object hid them.
+/// @param scan  rays of the sweep, in the same order
+ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const {
+    ActorViews views;
+    if (standing.empty()) return views;
+    const double max_range_m = sweeps.limits_of(sweep.sensor).max_m;
+    const std::vector<FiredRay> rays = fired_rays(sweep);
+    for (const BoxTrack& box : standing) {
+        const Pose &world_from_box = box.world_from_box.pose.front(),
+                   box_from_world = inverse(world_from_box);
+        const double radius_m = 0.5 * glm::length(box.size_m) + 2.0 * kObjectMargin_m;
+        CrossingRays crossing;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            if (!is_near(rays[i], world_from_box.translation, radius_m)) continue;
+            const std::optional<glm::dvec2> inside_m = object_interval(
+                box_from_world * rays[i].origin, box_from_world.rotation * rays[i].direction, box.size_m);
+            if (!inside_m || (*inside_m)[0] > max_range_m) continue;
+            const double range_m = double(scan.median_range_m[i]);
+            const bool meets = scan.weight[i] >= 0.5f && range_m > 0.0 && range_m <= (*inside_m)[1];
+            if (!meets) ++crossing.n_empty;
+            else if (scan.instance[i] != 0 || range_m < (*inside_m)[0]) ++crossing.n_blocked;
+            else if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i])) ++crossing.n_hits;
+            else ++crossing.n_dropped;
+        }
+        if (const auto view = crossing.visibility(box.id)) views.push_back(*view);
+    }
+    return views;
 }
 
 }  // namespace relidar

@@ -2,6 +2,7 @@
 #include "simulate/render/channel_makers.hpp"
 
 #include <relidar/diff/forward.hpp>
+#include <relidar/scene/labels.hpp>
 #include "base/parallel.hpp"
 
 namespace relidar {
@@ -107,7 +108,7 @@ std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequen
         // box.
         const BoxTrack* box = find_box(sequence, instance.track);
         if (!box) box = find_box(sequence, scene.models[instance.model].name);
-        const ObjectKind kind = box ? parse_kind(box->category) : ObjectKind::other;
+        const ObjectKind kind = box ? guess_kind(*box) : ObjectKind::other;
         classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
     }
     return classes;

@@ -7,6 +7,7 @@
 #include <relidar/log/sensor_pattern.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 #include "gpu/context.hpp"
 #include "simulate/render/channel_makers.hpp"
@@ -120,6 +121,7 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(log.lidars.size())},
       sweeps(config, all, log),
+      standing(list_standing(all, log, config.init)),
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 
@@ -296,8 +298,11 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
                              : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
     add_beam_channels(scan, channel_inputs(sweep), settings.channels);
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
-    std::vector<ActorVisibility> views;
-    if (settings.has_views) views = count_first_hits(scan);
+    ActorViews views, standing_views;
+    if (settings.has_views) {
+        views = count_first_hits(scan);
+        if (sweeps.is_background_shown()) standing_views = count_standing(sweep, scan);
+    }
     // A network for the cells of a grid needs the projected scan. Without such a network,
     // the scan is projected last, after noise and weather.
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
@@ -311,6 +316,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
     apply_noise(scan, sweep, seed);
     if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
+    views.insert(views.end(), standing_views.begin(), standing_views.end());
     scan.actor_views = std::move(views);
     return scan;
 }

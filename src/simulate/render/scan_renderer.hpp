@@ -49,6 +49,7 @@ struct ScanRenderer::Impl {
     const glm::dvec3 first_origin_m;  ///< origin that first_position() returns
     ScanRenderSettings settings;
     SimulatedSweepBuilder sweeps;
+    const std::vector<BoxTrack> standing;  ///< list_standing() of the scene
     ResidentScene scene;
     std::unique_ptr<ParallelScanResourcePool> lanes;
     SurfaceClassMap class_map = {};
@@ -74,6 +75,7 @@ struct ScanRenderer::Impl {
     RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
     ActorViews count_first_hits(const RenderedScan& scan) const;
     void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan, ActorViews& views);
+    ActorViews count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const;
     void correct_drop(RenderedScan& scan);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);

@@ -298,7 +298,9 @@ std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<Record
                 {"category", actor.category},
                 {"velocity_mps", format_vector(world_from_box.rotation * velocity.linear_mps)},
                 {"angular_velocity_radps", format_vector(world_from_box.rotation * velocity.angular_radps)},
+                {"is_static", actor.is_static ? "true" : "false"},
                 {"points", fmt::format("{}", actor.n_points)}};
+            if (actor.note != LabelNote::none) metadata.emplace_back("note", name_of(actor.note));
             if (actor.visible_share)
                 metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
             std::string of_actor;
@@ -339,10 +341,7 @@ std::vector<RecordedMessage> sensor_transforms(const RecordedRig& rig, const Rec
 }
 
 std::vector<RecordedMessage> scene_updates(const RecordedSweep& moment) {
-    std::vector<RecordedMessage> messages;
-    for (const auto& [stamp_ns, actors] : moment.actors)
-        messages.push_back({moment.last_ns, encode_scene_update(stamp_ns, actors)});
-    return messages;
+    return {{moment.last_ns, encode_scene_update(moment.first_ns, moment.actors)}};
 }
 
 }  // namespace

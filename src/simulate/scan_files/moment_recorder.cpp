@@ -2,6 +2,7 @@
 #include "moment_recorder.hpp"
 #include "base/fail.hpp"
 
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "placed_scan.hpp"
 #include "seen_actors.hpp"
@@ -28,8 +29,9 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-/// Merges the actors of several scans with the same time stamp. For an actor in several
-/// scans, adds up its points, and keeps the largest visible share.
+/// Merges the actors of the scans of several sensors. For an actor in several scans, adds
+/// up its points, and keeps the largest visible share and the box of the scan with most
+/// points.
 void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
         const auto known = std::ranges::find(merged, actor.name, &RecordedActor::name);
@@ -37,8 +39,11 @@ void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor>
             merged.push_back(std::move(actor));
             continue;
         }
-        known->n_points += actor.n_points;
-        known->visible_share = std::max(known->visible_share, actor.visible_share);
+        const std::size_t n_points = known->n_points + actor.n_points;
+        const std::optional<double> share = std::max(known->visible_share, actor.visible_share);
+        if (known->n_points < actor.n_points) *known = std::move(actor);
+        known->n_points = n_points;
+        known->visible_share = share;
     }
 }
 
@@ -99,7 +104,7 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
         times_s.push_back(first_s);
         times_s.push_back(last_s);
         moment.clouds.push_back(make_cloud(scans[s], sensors_[s], first_s));
-        merge_actors(moment.actors[to_stamp_ns(first_s)], recorded_actors(scans[s], first_s));
+        merge_actors(moment.actors, recorded_actors(scans[s], all.first_s));
     }
     moment.poses = vehicle_poses(scans[0], std::move(times_s));
     return moment;
@@ -143,8 +148,8 @@ std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& sc
                             object_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
-        actors.push_back({box.id, box.category, box.size_m, !box.is_moving(), state(actor.faced_s),
-                          state(time_s), actor.n_points, actor.visible_share});
+        actors.push_back({box.id, label_of(box), box.size_m, !box.is_moving(), actor.is_static, actor.note,
+                          state(actor.faced_s), state(time_s), actor.n_points, actor.visible_share});
     }
     return actors;
 }

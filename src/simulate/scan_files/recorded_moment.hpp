@@ -4,17 +4,13 @@
 #pragma once
 
 #include <cmath>
-#include <map>
 #include <optional>
 #include <span>
 
 #include <glm/glm.hpp>
 
 #include <relidar/read/points.hpp>
-
-namespace relidar {
-struct RenderedScan;
-}
+#include <relidar/simulate/actor_boxes.hpp>
 
 namespace relidar::scan_files {
 
@@ -48,10 +44,12 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
+    bool is_static = false;  ///< true if the object is part of the background
+    LabelNote note = LabelNote::none;
     /// The box of a moving actor matches its points only when the sensor points at it.
     BoxState faced;
-    BoxState at_stamp;                    ///< state at the time stamp of the point cloud
-    std::size_t n_points;                 ///< number of first returns of the scan on the actor
+    BoxState at_stamp;                    ///< state at RecordedSweep::first_ns
+    std::size_t n_points;                 ///< as ActorBox::n_points
     std::optional<double> visible_share;  ///< empty if it was not computed
 };
 
@@ -77,8 +75,8 @@ struct RecordedSweep {
     std::vector<RecordedPose> poses;
     /// [sensors] motion-compensated points are in the sensor's frame at the stamp
     std::vector<RecordedCloud> clouds;
-    /// by the stamp of the point cloud
-    std::map<std::uint64_t, std::vector<RecordedActor>> actors;
+    /// each actor once, at the time first_ns
+    std::vector<RecordedActor> actors;
 };
 
 }  // namespace relidar::scan_files

@@ -100,10 +100,7 @@ std::vector<RecordedTopic> ros_actor_topics() {
     const auto topic = [](const char* name, const char* type,
                           std::string (*message)(std::uint64_t, const Actors&)) {
         return make_ros_topic(name, type, [message](const RecordedSweep& moment) {
-            std::vector<RecordedMessage> messages;
-            for (const auto& [stamp_ns, actors] : moment.actors)
-                messages.push_back({moment.last_ns, message(stamp_ns, actors)});
-            return messages;
+            return std::vector<RecordedMessage>{{moment.last_ns, message(moment.first_ns, moment.actors)}};
         });
     };
     return {topic("/actors", "vision_msgs/msg/Detection3DArray", encode_detections),

@@ -6,6 +6,7 @@
 
 #include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
@@ -181,6 +182,9 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
         if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) !=
             format.instance_names.end())
             format.actors.push_back(box);
+    const Scene& scene = run.scene;
+    if (scene.models.front().count > 0 || !scene.blocks.empty())
+        format.standing = list_standing(scene, run.sequence, run.config.init);
     format.world_offset_m = run.sequence.world_offset_m;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;

@@ -182,7 +182,9 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
     for (const ActorBox& box : boxes)
         json.push_back({{"track", box.track},
                         {"category", box.category},
-                        {"class", name_of(parse_kind(box.category))},
+                        {"class", name_of(box.kind)},
+                        {"is_static", box.is_static},
+                        {"note", name_of(box.note)},
                         {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
                         {"time_s", box.time_s},
                         {"world_from_box", matrix_json(box.dataset_from_box)},

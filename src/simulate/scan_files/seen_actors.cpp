@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "seen_actors.hpp"
 
-#include <relidar/simulate/actor_boxes.hpp>
+#include <relidar/scene/labels.hpp>
 
 namespace relidar::scan_files {
 namespace {
@@ -59,6 +59,64 @@ std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOpti
     return times_s;
 }
 
+struct BackgroundPoint {
+    glm::dvec3 world_m;  ///< in relidar's world frame
+    float time_offset_s;
+};
+
+/// Returns the first returns of a scan that lie on the background.
+std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const ScanOutputOptions& format) {
+    const std::vector<float>& range_m = point_ranges(scan, format.config);
+    FiringPoseInterpolator firing(scan, {{1, 0, 0, 0}, -format.world_offset_m});
+    std::vector<BackgroundPoint> points;
+    for (std::size_t i = 0; i < range_m.size(); ++i)
+        if (scan.instance[i] == 0 && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
+            points.push_back(
+                {firing.pose_of(i) * glm::dvec3(scan.image.origin[i] + range_m[i] * scan.image.direction[i]),
+                 scan.time_offset_s[i]});
+    return points;
+}
+
+/// Returns the firing times of the points that belong to a standing object.
+std::vector<float> times_in_box(const std::vector<BackgroundPoint>& points, const Pose& world_from_box,
+                                const glm::dvec3& size_m) {
+    const Pose box_from_world = inverse(world_from_box);
+    std::vector<float> times_s;
+    for (const BackgroundPoint& point : points)
+        if (is_on_object(box_from_world * point.world_m, size_m)) times_s.push_back(point.time_offset_s);
+    return times_s;
+}
+
+/// Returns the counted rays of an object, or null if no ray would hit it or if rays were
+/// not counted.
+const ActorVisibility* find_view(const RenderedScan& scan, const std::string& track) {
+    const auto view = std::ranges::find(scan.actor_views, track, &ActorVisibility::track);
+    return view == scan.actor_views.end() ? nullptr : &*view;
+}
+
+std::optional<double> visible_share(const ActorVisibility* view) {
+    if (!view) return {};
+    if (view->n_rays_alone == 0) return 0.0;
+    return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
+}
+
+/// Returns true if two boxes overlap by more than kMoverMargin_m along each axis of both
+/// boxes. Boxes of neighbours that only touch do not overlap.
+bool overlap_boxes(const Pose& a, const glm::dvec3& size_a_m, const Pose& b, const glm::dvec3& size_b_m) {
+    const glm::dmat3 axes_a = glm::mat3_cast(a.rotation), axes_b = glm::mat3_cast(b.rotation);
+    const auto half_extent_m = [](const glm::dmat3& axes, const glm::dvec3& size_m, const glm::dvec3& along) {
+        return 0.5 * glm::dot(size_m, glm::abs(along * axes));
+    };
+    for (int k = 0; k < 6; ++k) {
+        const glm::dvec3 axis = k < 3 ? axes_a[k] : axes_b[k - 3];
+        const double apart_m = std::abs(glm::dot(a.translation - b.translation, axis));
+        if (apart_m >
+            half_extent_m(axes_a, size_a_m, axis) + half_extent_m(axes_b, size_b_m, axis) - kMoverMargin_m)
+            return false;
+    }
+    return true;
+}
+
 /// Returns the time of a box. The start and the end of a sweep hit different parts of a
 /// box behind the sensor. Such a box gets the median time of its returns, to match the
 /// larger part.
@@ -94,20 +152,41 @@ Velocity object_velocity(const std::function<Pose(double)>& get_world_from_objec
 std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format) {
     const SampledScanRays rays(scan);
     std::vector<ActorInScan> actors;
-    for (const BoxTrack& box : format.actors) {
-        const auto view = std::ranges::find(scan.actor_views, box.id, &ActorVisibility::track);
-        std::optional<double> visible_share;
-        if (view != scan.actor_views.end())
-            visible_share = std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
-        if (!visible_share && !box.is_observed(scan.time_s)) continue;
+    const auto append = [&](const BoxTrack& box, const std::vector<float>& times_s,
+                            const ActorVisibility* view) -> ActorInScan& {
         const auto world_from_box = [&box, &format](double t_s) {
             const Pose pose = box.world_from_box.pose_at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
         const double faced_s = rays.time_towards([&](double t_s) { return world_from_box(t_s).translation; });
-        const std::vector<float> times_s = times_on_actor(scan, format, box.id);
-        actors.push_back(
-            {&box, world_from_box, choose_box_time(scan, faced_s, times_s), times_s.size(), visible_share});
+        return actors.emplace_back(ActorInScan{&box, world_from_box, choose_box_time(scan, faced_s, times_s),
+                                               times_s.size(), visible_share(view)});
+    };
+    for (const BoxTrack& box : format.actors) {
+        const ActorVisibility* view = find_view(scan, box.id);
+        if (view || box.is_observed(scan.time_s)) append(box, times_on_actor(scan, format, box.id), view);
+    }
+    if (format.standing.empty()) return actors;
+    const std::size_t n_actors = actors.size();
+    const std::vector<BackgroundPoint> points = background_points(scan, format);
+    const glm::dvec3 sensor_m = scan.world_from_sensor.translation - format.world_offset_m;
+    for (const BoxTrack& box : format.standing) {
+        const Pose& world_from_box = box.world_from_box.pose.front();
+        const ActorVisibility* view = find_view(scan, box.id);
+        // If rays were not counted, lists the objects within the range of the sensor.
+        if (!view && (!scan.actor_views.empty() ||
+                      glm::distance(world_from_box.translation, sensor_m) > format.limits.max_m))
+            continue;
+        ActorInScan& object = append(box, times_in_box(points, world_from_box, box.size_m), view);
+        object.is_static = true;
+        const Pose box_pose = object.world_from_box(object.faced_s);
+        const bool is_covered = std::any_of(actors.begin(), actors.begin() + std::ptrdiff_t(n_actors),
+                                            [&](const ActorInScan& actor) {
+                                                return overlap_boxes(actor.world_from_box(actor.faced_s),
+                                                                     actor.box->size_m, box_pose, box.size_m);
+                                            });
+        if (is_covered) object.note = LabelNote::covered;
+        else if (view && view->n_rays_alone == 0) object.note = LabelNote::not_observed;
     }
     return actors;
 }
@@ -115,6 +194,11 @@ std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputO
 }  // namespace relidar::scan_files
 
 namespace relidar {
+
+const char* name_of(LabelNote note) {
+    constexpr const char* kNames[] = {"", "covered", "not_observed"};
+    return kNames[static_cast<int>(note)];
+}
 
 std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputOptions& format) {
     std::vector<ActorBox> boxes;
@@ -124,8 +208,9 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =
             pose.rotation * scan_files::object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
-        boxes.push_back({actor.box->id, actor.box->category, actor.box->size_m, actor.faced_s, pose,
-                         velocity_mps, actor.n_points, *actor.visible_share});
+        const BoxTrack& box = *actor.box;
+        boxes.push_back({box.id, label_of(box), guess_kind(box), actor.is_static, actor.note, box.size_m,
+                         actor.faced_s, pose, velocity_mps, actor.n_points, *actor.visible_share});
     }
     return boxes;
 }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the boxes of the actors in a scan. Computes the time at which the sensor faces
-// each box, and how much of each actor is visible in the scan.
+// Finds the boxes of the actors and standing objects in a scan. Computes the time at
+// which the sensor faces each box, and how much of each object is visible in the scan.
 #pragma once
 
-#include <relidar/simulate/scan_files.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 #include "recorded_moment.hpp"
 
 namespace relidar::scan_files {
@@ -14,13 +14,16 @@ struct ActorInScan {
     std::function<Pose(double)> world_from_box;
     /// time of the log at which the sensor points at the actor
     double faced_s;
-    std::size_t n_points;  ///< number of first returns of the scan on the actor
+    std::size_t n_points;  ///< as ActorBox::n_points
     /// Rays that hit the actor first, divided by those that would hit it alone. No value
     /// if no ray would hit it, or without ScanRenderer::count_actor_rays().
     std::optional<double> visible_share;
+    bool is_static = false;
+    LabelNote note = LabelNote::none;
 };
 
-/// Returns the actors of the log that are present during a scan.
+/// Returns the actors of the log that are present during a scan, and the standing objects
+/// within the range of the sensor.
 /// @param format has the actors; must outlive the result
 std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format);
 

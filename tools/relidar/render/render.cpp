@@ -108,6 +108,7 @@ PointCoordinateFrame parse_frame(const std::string& name) {
 void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
     if (visible.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, visible);
+    if (!shown.front()) output.standing.clear();
     std::erase_if(output.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Labels of the objects of a scene: kinds of objects without a label, labelled objects
+// that stand still, and the points that belong to an object.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/log/sequence.hpp>
+#include <relidar/scene/scene.hpp>
+
+namespace relidar {
+
+/// Returns the kind of object in a box. If the box has no label, guesses the kind from
+/// its size: vehicles are long, persons and cyclists are narrow and tall.
+ObjectKind guess_kind(const BoxTrack& box);
+/// Returns the class name for labels: the category of the box. For a mover without a
+/// label, returns the name of its guessed kind, or kDiscoveredCategory if it is unknown.
+std::string label_of(const BoxTrack& box);
+
+/// Margin around boxes in which points belong to the object. Some labelled boxes are too
+/// small.
+inline constexpr double kObjectMargin_m = 0.1;
+/// Returns true if a point belongs to the object in a box: the point is in the box,
+/// enlarged by kObjectMargin_m, and not in its lowest 0.15 m, which contains the ground.
+/// @param point_m  in the frame of the box
+bool is_on_object(const glm::dvec3& point_m, const glm::dvec3& size_m);
+/// Interval of a line inside the part of a box where is_on_object() is true.
+/// @param origin_m, direction  frame of the box
+/// @return distances of entry and exit along the line; empty if the line misses the box
+std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm::dvec3& direction,
+                                          const glm::dvec3& size_m);
+
+/// Returns the labelled objects that do not move and have no model, so that they are part
+/// of the background. Each has one pose for all times, the median of its labels, because
+/// labels jitter and the background does not move.
+std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options);
+
+}  // namespace relidar

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/scene/labels.hpp>
+
+#include "base/list_text.hpp"
+#include "base/median.hpp"
+
+namespace relidar {
+namespace {
+
+// Points in the lowest part of a box belong to the ground.
+constexpr double kGroundHeight_m = 0.15;
+// Minimum length of a vehicle without a class. Cyclists are shorter.
+constexpr double kShortestVehicle_m = 3.0;
+
+/// Returns the corners of the part of a box that contains the points of the object.
+std::pair<glm::dvec3, glm::dvec3> object_corners(const glm::dvec3& size_m) {
+    const glm::dvec3 half_m = 0.5 * size_m + kObjectMargin_m;
+    return {{-half_m.x, -half_m.y, -0.5 * size_m.z + kGroundHeight_m}, half_m};
+}
+
+/// Returns the median position of a track, with the rotation of the nearest pose.
+Pose median_pose(const PoseTrack& track) {
+    glm::dvec3 middle_m;
+    for (int axis = 0; axis < 3; ++axis) {
+        std::vector<double> values;
+        for (const Pose& pose : track.pose) values.push_back(pose.translation[axis]);
+        middle_m[axis] = compute_median(std::move(values));
+    }
+    const auto distance_m = [&](const Pose& pose) { return glm::distance(pose.translation, middle_m); };
+    return {std::ranges::min_element(track.pose, {}, distance_m)->rotation, middle_m};
+}
+
+}  // namespace
+
+ObjectKind guess_kind(const BoxTrack& box) {
+    if (box.category != kDiscoveredCategory) return parse_kind(box.category);
+    const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
+    if (length >= kShortestVehicle_m) return ObjectKind::vehicle;
+    if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
+    if (length < 1.3) return ObjectKind::person;
+    return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
+}
+
+std::string label_of(const BoxTrack& box) {
+    const ObjectKind kind = guess_kind(box);
+    return box.category == kDiscoveredCategory && kind != ObjectKind::other ? name_of(kind) : box.category;
+}
+
+bool is_on_object(const glm::dvec3& point_m, const glm::dvec3& size_m) {
+    const auto [low_m, high_m] = object_corners(size_m);
+    return glm::all(glm::greaterThanEqual(point_m, low_m)) && glm::all(glm::lessThanEqual(point_m, high_m));
+}
+
+std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm::dvec3& direction,
+                                          const glm::dvec3& size_m) {
+    const auto [low_m, high_m] = object_corners(size_m);
+    glm::dvec2 inside(0.0, std::numeric_limits<double>::infinity());
+    for (int axis = 0; axis < 3; ++axis) {
+        const double a = (low_m[axis] - origin_m[axis]) / direction[axis],
+                     b = (high_m[axis] - origin_m[axis]) / direction[axis];
+        // A line in this plane gives 0 / 0, which fmax() and fmin() ignore.
+        inside = {std::fmax(inside[0], std::fmin(a, b)), std::fmin(inside[1], std::fmax(a, b))};
+    }
+    if (inside[0] > inside[1]) return {};
+    return inside;
+}
+
+std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options) {
+    const std::vector<std::string> actor_tracks = split_list(options.actor_tracks);
+    std::vector<BoxTrack> standing;
+    for (const BoxTrack& box : log.boxes) {
+        // Training removes the points of these boxes from the background.
+        const bool is_removed = std::ranges::find(actor_tracks, box.id) != actor_tracks.end();
+        const bool has_model =
+            std::ranges::find(scene.instances, box.id, &ModelInstance::track) != scene.instances.end();
+        if (box.world_from_box.pose.empty() || is_removed || has_model || box.is_moving()) continue;
+        standing.push_back(box);
+        standing.back().world_from_box = {{box.world_from_box.time_s.front()},
+                                          {median_pose(box.world_from_box)}};
+    }
+    return standing;
+}
+
+}  // namespace relidar
