@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <fstream>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -118,6 +120,16 @@ SweepWithColumns read_sweep(const SweepFiles& sweep_files,
 }
 
 }  // namespace
+
+bool is_hdl32e_file(const fs::path& file) {
+    float column[kBeams][5];
+    std::ifstream stream(file, std::ios::binary);
+    // read_sweep() reports a file without a column.
+    if (!stream.read(reinterpret_cast<char*>(column), sizeof column)) return true;
+    std::set<float> rings;
+    for (const auto& point : column) rings.insert(point[4]);
+    return rings.size() == kBeams;
+}
 
 Lidar make_hdl32e(const Pose& ego_from_lidar) {
     SpinningSensor sensor;

@@ -12,6 +12,10 @@
 
 namespace relidar::nuscenes {
 
+/// Returns true if the first 32 points of a file have different rings, as a column of an
+/// HDL-32E. Also returns true for a file without 32 points.
+bool is_hdl32e_file(const std::filesystem::path& file);
+
 /// Returns the LiDAR of nuScenes, an HDL-32E. Rotates its pose by 90 degrees, because x
 /// points to the right in nuScenes and forward in relidar.
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes

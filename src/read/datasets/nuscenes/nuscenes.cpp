@@ -49,7 +49,8 @@ struct NuscenesVariant {
     /// True if points were moved to the end of the revolution. A file then contains a
     /// revolution of an HDL-32E, column by column.
     bool is_compensated;
-    bool has_times;  ///< true: points have times
+    bool has_times;          ///< true: points have times
+    bool has_rings = false;  ///< true: the fifth column is the ring, and 0 is the lowest
 };
 constexpr NuscenesVariant kVariants[] = {
     {".pcd.bin", "nuScenes",
@@ -74,6 +75,16 @@ constexpr NuscenesVariant kT4Variant = {
     "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of its "
     "sweep. The world frame is that of the map.",
     false, false};
+/// Tables of nuScenes with another LiDAR than an HDL-32E. `relidar render --layout`
+/// writes them.
+constexpr NuscenesVariant kOtherLidarVariant = {
+    ".pcd.bin",
+    "nuScenes layout",
+    "Each LiDAR has its own coordinate system. Points are motion-compensated. The time of a frame is the "
+    "stamp of the first LiDAR's sweep, for all points. The world frame is that of the map.",
+    false,
+    false,
+    true};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
 struct SceneLocation {
@@ -143,9 +154,9 @@ public:
           options_(options),
           chosen_(choose_scene(list_dataset_scenes(folder), options.sequence)),
           scene_(read_scene(chosen_.tables, chosen_.name)),
+          split_(lyft_prefix(chosen_.tables)),
           format_(chosen_.tables.filename() == kTablesOfT4 ? kT4Variant
-                                                           : find_variant(scene_.lidars[0].sweeps[0].file)),
-          split_(lyft_prefix(chosen_.tables)) {
+                                                           : find_variant(scene_.lidars[0].sweeps[0])) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.seconds_at(sweep.time_us));
         step_s_ = median_interval_s(main_s_);
@@ -184,19 +195,22 @@ private:
     const DatasetOptions& options_;
     const SceneLocation chosen_;
     const SceneTables scene_;
-    const NuscenesVariant& format_;
     /// "train_" if tables are in train_data and points in train_lidar (Lyft)
     const std::string split_;
+    const NuscenesVariant& format_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
     std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
     std::vector<FrameSweepRecord> frames_;
     Log sequence_;
 
-    static const NuscenesVariant& find_variant(const std::string& lidar_file) {
+    const NuscenesVariant& find_variant(const SweepRecord& sweep) const {
+        const std::string& lidar_file = sweep.file;
         std::vector<std::string> endings;
         for (const NuscenesVariant& format : kVariants) {
-            if (lidar_file.ends_with(format.ending)) return format;
+            if (lidar_file.ends_with(format.ending))
+                return format.is_compensated && !is_hdl32e_file(sweep_file(sweep)) ? kOtherLidarVariant
+                                                                                   : format;
             endings.emplace_back(format.ending);
         }
         fail("sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends in {}",
@@ -322,15 +336,19 @@ private:
         for (const FrameSweepRecord& frame : frames_) files.push_back(sweep_file(*frame.record));
         read::PointFileUnits units;
         // The last column is always 1 (Lyft) or -1 (T4).
-        if (!format_.has_times) units.columns = {"x", "y", "z", "intensity", "-"};
+        if (!format_.has_times)
+            units.columns = {"x", "y", "z", "intensity", format_.has_rings ? "ring" : "-"};
         units.intensity_max = kMostIntensity;
         units.time_unit_s = 1e-6;
         units.absolute_times = true;
         units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
-        const read::LidarScanLayout lidar{.sweep_duration_s =
-                                              format_.has_times ? step_s_ : kLyftRevolution_s};
+        const read::LidarScanLayout lidar{
+            .lowest_first = format_.has_rings,
+            .sweep_duration_s = format_.has_times ? step_s_ : kLyftRevolution_s};
         read::read_scans(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units, files,
                          options_);
+        // The times of compensated points are unknown, so all have the time of the frame.
+        if (format_.has_rings) sequence_.rolling_shutter = false;
     }
 };
 
