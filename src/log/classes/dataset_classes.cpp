@@ -2,6 +2,7 @@
 #include "log/classes/dataset_classes.hpp"
 
 #include <algorithm>
+#include <array>
 #include <vector>
 
 namespace relidar {
@@ -47,6 +48,15 @@ SurfaceClass from_semantic_kitti(int label) {
         {cyclist, {11, 15, 31, 32, 253, 255}},                     // bicycle, motorcycle, and their riders
     };
     return find_by_number(kClasses, label);
+}
+
+int to_semantic_kitti(SurfaceClass surface) {
+    static const std::array<int, kSurfaceClasses> kLabels = [] {
+        std::array<int, kSurfaceClasses> labels{};
+        for (int label = 99; label >= 0; --label) labels[std::size_t(from_semantic_kitti(label))] = label;
+        return labels;
+    }();
+    return kLabels[std::size_t(surface)];
 }
 
 SurfaceClass from_nuscenes(std::string_view category) {

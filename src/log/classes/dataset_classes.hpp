@@ -10,6 +10,8 @@
 namespace relidar {
 
 SurfaceClass from_semantic_kitti(int label);
+/// Returns a label of the class for objects that stand still, or 0 if there is none.
+int to_semantic_kitti(SurfaceClass surface);
 SurfaceClass from_nuscenes(std::string_view category);
 SurfaceClass from_waymo(int class_number);
 

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes rendered scans and the boxes of their objects as a data set for training, in a
+// layout that other programs read.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include <relidar/simulate/scan_files.hpp>
+
+namespace relidar {
+
+/// Returns the names of all layouts.
+std::vector<std::string> list_layouts();
+
+/// A LiDAR of a data set.
+struct DatasetSensor {
+    ScanOutputOptions options;  ///< frame_id is the name of the sensor
+    Pose rig_from_sensor;
+};
+
+/// Checks a folder before long work starts.
+/// @throws UsageError if a layout is unknown, or if the folder has other files or a data
+/// set with another layout
+void check_dataset_folder(const std::filesystem::path& folder, const std::string& layout);
+
+/// Adds a sequence to a data set. An object has a box in a frame if a sensor sees the
+/// object and at least one point is in the box. The box has the time at which the sensor
+/// with the most points on the object faces it.
+///   kitti      training/ and ImageSets/ of the object benchmark, tracking/training/ of
+///              the tracking benchmark; points of all sensors, in the frame of the rig
+///   nuscenes   v1.0-trainval/ and samples/; a scene, and a channel for each sensor
+///   openlabel  sequences/NN/openlabel.json, with the points of all sensors and their
+///              classes as in SemanticKITTI (velodyne/, labels/)
+/// All points of a frame have the reference time of the scans (deskewed). dataset.json
+/// lists the sequences. Files of an interrupted sequence are overwritten by the next one.
+class DatasetSequenceWriter {
+public:
+    /// @param times_s  times of all frames
+    /// @param replace  whether a sequence with the same settings is replaced
+    /// @throws UsageError if the data set has a sequence with the same settings, if the
+    /// layout cannot store the sequence, and in the cases of check_dataset_folder()
+    /// @throws DataError if the folder cannot be written
+    DatasetSequenceWriter(std::filesystem::path folder, const std::string& layout,
+                          std::vector<DatasetSensor> sensors, std::vector<double> times_s, bool replace);
+    /// Writes the next frame.
+    /// @param scans  a scan for each sensor, all at the same time
+    /// @throws DataError if a file cannot be written
+    void write_scans(std::span<const RenderedScan> scans);
+    /// Adds the sequence to the tables, splits and the README of the data set.
+    void finish();
+
+private:
+    struct Impl;
+    std::shared_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adds a sequence to a data set: the list of sequences in dataset.json, the split into
+// training and validation, and README.md.
+#include <relidar/simulate/dataset_layouts.hpp>
+
+#include <algorithm>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/bytes.hpp"
+#include "base/fail.hpp"
+#include "layout.hpp"
+
+namespace relidar::layouts {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char *kIndexName = "dataset.json", *kIndexFormat = "relidar data set";
+
+struct LayoutKind {
+    const char* name;
+    std::unique_ptr<LayoutWriter> (*make)(SequencePlace, const std::vector<DatasetSensor>&);
+};
+constexpr LayoutKind kLayouts[] = {
+    {"kitti", make_kitti_writer}, {"nuscenes", make_nuscenes_writer}, {"openlabel", make_openlabel_writer}};
+
+/// Returns no value if the folder has no index.
+std::optional<DatasetIndex> read_index(const fs::path& folder) {
+    const fs::path file = folder / kIndexName;
+    std::error_code failed;
+    if (!fs::exists(file, failed)) return std::nullopt;
+    try {
+        std::ifstream stream(file);
+        const Json json = Json::parse(stream);
+        if (json.at("format") != kIndexFormat) throw UsageError("");
+        DatasetIndex index{json.at("layout"), {}};
+        for (const Json& sequence : json.at("sequences"))
+            index.sequences.push_back({sequence.at("key"), sequence.at("frames"), sequence.at("settings")});
+        return index;
+    } catch (const std::exception&) {
+        fail<UsageError>("{}: found no list of sequences, expected a data set of relidar", file.string());
+    }
+}
+
+void write_index(const fs::path& folder, const DatasetIndex& index) {
+    Json sequences = Json::array();
+    for (std::size_t s = 0; s < index.sequences.size(); ++s) {
+        const DatasetIndex::Sequence& sequence = index.sequences[s];
+        sequences.push_back({{"key", sequence.key},
+                             {"frames", sequence.n_frames},
+                             {"split", index.is_validation(s) ? "val" : "train"},
+                             {"settings", sequence.settings}});
+    }
+    const Json json = {{"format", kIndexFormat}, {"layout", index.layout}, {"sequences", sequences}};
+    write_bytes(folder / kIndexName, json.dump(1) + "\n");
+}
+
+std::string describe_pose(const Pose& pose) {
+    const glm::dvec3& t = pose.translation;
+    const glm::dquat& q = pose.rotation;
+    return fmt::format("{},{},{} {},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
+}
+
+/// Returns the settings of a sequence for users. Equal settings give equal data.
+Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
+    const ScanOutputOptions& options = sensors.front().options;
+    std::string tracks, settings, mounted;
+    for (const DatasetSensor& sensor : sensors)
+        mounted += fmt::format("{}{} {} at {}", mounted.empty() ? "" : "; ", sensor.options.frame_id,
+                               sensor.options.sensor, describe_pose(sensor.rig_from_sensor));
+    for (const auto* boxes : {&options.actors, &options.standing})
+        for (const BoxTrack& box : *boxes) {
+            tracks += box.id + box.category;
+            for (const Pose& pose : box.world_from_box.pose) tracks += describe_pose(pose);
+        }
+    for (const ConfigKey& key : list_config_keys(options.config)) settings += key.key + key.value + "\n";
+    return {{"run", options.run},
+            {"source", options.config.dataset.path},
+            {"licence", "unknown: see the source"},
+            {"relidar", RELIDAR_VERSION},
+            {"sensors (x,y,z w,x,y,z)", mounted},
+            {"offset", describe_pose(options.offset)},
+            {"trajectory", options.trajectory},
+            {"only", options.only},
+            {"seed", options.sample ? Json(*options.sample) : Json()},
+            {"weather", format_weather(options.weather)},
+            {"tracks", make_token(tracks)},
+            {"settings", make_token(settings)},
+            {"times_s", times_s}};
+}
+
+void write_readme(const fs::path& folder, const DatasetIndex& index) {
+    std::string text = fmt::format(
+        "# Simulated LiDAR data\n\n"
+        "Written by relidar {} (`relidar render --layout {}`). The points are simulated from the recorded "
+        "logs below, so the licence of each log applies. Objects have a box if a sensor sees them and a "
+        "point is in the box. All points of a frame have the same reference time.\n\n"
+        "Validation split: every fifth sequence, or the last one of up to four. If there is only one "
+        "sequence, and the layout lists frames, its last fifth.\n",
+        RELIDAR_VERSION, index.layout);
+    for (std::size_t s = 0; s < index.sequences.size(); ++s) {
+        const Json& settings = index.sequences[s].settings;
+        text += fmt::format("\n## Sequence {}\n\n- frames: {}\n- split: {}\n", s, index.sequences[s].n_frames,
+                            index.is_validation(s) ? "val" : "train");
+        for (const auto& [key, value] : settings.items())
+            if (key != "times_s")
+                text += fmt::format("- {}: {}\n", key,
+                                    value.is_string() ? value.get<std::string>() : value.dump());
+    }
+    write_bytes(folder / "README.md", text);
+}
+
+}  // namespace
+
+int DatasetIndex::count_frames() const {
+    int n = 0;
+    for (const Sequence& sequence : sequences) n += sequence.n_frames;
+    return n;
+}
+
+bool DatasetIndex::is_validation(std::size_t sequence) const {
+    constexpr std::size_t kFold = 5;
+    if (sequences.size() >= kFold) return sequence % kFold == kFold - 1;
+    return sequences.size() > 1 && sequence + 1 == sequences.size();
+}
+
+bool DatasetIndex::is_validation(std::size_t sequence, int frame) const {
+    if (sequences.size() != 1) return is_validation(sequence);
+    return frame >= sequences[0].n_frames - sequences[0].n_frames / 5;
+}
+
+void write_bytes(const fs::path& path, const std::string& bytes) {
+    std::error_code failed;  // then the file cannot be written
+    fs::create_directories(path.parent_path(), failed);
+    write_text_file(path, bytes);
+}
+
+void write_rig_points(const fs::path& path, const LabelledFrame& frame,
+                      const std::vector<DatasetSensor>& sensors) {
+    std::string bytes;
+    for (std::size_t s = 0; s < sensors.size(); ++s)
+        for (std::size_t i = 0; i < frame.clouds[s].size(); ++i) {
+            const glm::dvec3 point(frame.clouds[s].position_m[i]);
+            append_raw(bytes, glm::vec3(sensors[s].rig_from_sensor * point));
+            append_raw(bytes, frame.clouds[s].intensity[i]);
+        }
+    write_bytes(path, bytes);
+}
+
+std::string make_token(const std::string& text, std::size_t n_digits) {
+    std::string token;
+    for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
+        for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
+        token += fmt::format("{:016x}", hash);
+    }
+    return token.substr(0, n_digits);
+}
+
+}  // namespace relidar::layouts
+
+namespace relidar {
+
+namespace fs = std::filesystem;
+using namespace layouts;
+
+struct DatasetSequenceWriter::Impl {
+    fs::path folder;
+    std::vector<DatasetSensor> sensors;
+    DatasetIndex index;  ///< with the new sequence
+    std::unique_ptr<LayoutWriter> writer;
+    std::size_t n_written = 0;
+};
+
+std::vector<std::string> list_layouts() {
+    std::vector<std::string> names;
+    for (const LayoutKind& kind : kLayouts) names.emplace_back(kind.name);
+    return names;
+}
+
+void check_dataset_folder(const fs::path& folder, const std::string& layout) {
+    const std::vector<std::string> names = list_layouts();
+    if (std::ranges::find(names, layout) == names.end())
+        fail<UsageError>("--layout: \"{}\" is unknown{} (known layouts: {})", layout,
+                         did_you_mean(layout, names), fmt::join(names, ", "));
+    std::error_code failed;
+    const std::optional<DatasetIndex> index = read_index(folder);
+    if (index && index->layout != layout)
+        fail<UsageError>(
+            "--layout {}: {} is a data set with the layout {}; expected the same layout or a "
+            "new folder",
+            layout, folder.string(), index->layout);
+    if (index) return;
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (const std::string name = entry.path().filename().string(); !name.starts_with('.'))
+            fail<UsageError>("--layout {}: found {} in {}, expected a new folder or a data set of relidar",
+                             layout, name, folder.string());
+}
+
+DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string& layout,
+                                             std::vector<DatasetSensor> sensors, std::vector<double> times_s,
+                                             bool replace)
+    : impl_(std::make_shared<Impl>(Impl{std::move(folder), std::move(sensors), {layout, {}}, nullptr})) {
+    check_dataset_folder(impl_->folder, layout);
+    DatasetIndex& index = impl_->index;
+    if (auto known = read_index(impl_->folder)) index = std::move(*known);
+    else write_index(impl_->folder, index);
+    const Json settings = describe_sequence(impl_->sensors, times_s);
+    DatasetIndex::Sequence sequence{make_token(settings.dump()), int(times_s.size()), settings};
+    SequencePlace place{impl_->folder, index.sequences.size(), index.count_frames(), sequence.n_frames,
+                        sequence.key};
+    const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
+    if (same == index.sequences.end()) {
+        index.sequences.push_back(std::move(sequence));
+    } else {
+        place.number = std::size_t(same - index.sequences.begin());
+        if (!replace)
+            fail<UsageError>(
+                "--out {}: sequence {} has the same run, sensors and settings; expected another "
+                "seed, or --force to write it again",
+                impl_->folder.string(), place.number);
+        place.first_frame = 0;
+        for (auto before = index.sequences.begin(); before != same; ++before)
+            place.first_frame += before->n_frames;
+        *same = std::move(sequence);
+    }
+    const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
+    impl_->writer = kind->make(std::move(place), impl_->sensors);
+}
+
+void DatasetSequenceWriter::write_scans(std::span<const RenderedScan> scans) {
+    if (scans.size() != impl_->sensors.size())
+        fail<UsageError>("cannot write a data set: found {} scans, expected {}, one for each sensor",
+                         scans.size(), impl_->sensors.size());
+    impl_->writer->write_frame(label_frame(scans, impl_->sensors, impl_->n_written++));
+}
+
+void DatasetSequenceWriter::finish() {
+    impl_->writer->finish(impl_->index);
+    write_readme(impl_->folder, impl_->index);
+    write_index(impl_->folder, impl_->index);
+}
+
+}  // namespace relidar

@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "layout.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <relidar/scene/labels.hpp>
+#include <relidar/simulate/place_points.hpp>
+#include "simulate/scan_files/seen_actors.hpp"
+
+namespace relidar::layouts {
+namespace {
+
+/// Directions that the rays of a scan cover: azimuths between neighbouring rays, and an
+/// interval of elevations for each sector of azimuth.
+class FieldOfView {
+public:
+    explicit FieldOfView(const RenderedScan& scan) {
+        intervals_.fill({2.0, -2.0});  // empty
+        for (const glm::vec3& direction : scan.image.direction) {
+            azimuths_.push_back(azimuth_of(glm::dvec3(direction)));
+            ElevationInterval& interval = intervals_[sector_of(azimuths_.back())];
+            interval.lowest_sine = std::min(interval.lowest_sine, double(direction.z));
+            interval.highest_sine = std::max(interval.highest_sine, double(direction.z));
+        }
+        std::ranges::sort(azimuths_);
+        if (!azimuths_.empty()) azimuths_.push_back(azimuths_.front() + 2.0 * kPi);
+    }
+    bool contains_point(const glm::dvec3& point_m) const {
+        constexpr double kMaxGap_rad = 3.0 * kPi / 180.0;  // wider than the columns of all sensors
+        if (azimuths_.empty()) return false;
+        double azimuth = azimuth_of(point_m);
+        if (azimuth < azimuths_.front()) azimuth += 2.0 * kPi;
+        const auto next = std::ranges::upper_bound(azimuths_, azimuth);  // not the first
+        if (next == azimuths_.end() || *next - *std::prev(next) > kMaxGap_rad) return false;
+        const ElevationInterval& interval = intervals_[sector_of(azimuth)];
+        const double sine = point_m.z / glm::length(point_m);
+        return sine >= interval.lowest_sine && sine <= interval.highest_sine;
+    }
+
+private:
+    struct ElevationInterval {
+        double lowest_sine, highest_sine;
+    };
+    std::vector<double> azimuths_;                 ///< of all rays, ascending; the first again after a turn
+    std::array<ElevationInterval, 90> intervals_;  // sectors of 4 degrees
+
+    static double azimuth_of(const glm::dvec3& v) { return std::atan2(v.y, v.x); }
+    std::size_t sector_of(double azimuth_rad) const {
+        const double turn = 0.5 + azimuth_rad / (2.0 * kPi);
+        return std::size_t(turn * double(intervals_.size())) % intervals_.size();
+    }
+};
+
+/// Returns the share of a box that is in no field of view.
+/// @param sensor_from_box  [sensors]
+double share_outside(const std::vector<FieldOfView>& views, const std::vector<Pose>& sensor_from_box,
+                     const glm::dvec3& size_m) {
+    constexpr int kSteps = 8;  // points of the box along each axis
+    int n_outside = 0;
+    for (int i = 0; i < kSteps * kSteps * kSteps; ++i) {
+        const glm::dvec3 cell(i % kSteps, i / kSteps % kSteps, i / (kSteps * kSteps));
+        const glm::dvec3 point = ((cell + 0.5) / double(kSteps) - 0.5) * size_m;
+        bool is_inside = false;
+        for (std::size_t s = 0; s < views.size() && !is_inside; ++s)
+            is_inside = views[s].contains_point(sensor_from_box[s] * point);
+        n_outside += !is_inside;
+    }
+    return double(n_outside) / (kSteps * kSteps * kSteps);
+}
+
+std::size_t count_points(const LidarPoints& cloud, const Pose& box_from_cloud, const glm::dvec3& size_m) {
+    return std::size_t(std::ranges::count_if(cloud.position_m, [&](const glm::vec3& point) {
+        return is_in_box(box_from_cloud * glm::dvec3(point), size_m);
+    }));
+}
+
+/// What one sensor sees of an object, for the sensor with the most points on it.
+struct SeenObject {
+    LabelledObject object;
+    std::size_t n_points_on = 0;  ///< points of this sensor on the surface of the object
+};
+
+/// Finds the objects that at least one sensor hits, in the order of their tracks.
+std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
+                                          const std::vector<DatasetSensor>& sensors) {
+    const ScanOutputOptions& options = sensors.front().options;
+    std::vector<std::string> tracks;
+    for (const auto* boxes : {&options.actors, &options.standing})
+        for (const BoxTrack& box : *boxes) tracks.push_back(box.id);
+    std::vector<SeenObject> seen;
+    for (std::size_t s = 0; s < scans.size(); ++s)
+        for (const scan_files::ActorInScan& actor : scan_files::find_actors(scans[s], sensors[s].options)) {
+            // A box that the points of another object fill shows no object.
+            if (actor.n_points == 0 || actor.note != LabelNote::none) continue;
+            const BoxTrack& box = *actor.box;
+            const int number = int(std::ranges::find(tracks, box.id) - tracks.begin());
+            LabelledObject object{box.id,          label_of(box),   number,
+                                  actor.is_static, box.is_moving(), box.size_m};
+            object.world_from_box = actor.world_from_box(actor.faced_s);
+            object.visible_share = actor.visible_share;
+            const auto known = std::ranges::find_if(
+                seen, [&](const SeenObject& other) { return other.object.number == number; });
+            if (known == seen.end()) {
+                seen.push_back({object, actor.n_points});
+                continue;
+            }
+            object.visible_share = std::max(object.visible_share, known->object.visible_share);
+            known->object.visible_share = object.visible_share;
+            if (actor.n_points > known->n_points_on) *known = {object, actor.n_points};
+        }
+    std::ranges::sort(seen, {}, [](const SeenObject& object) { return object.object.number; });
+    return seen;
+}
+
+}  // namespace
+
+bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m) {
+    return glm::all(glm::lessThanEqual(glm::abs(point_in_box_m), 0.5 * size_m));
+}
+
+LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
+                          std::size_t index) {
+    LabelledFrame frame{.index = index, .time_s = scans[0].time_s};
+    frame.stamp_ns = scan_files::to_stamp_ns(frame.time_s, sensors[0].options.time_shift_ns);
+    frame.world_from_rig = scans[0].world_from_sensor * inverse(sensors[0].rig_from_sensor);
+    std::vector<FieldOfView> views;
+    for (std::size_t s = 0; s < scans.size(); ++s) {
+        views.emplace_back(scans[s]);
+        frame.n_rings.push_back(scans[s].ring.empty() ? 0 : 1 + *std::ranges::max_element(scans[s].ring));
+        frame.clouds.push_back(place_points(scans[s], sensors[s].options.config, scans[s].world_from_sensor));
+    }
+    for (const SeenObject& seen : find_seen_objects(scans, sensors)) {
+        LabelledObject object = seen.object;
+        std::vector<Pose> sensor_from_box;
+        for (std::size_t s = 0; s < scans.size(); ++s) {
+            sensor_from_box.push_back(inverse(scans[s].world_from_sensor) * object.world_from_box);
+            object.n_points += count_points(frame.clouds[s], inverse(sensor_from_box[s]), object.size_m);
+        }
+        if (object.n_points == 0) continue;
+        object.truncated = share_outside(views, sensor_from_box, object.size_m);
+        frame.objects.push_back(object);
+    }
+    return frame;
+}
+
+}  // namespace relidar::layouts

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points and object boxes of a frame of a data set, and the interface of the layouts that
+// store them.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include <relidar/read/points.hpp>
+#include <relidar/simulate/dataset_layouts.hpp>
+#include <relidar/simulate/render.hpp>
+
+namespace relidar::layouts {
+
+using Json = nlohmann::ordered_json;
+
+struct LabelledObject {
+    std::string track, category;               ///< category: label_of() the object
+    int number = 0;                            ///< number of the track in the sequence, from 0
+    bool is_static = false;                    ///< true for an object that is part of the background
+    bool moves = false;                        ///< true if the object moves at any time
+    glm::dvec3 size_m{0.0};                    ///< length, width and height
+    Pose world_from_box = {};                  ///< at the time at which the sensor faces the object
+    std::size_t n_points = 0;                  ///< points of all sensors in the box
+    std::optional<double> visible_share = {};  ///< of the sensor that sees most
+    double truncated = 0.0;                    ///< share of the box outside the field of view of every sensor
+};
+
+struct LabelledFrame {
+    std::size_t index = 0;  ///< in the sequence
+    double time_s = 0.0;
+    std::int64_t stamp_ns = 0;
+    Pose world_from_rig = {};
+    std::vector<LidarPoints> clouds = {};  ///< [sensors] deskewed, each in the frame of its sensor
+    std::vector<int> n_rings = {};         ///< [sensors]
+    std::vector<LabelledObject> objects = {};
+};
+
+LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
+                          std::size_t index);
+
+/// @param point_in_box_m  in the frame of the box
+bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m);
+
+/// The list of sequences in the file dataset.json.
+struct DatasetIndex {
+    struct Sequence {
+        std::string key;  ///< hash of all settings of the sequence
+        int n_frames = 0;
+        Json settings;  ///< texts for users
+    };
+    std::string layout;
+    std::vector<Sequence> sequences;
+
+    int count_frames() const;
+    /// Returns true for the sequences of the validation split: every fifth one, or the
+    /// last one of up to four. A single sequence is split by frames instead.
+    bool is_validation(std::size_t sequence) const;
+    /// Returns true for the frames of the validation split: all frames of its sequences,
+    /// or the last fifth of a single sequence.
+    bool is_validation(std::size_t sequence, int frame) const;
+};
+
+/// Where a sequence is stored in a data set.
+struct SequencePlace {
+    std::filesystem::path folder;  ///< folder of the data set
+    std::size_t number;            ///< number of the sequence
+    int first_frame, n_frames;     ///< first_frame counts the frames of all earlier sequences
+    std::string key;               ///< DatasetIndex::Sequence::key
+};
+
+class LayoutWriter {
+public:
+    /// @param sensors  must outlive the writer
+    LayoutWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
+        : place_(std::move(place)), sensors_(sensors) {}
+    virtual ~LayoutWriter() = default;
+    virtual void write_frame(const LabelledFrame& frame) = 0;
+    /// Writes the files that describe the sequence, and those of the data set.
+    virtual void finish(const DatasetIndex& index) = 0;
+
+protected:
+    const SequencePlace place_;
+    const std::vector<DatasetSensor>& sensors_;
+};
+
+std::unique_ptr<LayoutWriter> make_kitti_writer(SequencePlace place,
+                                                const std::vector<DatasetSensor>& sensors);
+std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
+                                                   const std::vector<DatasetSensor>& sensors);
+std::unique_ptr<LayoutWriter> make_openlabel_writer(SequencePlace place,
+                                                    const std::vector<DatasetSensor>& sensors);
+
+/// Writes a KITTI .bin file with the points of all sensors, in the frame of the rig.
+void write_rig_points(const std::filesystem::path& path, const LabelledFrame& frame,
+                      const std::vector<DatasetSensor>& sensors);
+/// Writes a file atomically. Creates its folder.
+void write_bytes(const std::filesystem::path& path, const std::string& bytes);
+
+/// Returns a hash as hexadecimal digits: FNV-1a from two start values.
+/// @param n_digits  at most 32
+std::string make_token(const std::string& text, std::size_t n_digits = 32);
+
+/// Calibration of a camera in the frame of the rig: x right, y down, z forward. Its image
+/// plane is at the distance 1.
+inline constexpr const char* kVirtualCamera = "1 0 0 0 0 1 0 0 0 0 1 0";
+inline constexpr const char* kCameraFromRig = "0 -1 0 0 0 0 -1 0 1 0 0 0";
+
+}  // namespace relidar::layouts

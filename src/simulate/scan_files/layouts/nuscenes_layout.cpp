@@ -1,0 +1,278 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes the 13 tables of nuScenes v1.0 and the LiDAR files of a scene. Every frame is a
+// keyframe.
+#include "layout.hpp"
+
+#include <cctype>
+#include <fstream>
+#include <map>
+#include <set>
+
+#include <fmt/format.h>
+
+#include <relidar/base/images.hpp>
+#include "base/bytes.hpp"
+#include "base/fail.hpp"
+#include "object_names.hpp"
+
+namespace relidar::layouts {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kVersion = "v1.0-trainval";
+constexpr const char* kTables[] = {
+    "attribute", "calibrated_sensor", "category",    "ego_pose",  "instance", "log", "map", "sample", "scene",
+    "sensor",    "sample_annotation", "sample_data", "visibility"};
+
+/// Levels of visibility and their lower limits.
+struct VisibilityLevel {
+    const char *token, *level;
+    double min_share;
+};
+constexpr VisibilityLevel kVisibilityLevels[] = {
+    {"4", "v80-100", 0.8}, {"3", "v60-80", 0.6}, {"2", "v40-60", 0.4}, {"1", "v0-40", 0.0}};
+
+/// LiDAR axes of nuScenes: x right, y forward.
+const Pose kSensorFromFile{glm::angleAxis(-0.5 * kPi, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
+
+void add_pose(Json& record, const Pose& pose) {
+    const glm::dvec3& t = pose.translation;
+    const glm::dquat& q = pose.rotation;
+    record["translation"] = {t.x, t.y, t.z};
+    record["rotation"] = {q.w, q.x, q.y, q.z};
+}
+
+/// Returns the channel of each sensor. One of them is LIDAR_TOP, because many programs
+/// read only this channel.
+/// @throws UsageError if two sensors have the same channel
+std::vector<std::string> name_channels(const std::vector<DatasetSensor>& sensors) {
+    constexpr std::string_view kPrefix = "LIDAR_", kTop = "LIDAR_TOP";
+    std::vector<std::string> channels;
+    for (const DatasetSensor& sensor : sensors) {
+        std::string name = to_topic_name(sensor.options.frame_id);
+        std::ranges::transform(name, name.begin(), [](unsigned char c) { return char(std::toupper(c)); });
+        channels.push_back(name.starts_with(kPrefix) ? name : fmt::format("{}{}", kPrefix, name));
+    }
+    if (std::ranges::find(channels, kTop) == channels.end()) channels.front() = kTop;
+    for (const std::string& channel : channels)
+        if (std::ranges::count(channels, channel) > 1)
+            fail<UsageError>(
+                "--layout nuscenes: found two sensors with the channel {}, expected names that "
+                "differ in more than upper case",
+                channel);
+    return channels;
+}
+
+std::string visibility_of(const LabelledObject& object) {
+    if (!object.visible_share) return "";
+    return std::ranges::find_if(
+               kVisibilityLevels,
+               [&](const VisibilityLevel& level) { return *object.visible_share >= level.min_share; })
+        ->token;
+}
+
+/// Returns the day of a time after 1970 as YYYY-MM-DD.
+std::string format_day(std::int64_t stamp_ns) {
+    const auto days = std::chrono::floor<std::chrono::days>(
+        std::chrono::sys_time<std::chrono::nanoseconds>(std::chrono::nanoseconds(stamp_ns)));
+    const std::chrono::year_month_day day(days);
+    return fmt::format("{:04}-{:02}-{:02}", int(day.year()), unsigned(day.month()), unsigned(day.day()));
+}
+
+class NuscenesWriter : public LayoutWriter {
+public:
+    NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
+        : LayoutWriter(std::move(place), sensors),
+          channels_(name_channels(sensors)),
+          scene_prefix_(make_token("scene " + place_.key, kPrefixDigits)) {
+        for (std::size_t s = 0; s < sensors_.size(); ++s) {
+            Json mount = {{"token", token("mount", channels_[s])},
+                          {"sensor_token", shared("sensor", channels_[s])}};
+            add_pose(mount, ego_from_sensor(s) * kSensorFromFile);
+            mount["camera_intrinsic"] = Json::array();
+            records_["calibrated_sensor"].push_back(mount);
+            add_shared("sensor", channels_[s], {{"channel", channels_[s]}, {"modality", "lidar"}});
+        }
+    }
+
+    void write_frame(const LabelledFrame& frame) override {
+        const std::size_t i = frame.index;
+        const std::int64_t time_us = frame.stamp_ns / 1000;
+        if (i == 0) first_stamp_ns_ = frame.stamp_ns;
+        add_linked("sample", "sample", i, {{"timestamp", time_us}, {"scene_token", token("scene")}});
+        const Pose world_from_ego =
+            frame.world_from_rig * sensors_[0].rig_from_sensor * inverse(ego_from_sensor(0));
+        for (std::size_t s = 0; s < sensors_.size(); ++s) {
+            const std::string& channel = channels_[s];
+            const std::string file =
+                fmt::format("samples/{0}/{1}__{0}__{2}.pcd.bin", channel, scene_name(place_.number), time_us);
+            write_bytes(place_.folder / file, pack_points(frame.clouds[s], frame.n_rings[s]));
+            Json pose = {{"token", token("data " + channel, std::to_string(i))}, {"timestamp", time_us}};
+            add_pose(pose, world_from_ego);
+            records_["ego_pose"].push_back(pose);
+            add_linked("sample_data", "data " + channel, i,
+                       {{"sample_token", token("sample", std::to_string(i))},
+                        {"ego_pose_token", pose["token"]},
+                        {"calibrated_sensor_token", token("mount", channel)},
+                        {"filename", file},
+                        {"fileformat", "pcd"},
+                        {"width", 0},
+                        {"height", 0},
+                        {"timestamp", time_us},
+                        {"is_key_frame", true}});
+        }
+        for (const LabelledObject& object : frame.objects) add_annotation(object, i);
+    }
+
+    void finish(const DatasetIndex& index) override {
+        const std::string log = token("log"), last = std::to_string(place_.n_frames - 1);
+        records_["log"].push_back({{"token", log},
+                                   {"logfile", sensors_[0].options.run},
+                                   {"vehicle", "relidar"},
+                                   {"date_captured", format_day(first_stamp_ns_)},
+                                   {"location", "unknown"}});
+        records_["scene"].push_back({{"token", token("scene")},
+                                     {"name", scene_name(place_.number)},
+                                     {"description", sensors_[0].options.config.dataset.path},
+                                     {"log_token", log},
+                                     {"nbr_samples", place_.n_frames},
+                                     {"first_sample_token", token("sample", "0")},
+                                     {"last_sample_token", token("sample", last)}});
+        for (const VisibilityLevel& level : kVisibilityLevels)
+            records_["visibility"].push_back(
+                {{"token", level.token},
+                 {"level", level.level},
+                 {"description", "share of the rays that no other object blocks"}});
+        const StagedFolder staged(place_.folder / kVersion);
+        for (const char* table : kTables) write_table(staged.path(), table);
+        Json splits = {{"train", Json::array()}, {"val", Json::array()}};
+        for (std::size_t s = 0; s < index.sequences.size(); ++s)
+            splits[index.is_validation(s) ? "val" : "train"].push_back(scene_name(s));
+        write_bytes(staged.path() / "splits.json", splits.dump(1));
+        staged.replace_folder();
+    }
+
+private:
+    static constexpr std::size_t kPrefixDigits = 12;
+    const std::vector<std::string> channels_;
+    const std::string scene_prefix_;  ///< first digits of all tokens of the scene
+    std::int64_t first_stamp_ns_ = 0;
+    /// Indices of the records of a track in their tables.
+    struct TrackRecords {
+        std::size_t instance, last_annotation, n_annotations = 0;
+    };
+    std::map<std::string, std::vector<Json>> records_;  ///< by table
+    std::map<std::string, TrackRecords> records_of_;    ///< by track
+
+    static std::string scene_name(std::size_t number) { return fmt::format("scene-{:04}", number); }
+    std::string token(const std::string& kind, const std::string& name = "") const {
+        return scene_prefix_ + make_token(kind + " " + name + " " + place_.key, 32 - kPrefixDigits);
+    }
+    /// Returns the token of a record that scenes share.
+    static std::string shared(const std::string& table, const std::string& name) {
+        return make_token(table + " " + name);
+    }
+    Pose ego_from_sensor(std::size_t sensor) const {
+        return sensors_[sensor].options.vehicle_from_lidar * sensors_[sensor].options.offset;
+    }
+    void add_shared(const std::string& table, const std::string& name, Json record) {
+        record["token"] = shared(table, name);
+        records_[table].push_back(std::move(record));
+    }
+    /// Adds a record of a frame, with links to the same kind of record of the frames
+    /// before and after.
+    void add_linked(const char* table, const std::string& kind, std::size_t frame, Json record) {
+        record["token"] = token(kind, std::to_string(frame));
+        record["prev"] = frame == 0 ? "" : token(kind, std::to_string(frame - 1));
+        record["next"] = int(frame) + 1 == place_.n_frames ? "" : token(kind, std::to_string(frame + 1));
+        records_[table].push_back(std::move(record));
+    }
+
+    /// Returns five floats for each point: x, y, z, intensity up to 255, and ring. Ring 0
+    /// is the lowest.
+    static std::string pack_points(const LidarPoints& cloud, int n_rings) {
+        std::string bytes;
+        for (std::size_t i = 0; i < cloud.size(); ++i) {
+            append_raw(bytes, glm::vec3(inverse(kSensorFromFile) * glm::dvec3(cloud.position_m[i])));
+            append_raw(bytes, 255.0f * cloud.intensity[i]);
+            append_raw(bytes, float(n_rings - 1 - cloud.ring[i]));
+        }
+        return bytes;
+    }
+
+    void add_annotation(const LabelledObject& object, std::size_t frame) {
+        const std::string& track = object.track;
+        Json record = {{"token", token("box " + track, std::to_string(frame))},
+                       {"sample_token", token("sample", std::to_string(frame))},
+                       {"instance_token", token("track", track)},
+                       {"attribute_tokens", Json::array()},
+                       {"visibility_token", visibility_of(object)}};
+        add_pose(record, object.world_from_box);
+        record["size"] = {object.size_m.y, object.size_m.x, object.size_m.z};
+        record["num_lidar_pts"] = object.n_points;
+        record["num_radar_pts"] = 0;
+        record["prev"] = record["next"] = "";
+        std::vector<Json>& all = records_["sample_annotation"];
+        TrackRecords& of_track = records_of_[track];
+        if (of_track.n_annotations == 0) {
+            const std::string category = nuscenes_category(object.category);
+            add_shared("category", category, {{"name", category}, {"description", ""}});
+            of_track.instance = records_["instance"].size();
+            records_["instance"].push_back({{"token", token("track", track)},
+                                            {"category_token", shared("category", category)},
+                                            {"first_annotation_token", record["token"]}});
+        } else {
+            record["prev"] = all[of_track.last_annotation]["token"];
+            all[of_track.last_annotation]["next"] = record["token"];
+        }
+        Json& instance = records_["instance"][of_track.instance];
+        instance["nbr_annotations"] = ++of_track.n_annotations;
+        instance["last_annotation_token"] = record["token"];
+        of_track.last_annotation = all.size();
+        all.push_back(std::move(record));
+    }
+
+    /// Writes a table with the records of all scenes.
+    void write_table(const fs::path& folder, const std::string& table) {
+        std::vector<Json> all;
+        std::set<std::string> tokens;
+        const auto add = [&](const Json& record) {
+            if (tokens.insert(record.at("token")).second) all.push_back(record);
+        };
+        const fs::path known = place_.folder / kVersion / (table + ".json");
+        if (std::ifstream file(known); file)
+            for (const Json& record : Json::parse(file))
+                if (!record.at("token").get<std::string>().starts_with(scene_prefix_)) add(record);
+        std::ranges::for_each(records_[table], add);
+        if (table == "map") all = {make_map()};
+        write_bytes(folder / (table + ".json"), Json(all).dump(0) + "\n");
+    }
+
+    /// Returns the map of all logs: an empty mask, because relidar has no map. The
+    /// development kit expects a file.
+    Json make_map() {
+        const std::string file = "maps/empty.png";
+        std::error_code failed;
+        fs::create_directories(place_.folder / "maps", failed);
+        write_png(place_.folder / file, Image{1, 1, {0, 0, 0}});
+        Json logs = Json::array();
+        const fs::path known = place_.folder / kVersion / "log.json";
+        std::set<std::string> tokens{token("log")};
+        if (std::ifstream stream(known); stream)
+            for (const Json& log : Json::parse(stream)) tokens.insert(log.at("token"));
+        return {{"token", shared("map", "")},
+                {"log_tokens", tokens},
+                {"category", "semantic_prior"},
+                {"filename", file}};
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
+                                                   const std::vector<DatasetSensor>& sensors) {
+    return std::make_unique<NuscenesWriter>(std::move(place), sensors);
+}
+
+}  // namespace relidar::layouts

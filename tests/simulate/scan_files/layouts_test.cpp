@@ -1,0 +1,218 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests the layouts of data sets on exact scans of two boxes on level ground: numbers of
+// the labels against closed forms, labels of points, appended sequences, and the tables
+// of nuScenes with the reader of relidar. tests/tools/read_layouts.py reads all files.
+
+#include <sstream>
+
+#include <gmock/gmock.h>
+
+#include <relidar/read/dataset.hpp>
+#include <relidar/simulate/dataset_layouts.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "../plates.hpp"
+#include "log/classes/dataset_classes.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kRigHeight_m = 2.0, kStart_s = 100.0, kYaw = 0.4;
+constexpr int kSequenceFrames = 3;
+const glm::dvec3 kCarSize_m(4.0, 2.0, 1.5), kWalkerSize_m(0.6, 0.6, 1.8);
+const Pose kSecondMounting{glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {-1.0, 0.0, 0.0}};
+
+/// The rig drives forward along x with 2 m/s.
+Pose rig_pose(double time_s) { return {{1, 0, 0, 0}, {5.0 + 2.0 * (time_s - kStart_s), 0.0, kRigHeight_m}}; }
+/// 10 m before the rig in all frames.
+Pose car_pose(double time_s) {
+    return {glm::angleAxis(kYaw, glm::dvec3(0, 0, 1)),
+            rig_pose(time_s).translation + glm::dvec3(10.0, 2.0, 0.5 * kCarSize_m.z - kRigHeight_m)};
+}
+/// Half of it is outside the front sensor's field of view, which ends at 45 degrees.
+Pose walker_pose(double time_s) {
+    return {glm::angleAxis(0.25 * kPi, glm::dvec3(0, 0, 1)),
+            rig_pose(time_s).translation + glm::dvec3(4.0, 4.0, 0.5 * kWalkerSize_m.z - kRigHeight_m)};
+}
+
+std::optional<double> hit_box(const Pose& box, const glm::dvec3& size_m, glm::dvec3 origin, glm::dvec3 ray) {
+    origin = inverse(box) * origin;
+    ray = glm::conjugate(box.rotation) * ray;
+    const glm::dvec3 a = (-0.5 * size_m - origin) / ray, b = (0.5 * size_m - origin) / ray;
+    const glm::dvec3 low = glm::min(a, b), high = glm::max(a, b);
+    const double first = std::max({low.x, low.y, low.z}), last = std::min({high.x, high.y, high.z});
+    return first > 0.0 && first <= last ? std::optional(first) : std::nullopt;
+}
+
+/// Casts rays from 45 degrees left to `last_deg`, without a rolling shutter.
+RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double last_deg) {
+    RenderedScan scan;
+    scan.time_s = time_s;
+    scan.world_from_sensor = rig_pose(time_s) * rig_from_sensor;
+    scan.image.rows = 40;
+    scan.image.columns = 900;
+    for (int r = 0; r < scan.image.rows; ++r)
+        for (int c = 0; c < scan.image.columns; ++c) {
+            const double azimuth = (45.0 - (45.0 - last_deg) * c / scan.image.columns) * kPi / 180.0,
+                         elevation = 0.1 - 0.015 * r;
+            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
+                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            const glm::dvec3 o = scan.world_from_sensor.translation, ray = scan.world_from_sensor.rotation * d;
+            double range_m = ray.z < 0.0 ? -o.z / ray.z : 0.0;
+            int instance = ray.z < 0.0 ? 0 : -1;
+            const auto meet = [&](const Pose& pose, const glm::dvec3& size_m, int number) {
+                const auto hit_m = hit_box(pose, size_m, o, ray);
+                if (!hit_m || (range_m > 0.0 && *hit_m > range_m)) return;
+                // A little inside, because floats would round points to the outside.
+                range_m = *hit_m + 1e-4;
+                instance = number;
+            };
+            meet(car_pose(time_s), kCarSize_m, 1);
+            meet(walker_pose(time_s), kWalkerSize_m, 2);
+            scan.image.direction.emplace_back(d);
+            scan.image.range_m.push_back(float(range_m));
+            scan.image.drop_prob.push_back(range_m > 0.0 ? 0.0f : 1.0f);
+            scan.instance.push_back(instance);
+            scan.ring.push_back(std::uint16_t(r));
+        }
+    scan.actor_views = {{"car", 3, 4}, {"walker", 1, 3}};
+    return test::complete(std::move(scan));
+}
+
+class Layouts : public TemporaryFolder {
+protected:
+    std::vector<DatasetSensor> sensors;
+    std::vector<double> times_s;
+
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        ScanOutputOptions options;
+        options.instance_names = {"background", "car", "walker"};
+        options.actors = {{"car", "Car", kCarSize_m, {}}, {"walker", "Pedestrian", kWalkerSize_m, {}}};
+        options.time_shift_ns = 1'000'000'000'000;
+        for (int i = 0; i < kSequenceFrames; ++i) times_s.push_back(kStart_s + 0.5 * i);
+        for (const double t : {kStart_s - 1.0, kStart_s + 3.0}) {
+            options.actors[0].world_from_box.append(t, car_pose(t));
+            options.actors[1].world_from_box.append(t, walker_pose(t));
+        }
+        options.frame_id = "front";
+        sensors = {{options, Pose{}}, {options, kSecondMounting}};
+        sensors[1].options.frame_id = "second";
+        sensors[1].options.offset = kSecondMounting;
+    }
+    void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false) {
+        for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
+        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace);
+        for (const double t : times_s) {
+            std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0)};
+            if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0));
+            writer.write_scans(scans);
+        }
+        writer.finish();
+    }
+};
+
+TEST_F(Layouts, KittiLabelsHaveTheClosedFormInTheCamera) {
+    sensors.resize(1);
+    write_sequence("kitti", 0);
+    std::istringstream file(read_contents(folder / "training/label_2/000001.txt"));
+    std::string type;
+    double v[14];
+    const auto read_line = [&] {
+        file >> type;
+        for (double& number : v) file >> number;
+    };
+    read_line();
+    EXPECT_EQ(type, "Car");
+    EXPECT_EQ(v[0], 0.0) << "truncated";
+    EXPECT_EQ(v[1], 1.0) << "three quarters are visible";
+    const double turn = -kYaw - 0.5 * kPi, expected[] = {kCarSize_m.z, kCarSize_m.y, kCarSize_m.x,
+                                                         -2.0,         kRigHeight_m,    10.0};
+    for (int i = 0; i < 6; ++i) EXPECT_NEAR(v[7 + i], expected[i], 1e-4) << i;
+    EXPECT_NEAR(v[13], turn, 1e-4);
+    EXPECT_NEAR(v[2], turn - std::atan2(-2.0, 10.0), 1e-4) << "alpha";
+    read_line();
+    EXPECT_EQ(type, "Pedestrian");
+    EXPECT_NEAR(v[0], 0.5, 0.07) << "half is left of the field of view";
+    EXPECT_EQ(v[1], 2.0) << "a third is visible";
+}
+
+TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
+    for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
+    EXPECT_THROW(write_sequence("kitti", 2), UsageError) << "the same settings";
+    EXPECT_THROW(write_sequence("nuscenes", 3), UsageError) << "another layout";
+    const std::string first = read_contents(folder / "training/label_2/000004.txt");
+    write_sequence("kitti", 1, true);
+    EXPECT_EQ(read_contents(folder / "ImageSets/train.txt"), "000000\n000001\n000002\n");
+    EXPECT_EQ(read_contents(folder / "ImageSets/val.txt"), "000003\n000004\n000005\n");
+    EXPECT_EQ(read_contents(folder / "training/label_2/000004.txt"), first);
+    EXPECT_TRUE(std::filesystem::exists(folder / "tracking/training/velodyne/0001/000002.bin"));
+    EXPECT_THROW(check_dataset_folder(folder / "training", "kitti"), UsageError) << "files of others";
+}
+
+TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
+    for (const std::uint64_t seed : {1, 2}) write_sequence("nuscenes", seed);
+    write_sequence("nuscenes", 1, true);
+    DatasetOptions options;
+    options.sequence = "scene-0000";
+    const Log log = load_sequence("nuscenes:" + folder.string(), options);
+    ASSERT_EQ(log.frames.size(), 2u * kSequenceFrames);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_FALSE(log.rolling_shutter);
+    for (const BoxTrack& box : log.boxes) {
+        const bool is_car = box.category == "vehicle.car";
+        EXPECT_EQ(box.category, is_car ? "vehicle.car" : "human.pedestrian.adult");
+        EXPECT_LT(glm::distance(box.size_m, is_car ? kCarSize_m : kWalkerSize_m), 1e-9);
+        for (int i = 0; i < kSequenceFrames; ++i) {
+            const double t = times_s[std::size_t(i)];
+            const Pose expected = is_car ? car_pose(t) : walker_pose(t),
+                       found = box.world_from_box.pose[std::size_t(i)];
+            EXPECT_LT(glm::distance(found.translation + log.world_offset_m, expected.translation), 1e-6);
+        }
+    }
+    for (const Frame& frame : log.frames) {
+        const Lidar& lidar = log.lidar_of(frame);
+        const Pose world_from_lidar =
+            log.world_from_vehicle.pose[log.find_pose_index(frame)] * lidar.vehicle_from_sensor;
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 97) {
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
+            const glm::dvec3 point =
+                world_from_lidar * glm::dvec3(frame.scan.return_point(i)) + log.world_offset_m;
+            if (point.z < 0.01) EXPECT_NEAR(point.z, 0.0, 2e-3) << "the ground is level";
+        }
+    }
+}
+
+TEST_F(Layouts, PointsHaveTheClassAndNumberOfTheirObject) {
+    write_sequence("openlabel", 0);
+    const std::string bytes = read_contents(folder / "sequences/00/labels/000000.label");
+    std::map<std::uint32_t, std::size_t> n_points;
+    for (std::size_t i = 0; i < bytes.size(); i += 4) {
+        std::uint32_t label = 0;
+        std::memcpy(&label, bytes.data() + i, 4);
+        ++n_points[label];
+    }
+    std::map<std::uint32_t, std::size_t> expected;
+    for (const RenderedScan& scan : {cast_rays(kStart_s, Pose{}, -45.0), cast_rays(kStart_s, kSecondMounting, -300.0)})
+        for (const int instance : scan.instance)
+            if (instance >= 0) ++expected[instance == 0 ? 0u : instance == 1 ? 1u << 16 | 252u : 2u << 16 | 254u];
+    EXPECT_EQ(n_points, expected);
+    for (std::size_t surface = 0; surface < kSurfaceClasses; ++surface)
+        if (SurfaceClass(surface) != SurfaceClass::other_actor)
+            EXPECT_EQ(from_semantic_kitti(to_semantic_kitti(SurfaceClass(surface))), SurfaceClass(surface));
+}
+
+TEST_F(Layouts, RejectWhatALayoutCannotStore) {
+    sensors[0].options.frame_id = "a-b";
+    sensors[1].options.frame_id = "A_b";
+    sensors.push_back(sensors[0]);
+    sensors[0].options.frame_id = "top";
+    EXPECT_THROW(DatasetSequenceWriter(folder, "nuscenes", sensors, times_s, false), UsageError);
+    EXPECT_THROW(check_dataset_folder(folder / "new", "pascal"), UsageError);
+    times_s.assign(1'000'001, kStart_s);
+    ScratchFolder other;
+    EXPECT_THROW(DatasetSequenceWriter(other.path, "kitti", sensors, times_s, false), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar
