@@ -207,10 +207,43 @@ training() {
     says '"surfels": [1-9]'
 }
 
+# Sets the variable python to a Python with numpy, or to none.
+find_numpy() {
+    for python in python3 /usr/bin/python3 none; do "$python" -c 'import numpy' 2>/dev/null && break; done
+}
+
+# Writes data sets and compares them with the boxes of a rendering.
+layouts() {
+    local python layout
+    find_numpy
+    good render run --out labelled "$@" --format bin --boxes
+    for layout in kitti nuscenes openlabel; do
+        good render run --out $layout "$@" --layout $layout
+        says "wrote 2 scans .*$layout"
+        bad 2 "$layout: sequence 0 .*--force" render run --out $layout "$@" --layout $layout
+        good render run --out $layout "$@" --layout $layout --sample 1
+        good render run --out $layout "$@" --layout $layout --force
+        for file in README.md dataset.json; do exists $layout/$file; done
+        if [[ $python != none ]]; then
+            "$python" "$tests/read_layouts.py" $layout $layout 0 labelled packet_rig.json >err 2>&1 &&
+                "$python" "$tests/read_layouts.py" $layout $layout 1 >err 2>&1
+            check "read_layouts.py finds faults" test $? = 0
+        fi
+    done
+    good info nuscenes
+    says "^frames +4 "
+    says "^boxes +[12]: "
+    bad 2 "kitti .*layout kitti; expected the same" render run --out kitti --layout openlabel
+    bad 2 "found .* in labelled/top" render run --out labelled/top --layout kitti
+    bad 2 "--layout kitti: found --format, --merge" render run --out x --layout kitti --deskew
+    bad 2 '--layout: "kiti" .*openlabel' render run --out x --layout kiti
+    absent x
+}
+
 # Uses numpy and OpenEXR's tool, if they are installed.
 foreign_readers() {
     local python
-    for python in python3 /usr/bin/python3 none; do "$python" -c 'import numpy' 2>/dev/null && break; done
+    find_numpy
     if [[ $python == none ]]; then
         echo "note: no numpy, npz, ply, pcd and bin are not read by another program"
     else
@@ -338,6 +371,7 @@ rendering() {
     check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
         "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
     bad 2 "--merge .*rig" render run --out x --sensor VLP-16 --merge
+    layouts --frames 5:7 --sensor packet_rig.json
     bad 2 "--topic .*mcap" render run --out x --topic /points
     bad 2 '--frame-id: .*"a" .*\{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
     bad 2 'topic "points", .*/lidar/points' render run --out x --frames 2:3 --format rosbag --topic points

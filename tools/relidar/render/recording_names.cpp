@@ -3,11 +3,13 @@
 
 #include <algorithm>
 
+#include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/simulate/scan_files.hpp>
 
 #include "base/fail.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -22,6 +24,20 @@ std::string replace_name(std::string text, const std::string& sensor_name) {
 }
 
 }  // namespace
+
+std::vector<std::string> parse_formats(const std::string& format_list) {
+    const std::vector<std::string> known_formats = scan_formats();
+    std::vector<std::string> formats;
+    for (const std::string& word : split_text(format_list, ',')) {
+        const std::string name = trim_spaces(word);
+        const std::optional<std::string> format = find_name(name, known_formats);
+        if (!format)
+            fail<UsageError>("--format: \"{}\" is unknown{} (known formats: {})", name,
+                             did_you_mean(name, known_formats), fmt::join(known_formats, ", "));
+        formats.push_back(*format);
+    }
+    return formats;
+}
 
 void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
     command

@@ -17,6 +17,9 @@ struct RecordingNames {
     /// {name} is replaced by the name of the sensor. Empty: derived from this name.
     std::string topic, frame_id;
 };
+/// Parses the names of formats, separated by commas. Upper case and spaces are allowed.
+std::vector<std::string> parse_formats(const std::string& format_list);
+
 void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 /// @throws UsageError if no recording is written, or if several sensors would get the
 /// same name

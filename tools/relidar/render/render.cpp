@@ -16,6 +16,7 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/dataset_layouts.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include "base/fail.hpp"
@@ -42,6 +43,7 @@ struct RenderOptions {
     std::string lidar;
     std::string sensor;
     std::string formats = "npz";
+    std::string layout;  ///< empty: writes the files of `formats`
     std::optional<std::string> channels;
     RecordingNames names;
     std::vector<std::string> sets;
@@ -58,44 +60,6 @@ struct RenderOptions {
     bool no_refine = false;
     bool quiet = false;
 };
-
-// A larger offset is probably a typing error. Floats have errors of a millimetre there.
-constexpr double kFarthestOffset_m = 10'000.0;
-
-/// "x,y,z" or "x,y,z,yaw_deg" in the sensor's frame.
-Pose parse_offset(const std::string& text) {
-    if (text.empty()) return {};
-    const std::vector<double> v = parse_list("--offset", text);
-    if (v.size() != 3 && v.size() != 4)
-        fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(),
-                         text);
-    for (std::size_t i = 0; i < 3; ++i)
-        if (std::abs(v[i]) > kFarthestOffset_m) {
-            fail<UsageError>("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
-                             v[i], text, kFarthestOffset_m, kFarthestOffset_m);
-        }
-    if (v.size() == 4 && std::abs(v[3]) > 360.0) {
-        fail<UsageError>("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
-                         v[3], text);
-    }
-    const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
-    return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
-}
-
-/// Upper and lower case and spaces are allowed.
-std::vector<std::string> parse_formats(const std::string& format_list) {
-    const std::vector<std::string> known_formats = scan_formats();
-    std::vector<std::string> formats;
-    for (const std::string& word : split_text(format_list, ',')) {
-        const std::string name = trim_spaces(word);
-        const std::optional<std::string> format = find_name(name, known_formats);
-        if (!format)
-            fail<UsageError>("--format: \"{}\" is unknown{} (known formats: {})", name,
-                             did_you_mean(name, known_formats), fmt::join(known_formats, ", "));
-        formats.push_back(*format);
-    }
-    return formats;
-}
 
 PointCoordinateFrame parse_frame(const std::string& name) {
     if (find_name(name, {"sensor"})) return PointCoordinateFrame::sensor;
@@ -137,6 +101,18 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     return format;
 }
 
+/// Rejects options that a layout decides itself.
+void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
+    if (options.layout.empty()) return;
+    check_dataset_folder(options.out, options.layout);
+    if (ranks.size() > 1)
+        fail<UsageError>("--layout {}: found {} MPI processes; expected one", options.layout, ranks.size());
+    if (options.formats != "npz" || options.merge || options.deskew || options.point_frame != "sensor")
+        fail<UsageError>(
+            "--layout {}: found --format, --merge, --deskew or --frame; the layout decides these",
+            options.layout);
+}
+
 /// Checks all options that do not depend on the run, before the run is loaded, because
 /// loading takes a long time.
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
@@ -145,12 +121,13 @@ void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGr
             fail<UsageError>(
                 "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
+    check_layout(options, ranks);
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_frame(options.point_frame);
     parse_weather(options.weather);
     if (options.merge && std::ranges::count(parse_formats(options.formats), "pcap") > 0)
         throw UsageError("--merge: found --format pcap; packets hold the scan of a single sensor");
-    if (ranks.is_first()) check_scan_folder(options.out, options.overwrite);
+    if (ranks.is_first() && options.layout.empty()) check_scan_folder(options.out, options.overwrite);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     const TrajectoryOptions& t = options.trajectory;
@@ -225,7 +202,23 @@ ScanOutputOptions merged_format(const RenderOptions& options, const Run& run,
 struct RenderOutputs {
     std::vector<ScanFolderWriter> folders;
     std::optional<ScanRecordingsWriter> recordings;
+    std::optional<DatasetSequenceWriter> dataset;  ///< with --layout, instead of all others
 };
+
+/// Creates the output of --layout.
+RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
+                             const std::vector<MountedSimulatedSensor>& rendered_sensors,
+                             const Pose& sensor_offset, const std::vector<NumberedScanTime>& sweeps) {
+    const auto formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
+    std::vector<DatasetSensor> sensors;
+    for (std::size_t s = 0; s < formats.size(); ++s)
+        sensors.push_back({formats[s], rendered_sensors[s].mounting});
+    std::vector<double> times_s;
+    for (const NumberedScanTime& sweep : sweeps) times_s.push_back(sweep.time_s);
+    RenderOutputs output;
+    output.dataset.emplace(options.out, options.layout, std::move(sensors), times_s, options.overwrite);
+    return output;
+}
 
 /// Creates the output folders in the first MPI process. The other processes wait and then
 /// open these folders.
@@ -261,6 +254,7 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
 /// Collects the entries of scans.json from all MPI processes, writes them in the first
 /// process, and completes the recordings.
 void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
+    if (output.dataset) output.dataset->finish();
     if (output.recordings) output.recordings->finish();
     for (ScanFolderWriter& folder : output.folders) {
         std::vector<std::string> entries;
@@ -310,6 +304,7 @@ public:
                 n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
             }
         }
+        if (output.dataset) return output.dataset->write_scans(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
@@ -319,7 +314,9 @@ public:
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
             "per scan, {:.3f} Mrays/s{}\n",
-            n_total, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
+            n_total, n_rays_ / n, options_.out,
+            options_.layout.empty() ? fmt::format("{}", fmt::join(parse_formats(options_.formats), ", "))
+                                    : options_.layout,
             100.0 * n_returns_ / n_rays_,
             has_unseen_share_
                 ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
@@ -372,9 +369,11 @@ void run_render(const RenderOptions& command_options) {
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_instances(shown);
-    if (options.boxes) renderer.count_actor_rays();
+    if (options.boxes || !options.layout.empty()) renderer.count_actor_rays();
+    if (!options.layout.empty()) renderer.add_channels("class");
     renderer.set_weather(parse_weather(options.weather));
-    RenderOutputs output = create_outputs(options, run, targets, offset, ranks);
+    RenderOutputs output = options.layout.empty() ? create_outputs(options, run, targets, offset, ranks)
+                                                  : create_dataset(options, run, targets, offset, sweeps);
     if (std::ranges::any_of(parse_formats(options.formats), is_recording))
         note_time_shift(run.sequence, options.time_shift_ns);
     if (options.sample) note_missing_noise(run, lidar);
@@ -420,6 +419,13 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
         .add_option("--format", options.formats,
                     fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")))
         ->type_name("LIST");
+    command
+        .add_option(
+            "--layout", options.layout,
+            fmt::format("add the scans and the boxes of all visible objects as a sequence to the data "
+                        "set in DIR: {}; instead of --format",
+                        fmt::join(list_layouts(), ", ")))
+        ->type_name("NAME");
     command
         .add_option("--frame", options.point_frame,
                     "frame of reference of points: sensor, each point at its own firing time; or world, the "

@@ -17,6 +17,8 @@ namespace {
 constexpr double kMostScans = 1e6;
 // The log has hardly observed the scene at this distance from its path.
 constexpr double kMaxPathDistance_m = 50.0;
+// A larger offset is probably a typing error. Floats have errors of a millimetre there.
+constexpr double kFarthestOffset_m = 10'000.0;
 // Fraction of a step, so that FIRST:LAST:STEP = 0:1:0.1 includes 1.
 constexpr double kStepSlack = 1e-6;
 
@@ -25,6 +27,25 @@ struct TimeSteps {
 };
 
 }  // namespace
+
+Pose parse_offset(const std::string& text) {
+    if (text.empty()) return {};
+    const std::vector<double> v = parse_list("--offset", text);
+    if (v.size() != 3 && v.size() != 4)
+        fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(),
+                         text);
+    for (std::size_t i = 0; i < 3; ++i)
+        if (std::abs(v[i]) > kFarthestOffset_m) {
+            fail<UsageError>("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
+                             v[i], text, kFarthestOffset_m, kFarthestOffset_m);
+        }
+    if (v.size() == 4 && std::abs(v[3]) > 360.0) {
+        fail<UsageError>("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
+                         v[3], text);
+    }
+    const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
+    return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
+}
 
 /// Returns the times of the scans on a trajectory, in seconds. They are given by --times
 /// or --rate, or by the rate of the log's sensor.

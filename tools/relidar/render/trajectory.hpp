@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options --trajectory, --rate and --times. They define the path of the sensor
-// and the times of the scans.
+// Reads the options --offset, --trajectory, --rate and --times. They define the path of
+// the sensor and the times of the scans.
 #pragma once
 
 #include <optional>
@@ -23,6 +23,9 @@ struct TrajectoryOptions {
     /// "first:last:step" in seconds of the log; empty: evenly spaced at `rate_hz`
     std::string times;
 };
+
+/// Parses "x,y,z" or "x,y,z,yaw_deg" in the frame of the sensor.
+Pose parse_offset(const std::string& text);
 
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
