@@ -8,6 +8,8 @@
 
 #include <fmt/format.h>
 
+#include <relidar/scene/labels.hpp>
+
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "scene/sample_index.hpp"
@@ -195,6 +197,32 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
     }
     actor.surfels = actor.surfels.reorder(kd_tree_order(actor.surfels.mean));
     return actor;
+}
+
+void fade_far_swings(Scene& scene, float alpha_min) {
+    // The box of a model already has a margin of kObjectMargin_m.
+    constexpr float kSwingMargin_m = 0.1f, kMinRoom_m = 0.01f;
+    Surfels& surfels = scene.surfels;
+    if (!surfels.bends) return;
+    for (const SurfelModel& model : scene.models) {
+        if (model.stride_m <= 0.0f) continue;
+        for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
+            GaitPhaseWindow& gait = surfels.gait[i];
+            // Sine of the phase angle at which the centre reaches the limit.
+            float sine = 1.0f;
+            const glm::vec3 room_m = model.half_size_m + kSwingMargin_m - glm::abs(surfels.mean[i]);
+            for (int axis = 0; axis < 3; ++axis)
+                if (const float swing_m = std::abs(gait.swing[axis]); swing_m > 0.0f)
+                    sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
+            const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
+            if (sine >= 1.0f || opacity <= alpha_min) continue;
+            // opacity exp(k^2 (cosine - 1)) = alpha_min, and 1 - cosine = sine^2 / (1 +
+            // cosine)
+            const float cosine = std::sqrt(1.0f - sine * sine),
+                        sharpness = std::sqrt(std::log(opacity / alpha_min) * (1.0f + cosine)) / sine;
+            gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
+        }
+    }
 }
 
 }  // namespace relidar

@@ -7,6 +7,7 @@
 
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "base/fail.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
@@ -84,6 +85,7 @@ void fill_result(TrainLoop& loop, Device& device, const Log& log, const Split& s
                  const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
     result.scene = loop.download_scene();
+    fade_far_swings(result.scene, config.image.alpha_min);
     result.poses = loop.refined_poses();
     begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)

@@ -10,6 +10,7 @@
 #include <set>
 
 #include <relidar/run/run.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "base/parallel.hpp"
 #include "train/poses/placed_box.hpp"
@@ -253,7 +254,8 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
         }
         loop.finish();
         done += std::size_t(config.train.iterations);
-        const Scene trained = loop.download_scene();
+        Scene trained = loop.download_scene();
+        fade_far_swings(trained, config.image.alpha_min);
         // Copies only the trained actors, which are the last surfels of the section.
         Surfels surfels = run.scene.surfels.slice(0, n_before);
         surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));

@@ -2,6 +2,7 @@
 // Tests actors that change their shape. Each surfel of such an actor is visible only
 // around the time of its frame (docs/method.md M14).
 #include "scene/changing_actors.hpp"
+#include <relidar/scene/labels.hpp>
 
 #include <cmath>
 
@@ -71,6 +72,42 @@ TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
     std::vector<LidarSample> samples = make_points_of_door();
     for (LidarSample& sample : samples) sample.walked_m = 0.0f;
     EXPECT_EQ(make_deforming(samples, {}, 0.0, 8000).period_m, 0.0);
+}
+
+/// Evaluates M14 at all phases of the walk.
+TEST(ChangingSurfels, FadeBeforeTheySwingOutOfTheBox) {
+    constexpr float kAlphaMin = 0.02f;
+    Scene scene = wrap_background({});
+    Surfels& surfels = scene.surfels;
+    surfels.resize(4, {PrimitiveType::surfel, true});
+    surfels.mean = {{0.3f, 0.0f, 0.0f}, {-0.1f, 0.0f, 0.8f}, {0.0f, 0.2f, 0.0f}, {0.3f, 0.0f, 0.0f}};
+    surfels.gait = {{0.1f, 0.5f, {9.0f, 0.0f, 0.0f}},
+                    {0.6f, 3.0f, {-1.0f, 0.0f, 0.5f}},
+                    {0.3f, 2.0f, {0.4f, 0.3f, 0.0f}},
+                    {0.2f, 0.5f, {9.0f, 0.0f, 0.0f}}};
+    surfels.opacity_logit = {2.0f, 0.0f, 4.0f, 2.0f};
+    const glm::vec3 half_m(0.6f, 0.5f, 1.0f);
+    scene.models = {{"background", 0, 0}, {"walker", 0, 3, half_m, 5.0f}, {"rigid", 3, 1, half_m}};
+    const std::vector<GaitPhaseWindow> before = surfels.gait;
+    fade_far_swings(scene, kAlphaMin);
+    int n_visible = 0;
+    for (std::size_t i = 0; i < 3; ++i)
+        for (double phase = 0.0; phase < 1.0; phase += 1e-3) {
+            const GaitPhaseWindow& gait = surfels.gait[i];
+            const double angle = 2.0 * kPi * (phase - double(gait.phase)), k = gait.sharpness,
+                         opacity = std::exp(k * k * (std::cos(angle) - 1.0)) /
+                                   (1.0 + std::exp(-double(surfels.opacity_logit[i])));
+            const glm::dvec3 centre_m =
+                glm::dvec3(surfels.mean[i]) + std::sin(angle) * glm::dvec3(gait.swing);
+            const glm::dvec3 outside_m = glm::abs(centre_m) - glm::dvec3(half_m) - 0.1;
+            if (opacity <= double(kAlphaMin) + 1e-6) continue;
+            ++n_visible;
+            EXPECT_LE(std::max({outside_m.x, outside_m.y, outside_m.z}), 1e-5) << i << " at " << phase;
+        }
+    EXPECT_GT(n_visible, 100);
+    EXPECT_GT(surfels.gait[0].sharpness, before[0].sharpness);
+    EXPECT_EQ(surfels.gait[2].sharpness, before[2].sharpness) << "it stays in the box";
+    EXPECT_EQ(surfels.gait[3].sharpness, before[3].sharpness) << "its model does not walk";
 }
 
 }  // namespace

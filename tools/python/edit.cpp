@@ -129,6 +129,15 @@ void bind_edit_class(py::module_& module) {
              "pose: [4,4] float64, pose of the moved box in the frame of the old box, for example from "
              "relidar.pose()")
         .def(
+            "classify",
+            [](EditedRun& edits, const std::string& track, const std::string& name) -> EditedRun& {
+                return edits.apply(fmt::format("class {}={}", track, name), [&](SceneWithLog driving) {
+                    return classify_track(std::move(driving), track, name);
+                });
+            },
+            py::arg("track"), py::arg("name"), same,
+            "Sets the class of an actor, or of a labelled object in the background, in all labels.")
+        .def(
             "retime",
             [](EditedRun& edits, const std::string& track, double seconds) -> EditedRun& {
                 return edits.apply_to_actor(

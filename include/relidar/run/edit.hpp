@@ -77,6 +77,10 @@ SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track);
 ///   world_from_box'(t) = world_from_box(t) * old_from_new
 SceneWithLog move_track(SceneWithLog edited, const std::string& track, const Pose& old_from_new);
 
+/// Sets the class name of an actor or of a labelled standing object.
+/// @throws UsageError if the log has no box with this track, or for an empty name
+SceneWithLog classify_track(SceneWithLog edited, const std::string& track, const std::string& category);
+
 /// Delays an actor's track by a number of seconds. With a negative value, the actor
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Labels of the objects of a scene: kinds of objects without a label, labelled objects
-// that stand still, and the points that belong to an object.
+// that stand still, the points that belong to an object, and surfels that stay in it.
 #pragma once
 
 #include <optional>
@@ -36,5 +36,10 @@ std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm:
 /// of the background. Each has one pose for all times, the median of its labels, because
 /// labels jitter and the background does not move.
 std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options);
+
+/// Makes surfels fade earlier whose learned motion carries them out of their actor while
+/// they are visible. Their opacity is then at most alpha_min as soon as their centre is
+/// 0.2 m outside the box of the label.
+void fade_far_swings(Scene& scene, float alpha_min);
 
 }  // namespace relidar

@@ -117,9 +117,9 @@ std::string to_topic_name(const std::string& name);
 /// a cloud is the time of its first ray; times of points are relative to it. Points in
 /// the sensor frame are converted to the world by the transforms at their own times, or
 /// with ScanOutputOptions::deskew at the stamp. A box on /actors has the time at which
-/// the sensor faces it; boxes on /actors_autoware have the time of the first ray of all sensors,
-/// and velocities. Each message has all actors once, also of a rig. A scan is logged at the time of its last ray, after the transforms that it
-/// needs.
+/// the sensor faces it; boxes on /actors_autoware have the time of the first ray of all
+/// sensors, and velocities. Each message has all actors once, also of a rig. A scan is
+/// logged at the time of its last ray, after the transforms that it needs.
 class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes list_scan_files().

@@ -251,6 +251,15 @@ SceneWithLog move_track(SceneWithLog edited, const std::string& track, const Pos
     return edited;
 }
 
+SceneWithLog classify_track(SceneWithLog edited, const std::string& track, const std::string& category) {
+    if (category.empty())
+        fail<UsageError>("cannot set the class of track \"{}\": found an empty name", track);
+    std::vector<BoxTrack>& boxes = edited.sequence.boxes;
+    const auto box = std::ranges::find(boxes, track, &BoxTrack::id);
+    (box == boxes.end() ? mutable_box(edited, track) : *box).category = category;
+    return edited;
+}
+
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s) {
     PoseTrack& world_from_box = mutable_box(scene_and_log, track).world_from_box;
     for (double& time_s : world_from_box.time_s) time_s += delay_s;

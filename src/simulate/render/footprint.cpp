@@ -141,6 +141,13 @@ public:
         const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kMinIntensity)};
         const SubRayReturn& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
+        // The surface at the joined range gives the instance and the other values.
+        const float joined_m = weighted_mean(strongest, parts_.median_range_m, parts_);
+        const std::size_t nearest = *std::ranges::min_element(strongest.parts, {}, [&](std::size_t part) {
+            // Of equal ranges, the part nearest to the centre is used. Parts are ordered
+            // from the centre outwards.
+            return std::pair(std::abs(parts_.median_range_m[part] - joined_m), part);
+        });
         for_all_channels(parts_, scan_,
                          [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
                                       std::vector<T>& of_rays) {
@@ -155,9 +162,7 @@ public:
                                                                   : sum_over_group(strongest, of_parts) /
                                                                         static_cast<float>(n));
                              }
-                             // Sub-rays are ordered from the centre outwards, so the
-                             // smallest index is the nearest.
-                             of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
+                             of_rays.push_back(of_parts[nearest]);
                          });
         if (scan_.second_returns.empty()) return;
         const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 #include <protozero/pbf_writer.hpp>
 
+#include <relidar/simulate/actor_boxes.hpp>
 #include "base/bytes.hpp"
 
 namespace relidar::scan_files {

@@ -10,7 +10,11 @@
 #include <glm/glm.hpp>
 
 #include <relidar/read/points.hpp>
-#include <relidar/simulate/actor_boxes.hpp>
+
+namespace relidar {
+enum class LabelNote;
+struct RenderedScan;
+}  // namespace relidar
 
 namespace relidar::scan_files {
 
@@ -45,7 +49,7 @@ struct RecordedActor {
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
     bool is_static = false;  ///< true if the object is part of the background
-    LabelNote note = LabelNote::none;
+    LabelNote note{};
     /// The box of a moving actor matches its points only when the sensor points at it.
     BoxState faced;
     BoxState at_stamp;                    ///< state at RecordedSweep::first_ns

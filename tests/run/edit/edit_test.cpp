@@ -74,6 +74,15 @@ void expect_near(const Pose& first, const Pose& second, double tolerance = 1e-12
               tolerance);
 }
 
+TEST(Edit, ClassesAreSetOnActorsAndOnOtherLabels) {
+    const SceneWithLog d = classify_track(classify_track(example(), "van", "bus"), "walker", "cyclist");
+    EXPECT_EQ(box(d, "van").category, "bus");
+    EXPECT_EQ(box(d, "walker").category, "cyclist") << "it has no model";
+    EXPECT_EQ(box(d, "car").category, "Car");
+    EXPECT_THROW(classify_track(example(), "tram", "bus"), UsageError);
+    EXPECT_THROW(classify_track(example(), "van", ""), UsageError);
+}
+
 TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     const SceneWithLog d = remove_track(example(), "van");
     EXPECT_EQ(tracks(d), (std::vector<std::string>{"", "car"}));

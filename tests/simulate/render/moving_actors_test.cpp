@@ -207,6 +207,41 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     expect_share(20.0, 1.0);
 }
 
+/// A plate fills the front of a labelled box that stands. Rays at |y| < 1.1 m, the side
+/// of the box with its margin, hit the plate 10 m ahead.
+TEST_F(MovingActors, AWallHidesHalfOfAParkedVan) {
+    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
+    const PoseAt sensor = [](double) { return Pose{}; };
+    const auto view_of = [&](const glm::dvec3& box_m, float first_wall_y_m) {
+        const PoseAt parked = [&](double) { return Pose{{1, 0, 0, 0}, box_m}; };
+        Log log = drive(7200, sensor, parked, {4.0, 2.0, 2.0});
+        Surfels surfels;
+        add_wall(surfels, {10.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.5f));
+        for (int k = 0; k < 6; ++k)
+            add_wall(surfels, {5.0f, first_wall_y_m + float(0.25 * edge + 0.45 * k), 0.0f},
+                     glm::quat(0, 0, 0, 1), {2.0f, 0.25f});
+        Config config;
+        ScanRenderer renderer(device(), wrap_background(std::move(surfels)), config, log);
+        renderer.count_actor_rays();
+        const ActorViews views = renderer.render(make_sensor(config, log), 0.5).actor_views;
+        return views.empty() ? ActorVisibility{} : views.front();
+    };
+    const double n_rays = 2.0 * std::atan(1.1 / 10.0) / (2.0 * kPi) * 7200.0;
+    const ActorVisibility free = view_of({12.0, 0.0, 0.0}, 20.0f), half = view_of({12.0, 0.0, 0.0}, 0.0f),
+                          hidden = view_of({12.0, 0.0, 0.0}, -1.5f),
+                          empty = view_of({12.0, -9.0, 0.0}, 20.0f);
+    EXPECT_EQ(free.track, "actor");
+    EXPECT_NEAR(double(free.n_rays), n_rays, 3.0);
+    EXPECT_EQ(free.n_rays, free.n_rays_alone);
+    EXPECT_NEAR(double(half.n_rays_alone), n_rays, 5.0);
+    EXPECT_NEAR(double(half.n_rays) / double(half.n_rays_alone), 0.5, 0.015);
+    EXPECT_EQ(hidden.n_rays, 0u);
+    EXPECT_NEAR(double(hidden.n_rays_alone), n_rays, 5.0);
+    EXPECT_EQ(empty.track, "actor") << "no surface was observed there";
+    EXPECT_EQ(empty.n_rays_alone, 0u);
+    EXPECT_EQ(view_of({-500.0, 0.0, 0.0}, 20.0f).track, "") << "not a single ray crosses the box";
+}
+
 /// A ray that loses less than half of its light at the edge passes the van.
 TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
     const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));

@@ -195,5 +195,75 @@ TEST(ActorBoxes, ABoxBehindTheSensorHasTheTimeOfItsLargerPart) {
     EXPECT_NEAR(boxes[0].dataset_from_box.translation.x, get_front_m(boxes[0].time_s) - 2.0, 1e-9);
 }
 
+/// Points at 8, 9 and 30 m on the x axis. The box from 8 to 12 m has a margin of 0.1 m,
+/// and its lowest 0.15 m belong to the ground.
+TEST(ActorBoxes, AStandingObjectHasThePointsOfTheBackgroundInItsBox) {
+    RenderedScan scan;
+    const auto add_ray = [&](const glm::vec3& origin_m, float range_m, int instance) {
+        scan.image.origin.push_back(origin_m);
+        scan.image.direction.emplace_back(1.0f, 0.0f, 0.0f);
+        scan.image.range_m.push_back(range_m);
+        scan.image.drop_prob.push_back(0.0f);
+        scan.instance.push_back(instance);
+        scan.time_offset_s.push_back(0.0f);
+    };
+    add_ray({0.0f, 0.0f, 0.0f}, 8.0f, 0);
+    add_ray({0.0f, 1.05f, 0.0f}, 7.95f, 0);  // in the margin
+    add_ray({0.0f, 0.0f, 0.0f}, 9.0f, 1);    // on the actor
+    add_ray({0.0f, 0.0f, 0.0f}, 30.0f, 0);   // behind the box
+    add_ray({0.0f, 0.0f, -0.7f}, 9.0f, 0);   // on the ground
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.world_from_sensor.translation = {100.0, 0.0, 0.0};
+    ScanOutputOptions format;
+    format.world_offset_m = {100.0, 0.0, 0.0};
+    format.instance_names = {"background", "car"};
+    const auto make_box = [](const char* id, double x_m) {
+        return BoxTrack{id, "Car", {4.0, 2.0, 1.5}, {{0.0}, {{{1, 0, 0, 0}, {x_m, 0.0, 0.0}}}}};
+    };
+    format.standing = {make_box("parked", 10.0)};
+    EXPECT_TRUE(actor_boxes_of(scan, format).empty()) << "rays were not counted";
+    scan.actor_views = {{"parked", 2, 8}};
+    std::vector<ActorBox> boxes = actor_boxes_of(scan, format);
+    ASSERT_EQ(boxes.size(), 1u);
+    EXPECT_EQ(boxes[0].n_points, 2u);
+    EXPECT_EQ(boxes[0].visible_share, 0.25);
+    EXPECT_TRUE(boxes[0].is_static);
+    EXPECT_EQ(boxes[0].note, LabelNote::none);
+    EXPECT_EQ(boxes[0].dataset_from_box.translation.x, 110.0);
+    // An actor whose box overlaps by 0.2 m only touches the object; here by 0.3 m.
+    format.actors = {make_box("car", 13.7)};
+    scan.actor_views.push_back({"car", 1, 1});
+    EXPECT_EQ(actor_boxes_of(scan, format)[1].note, LabelNote::covered);
+    format.actors[0] = make_box("car", 13.9);
+    scan.actor_views[0] = {"parked", 0, 0};
+    EXPECT_EQ(actor_boxes_of(scan, format)[1].note, LabelNote::not_observed);
+}
+
+// Each actor appears once per sweep of a rig, at the time of the first ray of all
+// sensors.
+TEST(ActorBoxes, ASweepOfARigHasOneMessageWithAllActors) {
+    ScanOutputOptions left, right;
+    name_topics(left, "left");
+    name_topics(right, "right");
+    left.instance_names = {"background", "car"};
+    left.actors = {{"car", "Car", {4.0, 2.0, 1.5}, {{0.0, 2.0}, {Pose{}, Pose{}}}}};
+    right.actors = left.actors;
+    std::vector<RenderedScan> scans;
+    for (const float first_s : {-0.04f, -0.02f}) {
+        RenderedScan scan;
+        scan.image = {1, 1, {10.0f}, {0.5f}, {0.0f}, {}, {glm::vec3(1.0f, 0.0f, 0.0f)}};
+        scan.instance = {1};
+        scan.time_offset_s = {first_s};
+        scan.ring = {0};
+        scan.time_s = 1.0;
+        scans.push_back(test::complete(std::move(scan)));
+    }
+    ScanMessageEncoder encoder({left, right});
+    std::size_t n_messages = 0;
+    for (const ScanMessage& message : encoder.encode(scans))
+        n_messages += encoder.list_topics()[message.topic].name == "/actors";
+    EXPECT_EQ(n_messages, 1u);
+}
+
 }  // namespace
 }  // namespace relidar

@@ -65,7 +65,8 @@ std::string placement_notes(const SceneWithLog& driving_scene, const Log& origin
 void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, --copy, "
+            "no edit is given; expected at least one of --remove, --move, --class, --retime, --trajectory, "
+            "--copy, "
             "--insert, --keep and --from-ply (see `relidar edit --help`)");
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))

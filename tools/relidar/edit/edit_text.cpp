@@ -135,6 +135,17 @@ EditResult apply_move_edit(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), "moved " + track, ""};
 }
 
+EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
+    const auto [track, name] = split_text(edit, edit.value, edit.value.rfind('='));
+    edited = classify_track(std::move(edited), track, name);
+    const bool is_known = parse_kind(name) != ObjectKind::other;
+    return {std::move(edited), fmt::format("set the class of {} to {}", track, name),
+            is_known ? ""
+                     : fmt::format("the class {} is no vehicle, cyclist or person, so labels have the kind "
+                                   "other",
+                                   name)};
+}
+
 /// @param original track of the actor before the edit; null for a new actor
 std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack* original) {
     const BoxTrack* box = find_box(driving.sequence, id);
@@ -239,6 +250,9 @@ const std::vector<EditOption>& edit_options() {
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
          "shift the full path of an actor by these metres in the frame of its box (forward, left, up), and "
          "turn the actor to the left by yaw_deg"},
+        {"--class", "TRACK=NAME",
+         "set the class of an actor, or of a labelled object in the background, in all labels; vehicle, "
+         "cyclist, person, or a class name of a dataset"},
         {"--retime", "TRACK:seconds",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
         {"--trajectory", "TRACK:FILE.csv",
@@ -258,9 +272,9 @@ const std::vector<EditOption>& edit_options() {
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove},         {"--move", apply_move_edit}, {"--retime", apply_delay},
-        {"--trajectory", apply_trajectory}, {"--copy", apply_copy_edit}, {"--insert", apply_insert},
-        {"--keep", apply_keep_only}};
+        {"--remove", apply_remove}, {"--move", apply_move_edit},        {"--class", apply_class},
+        {"--retime", apply_delay},  {"--trajectory", apply_trajectory}, {"--copy", apply_copy_edit},
+        {"--insert", apply_insert}, {"--keep", apply_keep_only}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {

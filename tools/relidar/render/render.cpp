@@ -433,8 +433,9 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
     command.add_flag("--boxes", options.boxes,
-                     "add the boxes of actors to scans.json, with class, points and visible share (see "
-                     "below), also of hidden actors; traces the rays near each actor a second time");
+                     "add the boxes of actors and of labelled standing objects to scans.json, with class, "
+                     "points and visible share (see below), also of hidden objects; traces the rays near "
+                     "each actor a second time");
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
@@ -452,9 +453,10 @@ they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times 
 `unseen`: the share of rays that mainly cross space that the log did not observe.
 `unseen_sides`: sides of actors that the log did not observe, so that rays pass through them.
 `completed_sides`: sides of actors that are mirror images of the other side.
-`boxes` (with --boxes): the box of each actor at the time at which the sensor faces it, in the
-dataset's world; the number of first returns from it; and its visible share, which is the share of
-its rays that no other object blocks.
+`boxes` (with --boxes): the box of each actor and of each labelled object in the background
+(is_static), at the time at which the sensor faces it, in the dataset's world; the number of first
+returns from it; and its visible share, which is the share of its rays that no other object blocks.
+`note` is "covered" if an actor overlaps a standing object, and "not_observed" if rays pass through.
 )") + make_scan_format_help() +
            R"(ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
 instance (npz, exr, ply, pcd): surface at the median range, the number in `relidar info RUN`;
