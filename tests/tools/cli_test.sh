@@ -523,6 +523,15 @@ editing() {
     good edit run --out cut_in --trajectory 1:paths/Van.csv
     good info cut_in
     says "^ *1 +Car .* [23]-11 .* 11\.50,-3\.50,"
+    sed 's/ z="[0-9.]*"\( h\)/\1/' "$tests/cut_in.xosc" >level.xosc   # positions without z are on the ground
+    "$tests/../../tools/examples/openscenario.py" level.xosc run paths Van=1 Car=0 >/dev/null
+    check "Van is not on the ground" grep -Eq '^0\.25,11\.5,-3\.5,ground,' paths/Van.csv
+    good export run --out van.csv --track 1
+    good edit run --out unchanged --trajectory 1:van.csv
+    check "an exported path has 12 poses" test "$(wc -l <van.csv)" -eq 13
+    bad 2 '--track 9: .*tracks: 0, 1' export run --out van.csv --track 9
+    bad 2 '--out van.ply: .*\.csv' export run --out van.ply --track 1
+    bad 2 '--speed 0=0: .*above 0' edit run --out x --speed 0=0
     good edit run --out late --retime 0:100
     says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json

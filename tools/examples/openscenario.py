@@ -7,6 +7,7 @@ Writes paths/ENTITY.csv for each ENTITY=TRACK and prints the options of `relidar
 actors of other runs first (`relidar edit --insert`). Reads FollowTrajectoryActions in Init, or in
 events that a SimulationTimeCondition starts: polylines of timed WorldPositions. The world is the
 dataset's, time 0 is the first frame of the log. The boxes of entity and actor have the same bottom.
+Without z in all positions of a trajectory, the actor follows the ground.
 """
 import json
 import math
@@ -73,6 +74,8 @@ for entity, start_s, action in (t for t in find_trajectories(root) if t[0] in ac
     x, y, z = (float(box.find("Center").get(key)) for key in "xyz")
     offset = x, y, z + (heights_m[track] - float(box.find("Dimensions").get("height"))) / 2
     rows = place_boxes(read_poses(action, start_s), log["frames"][0]["time_s"], offset)
+    if not any("z" in position.attrib for position in action.iter("WorldPosition")):
+        rows = ([*row[:3], "ground", *row[4:]] for row in rows)
     text = "\n".join(["time_s,x,y,z,yaw_rad,pitch_rad,roll_rad", *(",".join(map(str, row)) for row in rows)])
     pathlib.Path(folder, f"{entity}.csv").write_text(text + "\n")
     print(f"--trajectory {track}:{folder}/{entity}.csv")

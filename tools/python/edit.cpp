@@ -146,6 +146,15 @@ void bind_edit_class(py::module_& module) {
             },
             py::arg("track"), py::arg("seconds"), same,
             "Delays all motion of an actor by this time in seconds.")
+        .def(
+            "speed",
+            [](EditedRun& edits, const std::string& track, double factor) -> EditedRun& {
+                return edits.apply_to_actor(
+                    fmt::format("speed {}={:.6g}", track, factor), track,
+                    [&](SceneWithLog driving) { return scale_speed(std::move(driving), track, factor); });
+            },
+            py::arg("track"), py::arg("factor"), same,
+            "Multiplies the speed of an actor along its path, which begins at the same time.")
         .def("follow", &replace_track, py::arg("track"), py::arg("trajectory"), same,
              "Replaces the trajectory of an actor.\n\n"
              "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, n >= 2")

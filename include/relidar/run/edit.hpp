@@ -23,11 +23,12 @@ struct NewActorMotion {
     /// relidar's world frame, shifted by world_offset_m.
     Pose dataset_from_box;
     double speed_mps = 0.0;
-    /// Poses of the box centre at the times of the log's frames, in the dataset's world
-    /// frame. If the path is empty, the actor moves straight ahead.
+    /// Poses of the box centre, in the dataset's world frame. If the path is empty, the
+    /// actor moves straight ahead.
     PoseTrack dataset_path = {};
     /// Total length, metres, of path sections whose ground the log has not observed.
-    /// There, the height of the actor follows the mean slope of its path.
+    /// There, the height of the actor is interpolated, or follows the mean slope of its
+    /// path.
     double unseen_m = 0.0;
 };
 
@@ -57,14 +58,41 @@ std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, cons
 /// Places an actor on the ground of the background: the plane that is fitted to the level
 /// surfels below the box. The actor is as high above it as in `actor_scene`, or on the
 /// plane if that scene has no ground below the box. A moving actor gets a path that is
-/// straight in x and y and follows the ground. Bridges and trees are not ground: a surfel
-/// is ignored if it is above the log's sensor by more than a quarter of its distance.
+/// straight in x and y and follows the ground, as follow_ground() describes.
 /// @param target_scene scene in which the actor is placed
 /// @param actor_scene scene that contains the actor with the track `actor_track`
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track);
+
+/// Puts a path on the ground. The ground is continuous: it is searched from the log's
+/// vehicle to the start of the path and along the path, at most 0.25 m from where the
+/// ground before leads. Labelled objects that stand still are not ground, and neither are
+/// bridges and trees, which are above the log's sensor by more than a quarter of their
+/// distance. Hidden ground is interpolated.
+/// @param dataset_path  position (x, y) and heading of the box; z, pitch and roll are
+/// ignored
+/// @param clearance_m  as in GroundPlacement
+/// @return the poses of the box centre, with the times of `dataset_path` and between them
+/// @throws UsageError if no ground is observed below the start
+NewActorMotion follow_ground(const SceneWithLogView& target_scene, const PoseTrack& dataset_path,
+                             std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
+                             const std::string& actor_track);
+
+/// Returns the height of the bottom of a box above the ground, metres, at each pose of
+/// its centre. Finds the ground as follow_ground() does. No value where it was not
+/// observed.
+/// @param size_m [3] length, width and height of the box
+std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& scene,
+                                                        const PoseTrack& dataset_path,
+                                                        const glm::dvec3& size_m);
+
+/// Checks actors that an edit has placed, at the times of the frames. Note ids:
+/// "floating": the box is more than 0.3 m above the ground.
+/// "overlap": the box and another box share more than 0.1 m.
+/// @param tracks  the actors to check
+Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks);
 
 /// Removes an actor, so that rays hit the surfaces behind it.
 /// @throws UsageError if no instance has this track, like all functions below with a
@@ -84,6 +112,10 @@ SceneWithLog classify_track(SceneWithLog edited, const std::string& track, const
 /// Delays an actor's track by a number of seconds. With a negative value, the actor
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);
+
+/// Multiplies the speed of an actor. Its track begins at the same time.
+/// @throws UsageError if the factor is not above 0
+SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double factor);
 
 /// Mirrors surfels to the unobserved sides of vehicles whose tracks have changed. An
 /// actor that was moved there and back gets exactly its old track.
@@ -157,5 +189,8 @@ std::string describe_unseen(const Scene& scene, const std::string& track);
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
+/// Reads the trajectory of an actor as read_trajectory() does. If the column z has the
+/// word `ground` in all lines, z is NaN: use follow_ground().
+PoseTrack read_actor_path(const std::filesystem::path& path);
 
 }  // namespace relidar

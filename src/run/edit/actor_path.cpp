@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "base/csv.hpp"
 #include "base/fail.hpp"
@@ -19,6 +20,7 @@ constexpr std::size_t kMaxUnnamedColumns = 7;
 constexpr std::size_t kMinColumns = 5;
 // seconds since 1970 are smaller
 constexpr double kMaxNumber = 1e10;
+constexpr std::string_view kGroundWord = "ground";
 const std::vector<std::string> kColumnNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
                                             "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
@@ -53,7 +55,8 @@ FieldColumnIndices default_columns(std::size_t n_columns, const std::string& err
 }
 
 /// Reads the values of a line. A field without a column is 0. Pitch and roll may be
-/// missing at the end of a line if the file has no header.
+/// missing at the end of a line if the file has no header. z is NaN for the word
+/// `ground`.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& cells,
                                           const FieldColumnIndices& column_indices,
@@ -69,6 +72,10 @@ std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& c
                  cells.size(), std::ranges::count_if(column_indices, [](int place) { return place >= 0; }),
                  kColumnNames[f]);
         const std::string_view cell = cells[static_cast<std::size_t>(column_indices[f])];
+        if (f == kZ && cell == kGroundWord) {
+            row[f] = std::numeric_limits<double>::quiet_NaN();
+            continue;
+        }
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kMaxNumber))
             fail("{}: {}: found \"{}\", expected a finite number of at most {:.0e}", error_location,
@@ -81,6 +88,14 @@ std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& c
 }  // namespace
 
 PoseTrack read_trajectory(const std::filesystem::path& path) {
+    PoseTrack track = read_actor_path(path);
+    if (std::isnan(track.pose.front().translation.z))
+        fail("{}: found `ground` in the column z, expected numbers, because the path is not that of an actor",
+             path.string());
+    return track;
+}
+
+PoseTrack read_actor_path(const std::filesystem::path& path) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
@@ -109,6 +124,8 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,
                  row[kTime], track.time_s.back());
+        if (!track.pose.empty() && std::isnan(row[kZ]) != std::isnan(track.pose.front().translation.z))
+            fail("{}: the column z has numbers and the word `ground`, expected only one of them", where);
         track.time_s.push_back(row[kTime]);
         // Each angle is in degrees or in radians. The other field is 0.
         const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];

@@ -10,6 +10,7 @@
 #include <relidar/scene/symmetry.hpp>
 
 #include "base/fail.hpp"
+#include "run/edit/tracks.hpp"
 
 namespace relidar {
 
@@ -146,24 +147,6 @@ void check_trajectory(const PoseTrack& track, const std::string& track_id) {
                             "increasing times");
 }
 
-/// Adds interpolated poses to a track, so that steps are at most `max_step_s` long.
-/// Reason: a box is also present up to half a time step before its first and after its
-/// last pose. Short steps keep this extra time short.
-PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
-    PoseTrack fine;
-    for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
-        const double span = track.time_s[i + 1] - track.time_s[i];
-        const int n = std::max(1, static_cast<int>(std::ceil(span / max_step_s - 1e-9)));
-        for (int k = 0; k < n; ++k) {
-            fine.time_s.push_back(track.time_s[i] + span * k / n);
-            fine.pose.push_back(interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
-        }
-    }
-    fine.time_s.push_back(track.time_s.back());
-    fine.pose.push_back(track.pose.back());
-    return fine;
-}
-
 /// Returns the model that an earlier edit has made from `model` by completing it, if any.
 std::optional<std::uint32_t> find_mirrored_model(const Scene& scene, const SurfelModel& model) {
     ObservedBoxSurface completed = *model.surface;
@@ -238,6 +221,21 @@ void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const
 
 }  // namespace
 
+PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
+    PoseTrack fine;
+    for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
+        const double span = track.time_s[i + 1] - track.time_s[i];
+        const int n = std::max(1, static_cast<int>(std::ceil(span / max_step_s - 1e-9)));
+        for (int k = 0; k < n; ++k) {
+            fine.time_s.push_back(track.time_s[i] + span * k / n);
+            fine.pose.push_back(interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
+        }
+    }
+    fine.time_s.push_back(track.time_s.back());
+    fine.pose.push_back(track.pose.back());
+    return fine;
+}
+
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) {
     find_instance(scene_and_log, track);
     keep_actors(scene_and_log, [&](const std::string& name) { return name != track; });
@@ -265,6 +263,18 @@ SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, d
     for (double& time_s : world_from_box.time_s) time_s += delay_s;
     check_finite_poses(world_from_box, track);
     return scene_and_log;
+}
+
+SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double factor) {
+    PoseTrack& world_from_box = mutable_box(edited, track).world_from_box;
+    if (!(factor > 0.0 && factor <= kLargestNumber))
+        fail<UsageError>(
+            "cannot change the speed of track \"{}\": found the factor {}, expected a number above 0", track,
+            factor);
+    const double start_s = world_from_box.time_s.empty() ? 0.0 : world_from_box.time_s.front();
+    for (double& time_s : world_from_box.time_s) time_s = start_s + (time_s - start_s) / factor;
+    check_finite_poses(world_from_box, track);
+    return edited;
 }
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {

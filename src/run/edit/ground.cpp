@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // The ground is the plane that contains most of the level surfels of the background below
 // a box: candidates from random samples of three surfels, scored as in MSAC (Torr and
-// Zisserman 2000), then least squares.
+// Zisserman 2000), then least squares. A path begins at the log's vehicle, which stands
+// on the ground. Each next plane is near the plane before it, so a path never climbs a
+// car.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -9,6 +11,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <map>
 #include <vector>
 
 #include <relidar/run/run.hpp>
@@ -16,6 +19,7 @@
 #include "base/geometry/plane_sums.hpp"
 #include "base/median.hpp"
 #include "base/random.hpp"
+#include "run/edit/tracks.hpp"
 
 namespace relidar {
 namespace {
@@ -45,6 +49,16 @@ constexpr double kMinSpread_m = 0.15;
 constexpr int kRansacDraws = 200;
 // positions along a track at which the height above the ground is measured
 constexpr int kClearanceSamples = 16;
+// Largest step between two points of a path at which the ground is searched.
+constexpr double kGroundStep_m = 1.0;
+// Largest distance of a surfel from the expected ground: above a kerb, below a bonnet. It
+// grows with the length of path whose ground is hidden, because slopes change.
+constexpr double kMaxGroundJump_m = 0.25, kJumpPerHidden = 0.05;
+// Longest hidden path across which the ground below an object is computed.
+constexpr double kMaxHidden_m = 10.0;
+// Surfels that are higher above the bottom of a labelled object belong to the object.
+// Labels are this much smaller than their object.
+constexpr double kObjectFoot_m = 0.3, kLabelMargin_m = 0.2;
 
 struct GroundPlane {
     glm::dvec3 origin_m{0.0};
@@ -67,6 +81,7 @@ struct Footprint {
                      dy = point.y - centre_m.y;
         return {c * dx + s * dy, c * dy - s * dx};
     }
+    double reach_m() const { return glm::length(half_m); }
     bool contains_point(const glm::dvec3& point, double margin_m) const {
         const glm::dvec2 d = glm::abs(to_footprint(point));
         return d.x <= half_m.x + margin_m && d.y <= half_m.y + margin_m;
@@ -87,11 +102,16 @@ glm::dvec3 surfel_normal(const glm::vec4& rotation_wxyz) {
            glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// If the background is stored in blocks, loads only the blocks near the given positions.
+/// Surfels on which an actor can stand. Leaves out labelled objects that stand still. If
+/// the background is stored in blocks, loads only the blocks near the given positions.
 class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
         : sensor_track_(driving.sequence.lidar_track(0)) {
+        for (const BoxTrack& box : driving.sequence.boxes)
+            if (!box.world_from_box.pose.empty() && !box.is_moving())
+                standing_.push_back(
+                    {inverse(box.world_from_box.pose[box.world_from_box.pose.size() / 2]), 0.5 * box.size_m});
         add_surfels(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
             const auto is_near_block = [&](const glm::dvec2& p) {
@@ -101,18 +121,35 @@ public:
             };
             if (std::ranges::any_of(positions_xy, is_near_block)) add_surfels(load_block(block), block.count);
         }
+        std::ranges::sort(points_, {}, &glm::dvec3::x);
     }
+
+    /// A plane near which the ground is expected, and the largest distance from it.
+    struct ExpectedGround {
+        GroundPlane plane;
+        double max_distance_m;
+    };
 
     /// Returns the ground plane below a footprint, or nothing if there are too few level
     /// surfels. Ignores surfels far above the sensor, such as bridges and trees.
-    std::optional<GroundPlane> fit_below(const Footprint& footprint) const {
+    /// @param expected  ignores surfels far from this plane, if it is known
+    std::optional<GroundPlane> fit_below(const Footprint& footprint,
+                                         const std::optional<ExpectedGround>& expected = {}) const {
         const glm::dvec3 sensor = nearest_pose(sensor_track_, footprint.centre_m).translation;
         const double highest_m =
             sensor.z + kMaxSightSlope * glm::distance(glm::dvec2(sensor), footprint.centre_m);
+        const auto is_candidate = [&](const glm::dvec3& p) {
+            return p.z < highest_m &&
+                   (!expected || std::abs(expected->plane.height_above(p)) < expected->max_distance_m);
+        };
         for (const double margin_m : kSearchMargins_m) {
+            // `points_` is sorted by x.
+            const double reach_m = footprint.reach_m() + 2.0 * margin_m;
+            const auto first =
+                std::ranges::lower_bound(points_, footprint.centre_m.x - reach_m, {}, &glm::dvec3::x);
             std::vector<glm::dvec3> points;
-            for (const glm::dvec3& p : points_)
-                if (p.z < highest_m && footprint.contains_point(p, margin_m)) points.push_back(p);
+            for (auto p = first; p != points_.end() && p->x <= footprint.centre_m.x + reach_m; ++p)
+                if (footprint.contains_point(*p, margin_m) && is_candidate(*p)) points.push_back(*p);
             if (const std::optional<GroundPlane> plane = fit_plane(points, footprint, margin_m)) return plane;
         }
         return {};
@@ -131,8 +168,17 @@ private:
         const bool has_normals = properties_of(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n_surfels; ++i)
             if (surfels.opacity_logit[i] > kMinOpacityLogit &&
-                (!has_normals || std::abs(surfel_normal(surfels.rotation[i]).z) > kMinLevelNormalZ))
+                (!has_normals || std::abs(surfel_normal(surfels.rotation[i]).z) > kMinLevelNormalZ) &&
+                !is_on_object(glm::dvec3(surfels.mean[i])))
                 points_.emplace_back(surfels.mean[i]);
+    }
+
+    bool is_on_object(const glm::dvec3& point) const {
+        return std::ranges::any_of(standing_, [&](const StandingBox& box) {
+            const glm::dvec3 p = box.box_from_world * point, apart = glm::abs(p) - box.half_m;
+            return apart.x < kLabelMargin_m && apart.y < kLabelMargin_m && apart.z < kLabelMargin_m &&
+                   p.z > kObjectFoot_m - box.half_m.z;
+        });
     }
 
     /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
@@ -189,7 +235,12 @@ private:
         return plane;
     }
 
+    struct StandingBox {
+        Pose box_from_world;
+        glm::dvec3 half_m;
+    };
     PoseTrack sensor_track_;
+    std::vector<StandingBox> standing_;
     std::vector<glm::dvec3> points_;
 };
 
@@ -264,69 +315,228 @@ glm::dquat rotate_to_plane(const GroundPlane& plane, double yaw_rad) {
     return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
 }
 
+struct PathPoint {
+    glm::dvec2 position_m{0.0};
+    double yaw_rad = 0.0;
+};
+
+struct PathGround {
+    std::optional<GroundPlane> plane;  ///< no value if nothing near the path was observed
+    bool is_observed = false;          ///< false if `plane` continues the ground before it
+};
+
+/// Returns the points that a path visits, at most kGroundStep_m apart, and the index of
+/// each point of the path in them.
+std::pair<std::vector<PathPoint>, std::vector<std::size_t>> subdivide_path(
+    const PathPoint& start, const std::vector<PathPoint>& path) {
+    std::vector<PathPoint> points{start};
+    std::vector<std::size_t> index;
+    for (const PathPoint& next : path) {
+        const glm::dvec2 from_m = points.back().position_m, way_m = next.position_m - from_m;
+        const int n = int(std::ceil(glm::length(way_m) / kGroundStep_m));
+        for (int k = 1; k <= n; ++k) points.push_back({from_m + way_m * (double(k) / n), next.yaw_rad});
+        index.push_back(points.size() - 1);
+    }
+    return {points, index};
+}
+
+/// Interpolates the ground linearly where it was not observed between two observed
+/// points, so that the path has no step where the ground appears again.
+void join_gaps(std::vector<PathGround>& ground, const std::vector<PathPoint>& points) {
+    std::size_t before = 0;
+    for (std::size_t i = 1; i < ground.size(); ++i) {
+        if (!ground[i].is_observed) continue;
+        const PathGround first = ground[before], last = ground[i];
+        for (std::size_t k = before + 1; k < i && first.is_observed; ++k) {
+            const double share = double(k - before) / double(i - before);
+            const double z = glm::mix(first.plane->height_at(points[before].position_m),
+                                      last.plane->height_at(points[i].position_m), share);
+            ground[k].plane =
+                GroundPlane{{points[k].position_m, z},
+                            glm::normalize(glm::mix(first.plane->normal, last.plane->normal, share))};
+        }
+        before = i;
+    }
+}
+
+/// Finds the ground along paths in a scene.
+class GroundFinder {
+public:
+    GroundFinder(const SceneWithLogView& target, const std::vector<PathPoint>& path)
+        : target_(target), surfels_(target, positions_near(target, path)) {}
+
+    const HorizontalSurfels& surfels() const { return surfels_; }
+
+    /// Returns the ground below each point of a path. Searches from the log's vehicle to
+    /// the first point, and then along the path.
+    std::vector<PathGround> follow_path(const std::vector<PathPoint>& path, const glm::dvec3& size_m) const {
+        const Pose& vehicle = nearest_pose(target_.sequence.lidar_track(0), path.front().position_m);
+        const auto [points, index] =
+            subdivide_path({glm::dvec2(vehicle.translation), heading_rad(vehicle)}, path);
+        std::vector<PathGround> ground;
+        // Where the ground was not observed, the mean direction is used, because a single
+        // normal is noisy.
+        glm::dvec3 normal_sum(0.0);
+        double hidden_m = 0.0;
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            const glm::dvec2& position_m = points[i].position_m;
+            PathGround here;
+            if (i > 0 && ground.back().plane) {
+                const double step_m = glm::distance(position_m, points[i - 1].position_m);
+                here.plane = ground.back().plane;
+                if (!ground.back().is_observed)
+                    here.plane = GroundPlane{
+                        {points[i - 1].position_m, here.plane->height_at(points[i - 1].position_m)},
+                        glm::normalize(normal_sum)};
+                hidden_m = ground.back().is_observed ? step_m : hidden_m + step_m;
+            }
+            const Footprint footprint = make_footprint(position_m, points[i].yaw_rad, size_m);
+            std::optional<GroundPlane> found = find_near(footprint, here.plane, hidden_m);
+            if (!found && here.plane && i == index.front()) found = restart(footprint, *here.plane, hidden_m);
+            here.is_observed = found.has_value();
+            if (found) {
+                here.plane = found;
+                normal_sum += found->normal;
+            }
+            ground.push_back(here);
+        }
+        join_gaps(ground, points);
+        std::vector<PathGround> of_path;
+        for (const std::size_t i : index) of_path.push_back(ground[i]);
+        return of_path;
+    }
+
+private:
+    SceneWithLogView target_;
+    HorizontalSurfels surfels_;
+    mutable std::map<std::string, double> clearance_m_;  ///< by the ids of boxes, because it is slow
+
+    static std::vector<glm::dvec2> positions_near(const SceneWithLogView& target,
+                                                  const std::vector<PathPoint>& path) {
+        std::vector<glm::dvec2> positions;
+        for (const PathPoint& point : path) positions.push_back(point.position_m);
+        positions.emplace_back(nearest_pose(target.sequence.lidar_track(0), positions.front()).translation);
+        return positions;
+    }
+
+    /// Returns the ground below a footprint: a plane that is fitted to surfels, or the
+    /// ground below a box that covers the position. Both must be near the expected plane.
+    std::optional<GroundPlane> find_near(const Footprint& footprint,
+                                         const std::optional<GroundPlane>& expected, double hidden_m) const {
+        const double most_m = kMaxGroundJump_m + kJumpPerHidden * hidden_m;
+        using Expected = std::optional<HorizontalSurfels::ExpectedGround>;
+        const Expected near = expected ? Expected({*expected, most_m}) : Expected();
+        if (const auto plane = surfels_.fit_below(footprint, near)) return plane;
+        const auto below = ground_below_box(footprint.centre_m, target_.sequence, [&](const BoxTrack& box) {
+            const auto [known, is_new] = clearance_m_.try_emplace(box.id, 0.0);
+            if (is_new) known->second = median_clearance_m(target_, box).value_or(0.0);
+            return known->second;
+        });
+        const auto height_m = [&](const GroundPlane& plane) { return plane.height_at(footprint.centre_m); };
+        return below && expected && std::abs(height_m(*below) - height_m(*expected)) > most_m ? std::nullopt
+                                                                                              : below;
+    }
+
+    /// Returns the ground at the start of a path, if none is near the expected ground. A
+    /// higher surface is an object on the ground, unless the ground is hidden for long.
+    std::optional<GroundPlane> restart(const Footprint& footprint, const GroundPlane& expected,
+                                       double hidden_m) const {
+        const std::optional<GroundPlane> any = surfels_.fit_below(footprint);
+        if (!any || hidden_m > kMaxHidden_m) return any;
+        const double z = expected.height_at(footprint.centre_m);
+        return any->height_at(footprint.centre_m) < z ? *any
+                                                      : GroundPlane{{footprint.centre_m, z}, expected.normal};
+    }
+};
+
+/// Points of a path in relidar's world frame.
+std::vector<PathPoint> list_path_points(const PoseTrack& dataset_path, const glm::dvec3& world_offset_m) {
+    std::vector<PathPoint> points;
+    for (const Pose& pose : dataset_path.pose)
+        points.push_back({glm::dvec2(pose.translation - world_offset_m), heading_rad(pose)});
+    return points;
+}
+
+/// Puts the poses of a path on the ground, as follow_ground() describes.
+NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack& path,
+                          std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
+                          const std::string& actor_track) {
+    const BoxTrack& box = find_actor_box(actor_scene, actor_track);
+    const glm::dvec3 offset_m = target_scene.sequence.world_offset_m;
+    const std::vector<PathPoint> points = list_path_points(path, offset_m);
+    const GroundFinder finder(target_scene, points);
+    const std::vector<PathGround> ground = finder.follow_path(points, box.size_m);
+    if (const glm::dvec2 xy = points.front().position_m; !ground.front().is_observed)
+        fail<UsageError>(
+            "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
+            "surface below its box ({}); choose a position on a surface that the log has observed",
+            actor_track, xy.x + offset_m.x, xy.y + offset_m.y, finder.surfels().describe_nearest(xy));
+    if (!clearance_m) clearance_m = median_clearance_m(actor_scene, box);
+    const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
+    NewActorMotion motion;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const auto& [position_m, yaw_rad] = points[i];
+        const GroundPlane& plane = *ground[i].plane;
+        const glm::dvec3 centre_m(position_m, plane.height_at(position_m) + above_m / plane.normal.z);
+        motion.dataset_path.time_s.push_back(path.time_s[i]);
+        motion.dataset_path.pose.push_back({rotate_to_plane(plane, yaw_rad), centre_m + offset_m});
+        if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
+    }
+    motion.dataset_from_box = motion.dataset_path.pose.front();
+    return motion;
+}
+
 }  // namespace
 
 std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, const std::string& track) {
     return median_clearance_m(actor_scene, find_actor_box(actor_scene, track));
 }
 
-/// Places an actor on the ground at its start, and at each frame if it moves. First fits
-/// a plane to surfels, then uses a box that covers the position.
+std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& scene,
+                                                        const PoseTrack& dataset_path,
+                                                        const glm::dvec3& size_m) {
+    const glm::dvec3 offset_m = scene.sequence.world_offset_m;
+    std::vector<std::optional<double>> heights_m(dataset_path.pose.size());
+    if (heights_m.empty()) return heights_m;
+    const std::vector<PathPoint> points = list_path_points(dataset_path, offset_m);
+    const std::vector<PathGround> ground = GroundFinder(scene, points).follow_path(points, size_m);
+    for (std::size_t i = 0; i < ground.size(); ++i) {
+        const Pose& pose = dataset_path.pose[i];
+        const glm::dvec3 bottom_m = pose * glm::dvec3(0.0, 0.0, -0.5 * size_m.z) - offset_m;
+        if (ground[i].is_observed) heights_m[i] = ground[i].plane->height_above(bottom_m);
+    }
+    return heights_m;
+}
+
+NewActorMotion follow_ground(const SceneWithLogView& target_scene, const PoseTrack& dataset_path,
+                             std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
+                             const std::string& actor_track) {
+    const double step_s = std::max(target_scene.sequence.lidars[0].sweep_period_s(), 1e-3);
+    return place_path(target_scene, densify_track(dataset_path, step_s), clearance_m, actor_scene,
+                      actor_track);
+}
+
+/// Places an actor on the ground at its start, and at each frame if it moves.
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track) {
     const Log& sequence = target_scene.sequence;
-    const BoxTrack& box = find_actor_box(actor_scene, actor_track);
-    const glm::dvec3 offset_m = sequence.world_offset_m;
-    const glm::dvec2 xy = placement.dataset_m - glm::dvec2(offset_m);
+    const glm::dvec2 xy = placement.dataset_m - glm::dvec2(sequence.world_offset_m);
     const double yaw_rad =
         placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
-    std::vector<double> times_s;
-    if (placement.speed_mps != 0.0)
-        for (const Frame& frame : sequence.frames)  // LiDARs that sweep together have the same time
-            if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
-    std::vector<glm::dvec2> positions{xy};
-    for (const double time_s : times_s)
-        positions.push_back(xy + placement.speed_mps * (time_s - times_s.front()) *
-                                     glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad)));
-
-    const HorizontalSurfels surfels(target_scene, positions);
-    const auto ground_at = [&](const glm::dvec2& position_m) {
-        const std::optional<GroundPlane> plane =
-            surfels.fit_below(make_footprint(position_m, yaw_rad, box.size_m));
-        if (plane) return plane;
-        return ground_below_box(position_m, sequence, [&](const BoxTrack& other_box) {
-            return median_clearance_m(target_scene, other_box).value_or(0.0);
-        });
-    };
-    std::optional<GroundPlane> plane = ground_at(xy);
-    if (!plane)
-        fail<UsageError>(
-            "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
-            "surface below its box ({}); choose a position on a surface that the log has observed",
-            actor_track, placement.dataset_m.x, placement.dataset_m.y, surfels.describe_nearest(xy));
-    const std::optional<double> clearance_m =
-        placement.clearance_m ? placement.clearance_m : ground_clearance(actor_scene, actor_track);
-    const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
-    const auto pose_on = [&](const GroundPlane& ground, const glm::dvec2& position_m) {
-        const glm::dvec3 centre_m(position_m, ground.height_at(position_m) + above_m / ground.normal.z);
-        return Pose{rotate_to_plane(ground, yaw_rad), centre_m + offset_m};
-    };
-    NewActorMotion start{pose_on(*plane, xy), placement.speed_mps};
-    // Where the ground was not observed, the mean direction is used, because a single
-    // normal is noisy.
-    glm::dvec3 normal_sum = plane->normal;
-    for (std::size_t i = 0; i < times_s.size(); ++i) {
-        const glm::dvec2& position_m = positions[i + 1];
-        if (const std::optional<GroundPlane> next = ground_at(position_m)) {
-            plane = next;
-            normal_sum += next->normal;
-        } else {
-            start.unseen_m += glm::distance(position_m, positions[i]);
-            plane = GroundPlane{{positions[i], plane->height_at(positions[i])}, glm::normalize(normal_sum)};
-        }
-        start.dataset_path.time_s.push_back(times_s[i]);
-        start.dataset_path.pose.push_back(pose_on(*plane, position_m));
+    const glm::dvec3 start_m(placement.dataset_m, 0.0), ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
+    PoseTrack path;
+    for (const Frame& frame : sequence.frames) {
+        // LiDARs that sweep together have the same time.
+        if (!path.time_s.empty() && !(frame.time_s > path.time_s.back())) continue;
+        path.time_s.push_back(frame.time_s);
+        path.pose.push_back({make_rotation(yaw_rad, 0.0, 0.0),
+                             start_m + placement.speed_mps * (frame.time_s - path.time_s.front()) * ahead});
     }
+    if (placement.speed_mps == 0.0 || path.time_s.empty())
+        path = {{0.0}, {{make_rotation(yaw_rad, 0.0, 0.0), start_m}}};
+    NewActorMotion start = place_path(target_scene, path, placement.clearance_m, actor_scene, actor_track);
+    start.speed_mps = placement.speed_mps;
+    if (placement.speed_mps == 0.0) start.dataset_path = {};
     return start;
 }
 

@@ -35,6 +35,18 @@ TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
     }
 }
 
+TEST_F(TrajectoryFile, OfAnActorCanBeOnTheGround) {
+    const std::string text = "0,1,2,ground,0\n1,3,4, ground ,90\n";
+    EXPECT_THAT(error(text), test::Names("t.csv ... `ground`")) << "a sensor does not stand on the ground";
+    const PoseTrack track = read_actor_path(folder / "t.csv");
+    ASSERT_EQ(track.pose.size(), 2u);
+    EXPECT_TRUE(std::isnan(track.pose[0].translation.z) && std::isnan(track.pose[1].translation.z));
+    EXPECT_EQ(glm::dvec2(track.pose[1].translation), glm::dvec2(3, 4));
+    EXPECT_THAT(error("0,1,2,ground,0\n1,3,4,5,90\n"), test::Names("line 2 ... z"));
+    EXPECT_THAT(error("0,1,2,5,0\n1,3,4,ground,90\n"), test::Names("line 2 ... z"));
+    EXPECT_THAT(error("0,1,2,5,0\n1,ground,4,5,90\n"), test::Names("line 2 ... x"));
+}
+
 TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
     const PoseTrack track = read("0,0,0,0,0\n1,0,0,0,90,30,20\n");
     const double degree = kPi / 180.0;  // R = Rz(90) Ry(30) Rx(20): columns by hand

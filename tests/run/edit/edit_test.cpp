@@ -95,6 +95,18 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 
 /// The van has labels from 0 to 0.9 s. Delayed by 0.4 s, it is absent from frames 0 to 3,
 /// because a track extends half a step before its first pose.
+TEST(Edit, ScaledSpeedReachesPlacesEarlier) {
+    const SceneWithLog before = example(), fast = scale_speed(before, "van", 2.0);
+    const PoseTrack &was = box(before, "van").world_from_box, &is = box(fast, "van").world_from_box;
+    const double start_s = was.time_s.front();
+    for (const double t : {0.0, 0.1, 0.3})
+        expect_near(is.pose_at(start_s + t), was.pose_at(start_s + 2.0 * t));
+    EXPECT_NEAR(is.time_s.back() - start_s, 0.5 * (was.time_s.back() - start_s), 1e-12);
+    for (const double wrong : {0.0, -1.0, std::nan(""), 1e300})
+        EXPECT_THROW((void)scale_speed(before, "van", wrong), UsageError) << wrong;
+    EXPECT_THROW((void)scale_speed(before, "vam", 2.0), UsageError);
+}
+
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");

@@ -2,6 +2,7 @@
 // Tests placing actors on the ground: on an exact slope, below a roof, next to a wall,
 // and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
+#include <numeric>
 
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
@@ -28,6 +29,11 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
     surfels.mean[i] = mean;
     surfels.rotation[i] = {q.w, q.x, q.y, q.z};
     surfels.opacity_logit[i] = 2.0f;
+}
+
+glm::dquat rotation_to_slope() {
+    const glm::dvec3 up(0.0, 0.0, 1.0);
+    return glm::angleAxis(std::acos(kSlopeNormal.z), glm::normalize(glm::cross(up, kSlopeNormal)));
 }
 
 double compute_slope_height(double x, double y) { return kAlong * x + kAcross * y; }
@@ -178,6 +184,123 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
         << "no ground where it drove itself: the box's bottom lies on the plane";
     EXPECT_GT((pose.rotation * glm::dvec3(0, 0, 1)).z, std::cos(0.02))
         << "least squares over all of them would tilt it by 0.06";
+}
+
+/// Replaces the surfels of the slope below a car by those of its roof and its bonnet.
+void park_car(SceneWithLog& d, double x_m, double y_m) {
+    const std::uint32_t n = d.scene.models[0].count;
+    Surfels background;
+    const auto is_below = [&](const glm::vec3& p) {
+        return std::abs(p.x - x_m) < 2.2 && std::abs(p.y - y_m) < 1.0;
+    };
+    for (std::size_t i = 0; i < n; ++i)
+        if (!is_below(d.scene.surfels.mean[i])) background.append_surfels(d.scene.surfels.slice(i, 1));
+    for (double x = x_m - 2.0; x <= x_m + 2.0; x += 0.1)
+        for (double y = y_m - 0.8; y <= y_m + 0.8; y += 0.1)
+            add_surfel(background, {x, y, compute_slope_height(x, y) + (x > x_m + 1.0 ? 0.8 : 1.4)},
+                       kSlopeNormal);
+    const auto n_background = std::uint32_t(background.size());
+    background.append_surfels(d.scene.surfels.slice(n, 1));
+    d.scene.surfels = background;
+    d.scene.models[0].count = d.scene.models[1].first = n_background;
+}
+
+TEST(Ground, IsNotAParkedCarInThePath) {
+    for (const bool is_labelled : {false, true}) {
+        SceneWithLog d = make_slope();
+        park_car(d, 4.0, 2.0);
+        if (is_labelled) {
+            const Pose pose{rotation_to_slope(), {4.0, 2.0, compute_slope_height(4.0, 2.0) + 0.75}};
+            d.sequence.boxes.push_back({"parked", "Car", {4.2, 1.8, 1.5}, {{0.0, 0.4}, {pose, pose}}});
+        }
+        // stands on the road below the parked car
+        expect_on_slope(placed(d, 4.0, 2.0, 0.0), 4.0, 2.0, 0.0);
+        for (const double yaw_rad : {0.0, kPi, 0.5}) {
+            const glm::dvec2 ahead(std::cos(yaw_rad), std::sin(yaw_rad)),
+                from = glm::dvec2(4.0, 2.0) - 8.0 * ahead;
+            const NewActorMotion motion =
+                place_on_ground(d, {from + glm::dvec2(kWorldOffset_m), yaw_rad, 40.0}, "van");
+            ASSERT_EQ(motion.dataset_path.pose.size(), 5u);
+            for (const Pose& pose : motion.dataset_path.pose) {
+                const glm::dvec3 p = pose.translation - kWorldOffset_m;
+                expect_on_slope({pose.rotation, p}, p.x, p.y, yaw_rad);
+            }
+        }
+    }
+}
+
+/// Surfels of the background that are at most half_m from a place in the dataset's world.
+template <class Visit>
+void visit_near(const SceneWithLog& d, const glm::dvec2& dataset_m, const glm::dvec2& half_m,
+                const Visit& visit) {
+    for (std::size_t i = 0; i < d.scene.models[0].count; ++i) {
+        const glm::dvec3 p = glm::dvec3(d.scene.surfels.mean[i]) + d.sequence.world_offset_m;
+        if (glm::all(glm::lessThan(glm::abs(glm::dvec2(p) - dataset_m), half_m))) visit(i, p.z);
+    }
+}
+
+/// The road of the street is at z = 0. The parked cars stand 1.1 m from the kerb. The log
+/// does not observe the road below the car whose roof has most surfels.
+constexpr double kParkedY_m = -3.3;
+
+TEST(Ground, HasNoStepAtAParkedCarOfTheStreet) {
+    SceneWithLog d;
+    d.sequence = make_street_log({.n_frames = 12, .rows = 32, .columns = 512});
+    InitOptions options;
+    options.actor_min_points = 10;
+    std::vector<int> frames(12);
+    std::iota(frames.begin(), frames.end(), 0);
+    d.scene = init_scene(d.sequence, frames, options);
+    std::size_t most = 0;
+    glm::dvec2 parked_m(0.0);
+    for (double x = -12.0; x <= 12.0; x += 0.5) {
+        std::size_t n_roof = 0;
+        visit_near(d, {x, kParkedY_m}, {1.0, 0.8},
+                   [&](std::size_t, double z) { n_roof += z > 1.2 && z < 1.6; });
+        if (n_roof > most) parked_m = {x, kParkedY_m};
+        most = std::max(most, n_roof);
+    }
+    ASSERT_GT(most, 30u) << "no car is parked here";
+    visit_near(d, parked_m, {4.0, 1.8}, [&](std::size_t i, double z) {
+        if (z < 0.3) d.scene.surfels.opacity_logit[i] = -20.0f;
+    });
+    const PoseTrack path{{0.0, 3.0},
+                         {{.translation = {parked_m - glm::dvec2(12.0, 0.0), 0.0}},
+                          {.translation = {parked_m + glm::dvec2(12.0, 0.0), 0.0}}}};
+    const SceneWithLogView view{d.scene, d.sequence};
+    const BoxTrack& car = d.sequence.boxes.front();
+    const NewActorMotion motion = follow_ground(view, path, 0.0, view, car.id);
+    for (const Pose& pose : motion.dataset_path.pose)
+        EXPECT_NEAR(pose.translation.z, 0.5 * car.size_m.z, 0.05) << pose.translation.x - parked_m.x;
+    EXPECT_GT(motion.unseen_m, 1.0) << "nothing hides the road";
+}
+
+std::vector<std::string> ids_of(const Notes& notes) {
+    std::vector<std::string> ids;
+    for (const Note& note : notes) ids.push_back(note.id);
+    return ids;
+}
+
+TEST(Placement, NotesGapsAndOverlaps) {
+    const SceneWithLog d = make_slope();
+    const auto notes_of = [](const SceneWithLog& edited, const std::string& track) {
+        return check_placement({edited.scene, edited.sequence}, {track});
+    };
+    EXPECT_EQ(notes_of(d, "van"), Notes{}) << "0.2 m above the slope";
+    const SceneWithLog high = move_track(d, "van", {{1, 0, 0, 0}, {0.0, 0.0, 0.2}});
+    EXPECT_EQ(ids_of(notes_of(high, "van")), std::vector<std::string>{"floating"});
+    EXPECT_THAT(notes_of(high, "van").at(0).text, Names("van ... 0.4"));
+    // The copy stands 5 m ahead of the start of the van, which drives 1 m per frame: its
+    // 4 m long box reaches the copy in frame 2 and is 1 m inside the copy in the last.
+    const Pose start = d.sequence.boxes[0].world_from_box.pose[0];
+    NewActorMotion ahead{{start.rotation, start.translation + glm::dvec3(6.5, 0.0, 0.65) + kWorldOffset_m}};
+    const SceneWithLog crash = copy_track(d, "van", ahead);
+    const Notes notes = notes_of(crash, "van-copy-1");
+    ASSERT_EQ(ids_of(notes), std::vector<std::string>{"overlap"});
+    EXPECT_THAT(notes[0].text, Names("van-copy-1 ... van ... 0.30 ... 0.40"));
+    EXPECT_EQ(ids_of(check_placement({crash.scene, crash.sequence}, {"van-copy-1", "van"})),
+              std::vector<std::string>{"overlap"})
+        << "one note for two placed actors";
 }
 
 class GroundOfBlocks : public TemporaryFolder {};

@@ -46,10 +46,14 @@ std::vector<std::string> changed_tracks(const SceneWithLog& driving_scene, const
     return placed;
 }
 
-/// Actors with sides without observations, or with too few surfels for their distance.
+/// Actors above the ground or inside other objects, with sides without observations, or
+/// with too few surfels for their distance.
 std::string placement_notes(const SceneWithLog& driving_scene, const Log& original_log) {
     std::string text;
-    for (const std::string& track : changed_tracks(driving_scene, original_log)) {
+    const std::vector<std::string> tracks = changed_tracks(driving_scene, original_log);
+    for (const Note& note : check_placement({driving_scene.scene, driving_scene.sequence}, tracks))
+        text += fmt::format("note: {}\n", note.text);
+    for (const std::string& track : tracks) {
         if (const std::string sides = describe_unseen(driving_scene.scene, track); !sides.empty())
             text += fmt::format("note: {}\n", sides);
         const ActorModelResolution detail = model_resolution(driving_scene, track);
@@ -65,9 +69,8 @@ std::string placement_notes(const SceneWithLog& driving_scene, const Log& origin
 void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "no edit is given; expected at least one of --remove, --move, --class, --retime, --trajectory, "
-            "--copy, "
-            "--insert, --keep and --from-ply (see `relidar edit --help`)");
+            "no edit is given; expected at least one of --remove, --move, --class, --retime, --speed, "
+            "--trajectory, --copy, --insert, --keep and --from-ply (see `relidar edit --help`)");
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         fail<UsageError>("--out {}: this is the folder of the run to edit; expected a different folder",
@@ -107,12 +110,13 @@ Positions are box centres in metres in the dataset's world. Copies and inserted 
 at the log's first frame. They are called TRACK-copy-1, and so on.
 If z is `ground`, the surface below the box decides height and tilt. Without yaw_deg the actor
 then faces as the log's vehicle did at its nearest point. A driving actor follows the ground.
+The ground has no steps above 0.3 m, and parked cars are not ground.
 A trajectory has the times of the log. Between its lines, positions are interpolated linearly and
 rotations by slerp. Outside its times the actor is absent. Actors may overlap: a ray meets the
 nearest surface.
 Examples:
   relidar edit run --out empty --remove 0
-  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5
+  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5 --speed 2=1.5
   relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10
   relidar edit run --out parked --copy 0@12,3.5,ground
   relidar edit run --out cleaned --from-ply scene.ply)";

@@ -112,7 +112,7 @@ std::string warn_unobserved(const NewActorMotion& start, const std::string& trac
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
         "actor {}: the log did not record the ground below {:.0f} m of its path, so the height there is only "
-        "estimated from the mean slope of the path",
+        "estimated from the rest of the path",
         track_id, start.unseen_m);
 }
 
@@ -174,11 +174,25 @@ EditResult apply_delay(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
+EditResult apply_speed(SceneWithLog edited, const EditArgument& edit) {
+    const auto [track, factor] = split_text(edit, edit.value, edit.value.rfind('='));
+    const BoxTrack before = find_box_track(edited, track);
+    edited = scale_speed(std::move(edited), track, parse_numbers(edit, factor, 1, 1)[0]);
+    const std::string note = warn_absent(edited, track, &before);
+    return {std::move(edited), fmt::format("multiplied the speed of {} by {}", track, factor), note};
+}
+
 EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = find_box_track(edited, track);
-    edited = replace_track(std::move(edited), track, read_trajectory(file));
-    const std::string note = warn_absent(edited, track, &before);
+    NewActorMotion motion{{}, 0.0, read_actor_path(file)};
+    if (std::isnan(motion.dataset_path.pose.front().translation.z)) {
+        const SceneWithLogView scene{edited.scene, edited.sequence};
+        motion = follow_ground(scene, motion.dataset_path, {}, scene, track);
+    }
+    edited = replace_track(std::move(edited), track, motion.dataset_path);
+    const std::string note =
+        join_notes({warn_absent(edited, track, &before), warn_unobserved(motion, track)});
     return {std::move(edited), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -255,9 +269,12 @@ const std::vector<EditOption>& edit_options() {
          "cyclist, person, or a class name of a dataset"},
         {"--retime", "TRACK:seconds",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
+        {"--speed", "TRACK=FACTOR",
+         "multiply the speed of an actor along its path, which begins at the same time"},
         {"--trajectory", "TRACK:FILE.csv",
          "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an optional "
-         "header line names the columns in any order, and names that end in _rad are in radians"},
+         "header line names the columns in any order, and names that end in _rad are in radians; with the "
+         "word `ground` in the column z, the surface below gives height, pitch and roll"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "add a copy of an actor that starts at this pose and drives straight ahead at speed m/s; with "
          "`ground` instead of z, the surface below gives its height and tilt"},
@@ -273,7 +290,8 @@ EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
         {"--remove", apply_remove}, {"--move", apply_move_edit},        {"--class", apply_class},
-        {"--retime", apply_delay},  {"--trajectory", apply_trajectory}, {"--copy", apply_copy_edit},
+        {"--retime", apply_delay},  {"--speed", apply_speed},           {"--trajectory", apply_trajectory},
+        {"--copy", apply_copy_edit},
         {"--insert", apply_insert}, {"--keep", apply_keep_only}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/log/trajectory_csv.hpp>
@@ -26,6 +27,7 @@ struct ExportOptions {
     std::string run;
     std::string out;
     std::optional<std::string> frames;
+    std::optional<std::string> track;
     bool quiet = false;
 };
 
@@ -54,8 +56,22 @@ void export_frames(const ExportOptions& options) {
                           positions.size() == 1 ? "" : "s"));
 }
 
+/// Returns the track of an actor, or the path of the sensor if no track is selected.
+const PoseTrack& path_of(const Log& log, const PoseTrack& sensor_path,
+                         const std::optional<std::string>& track) {
+    if (!track) return sensor_path;
+    if (const BoxTrack* box = find_box(log, *track)) return box->world_from_box;
+    std::vector<std::string> ids;
+    for (const BoxTrack& box : log.boxes) ids.push_back(box.id);
+    fail<UsageError>("--track {}: the run has no such track{} (tracks: {})", *track,
+                     did_you_mean(*track, ids, "\""), fmt::join(ids, ", "));
+}
+
 void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
+    if (options.track && (options.frames || out.extension() != ".csv"))
+        fail<UsageError>("--out {}: expected a name that ends in .csv and no --frames, because of --track",
+                         options.out);
     if (options.frames) {
         if (out.has_extension())
             fail<UsageError>("--out {}: found the ending {}; expected a folder, because of --frames",
@@ -78,8 +94,10 @@ void run_export(const ExportOptions& options) {
         written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
                               run.scene.models.size() == 1 ? "" : "s");
     } else {
-        write_trajectory(out, shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m));
-        written = fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
+        const PoseTrack sensor_path = run.sequence.lidar_track(0);
+        const PoseTrack& path = path_of(run.sequence, sensor_path, options.track);
+        write_trajectory(out, shift_track(path, run.sequence.world_offset_m));
+        written = fmt::format("{} poses", path.pose.size());
     }
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
@@ -91,11 +109,12 @@ same scene. If an editor drops them, it must keep the positions of the surfels. 
 stored in the frame of its box, at the origin and not deformed. With --frames all surfels are in
 world coordinates; `relidar edit` cannot read such files.
 The path has the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world. render
---trajectory and edit --trajectory read it.
+--trajectory and edit --trajectory read it. With --track it has the centre of the actor's box.
 Examples:
   relidar export run --out scene.ply
   relidar export run --out frames --frames 10:20
-  relidar export run --out trajectory.csv)";
+  relidar export run --out trajectory.csv
+  relidar export run --out car.csv --track 0)";
 
 }  // namespace
 
@@ -114,6 +133,9 @@ void add_export(CLI::App& app, ParsedCommand& call) {
                      "for each of these frames (FIRST:END, test, train or all), write one file with the "
                      "background and all actors at their poses")
         ->type_name("A:B");
+    command
+        ->add_option("--track", options->track, "write the path of this actor to the .csv, not the sensor's")
+        ->type_name("NAME");
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks where an edit has placed actors: above the ground, or inside other objects.
+#include <relidar/run/edit.hpp>
+
+#include <cmath>
+
+#include "base/fail.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kMaxGap_m = 0.3;
+// Labels are a few centimetres larger or smaller than their objects.
+constexpr double kMinOverlap_m = 0.1;
+
+std::vector<double> frame_times_s(const Log& log) {
+    std::vector<double> times_s;
+    for (const Frame& frame : log.frames)
+        if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
+    return times_s;
+}
+
+/// Returns by how much two boxes overlap along the axis of a side on which they overlap
+/// least. Negative if they are apart.
+double overlap_m(const Pose& first, const glm::dvec3& first_size_m, const Pose& second,
+                 const glm::dvec3& second_size_m) {
+    const glm::dmat3 a = glm::mat3_cast(first.rotation), b = glm::mat3_cast(second.rotation);
+    double least_m = INFINITY;
+    for (int k = 0; k < 6; ++k) {
+        const glm::dvec3 axis = k < 3 ? a[k] : b[k - 3];
+        const double half_m =
+            0.5 * (glm::dot(first_size_m, glm::abs(axis * a)) + glm::dot(second_size_m, glm::abs(axis * b)));
+        least_m =
+            std::min(least_m, half_m - std::abs(glm::dot(axis, second.translation - first.translation)));
+    }
+    return least_m;
+}
+
+void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& box) {
+    PoseTrack path;
+    for (const double time_s : frame_times_s(edited.sequence))
+        if (box.is_observed(time_s)) {
+            path.time_s.push_back(time_s);
+            path.pose.push_back(box.world_from_box.pose_at(time_s));
+        }
+    const std::vector<std::optional<double>> gaps_m =
+        heights_above_ground(edited, shift_track(path, edited.sequence.world_offset_m), box.size_m);
+    const auto largest = std::ranges::max_element(gaps_m);
+    if (largest == gaps_m.end() || largest->value_or(0.0) <= kMaxGap_m) return;
+    notes.emplace_back(
+        "floating", -1,
+        fmt::format(
+            "actor {} is {:.2f} m above the ground at {:.2f} s, and more than {} m in "
+            "{} of {} frames",
+            box.id, **largest, path.time_s[std::size_t(largest - gaps_m.begin())], kMaxGap_m,
+            std::ranges::count_if(gaps_m, [](const auto& gap_m) { return gap_m.value_or(0.0) > kMaxGap_m; }),
+            gaps_m.size()));
+}
+
+void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const BoxTrack& other) {
+    std::optional<double> first_s, last_s;
+    double most_m = 0.0;
+    for (const double time_s : frame_times_s(log)) {
+        if (!box.is_observed(time_s) || !other.is_observed(time_s)) continue;
+        const double shared_m = overlap_m(box.world_from_box.pose_at(time_s), box.size_m,
+                                          other.world_from_box.pose_at(time_s), other.size_m);
+        if (shared_m <= kMinOverlap_m) continue;
+        if (!first_s) first_s = time_s;
+        last_s = time_s;
+        most_m = std::max(most_m, shared_m);
+    }
+    if (first_s)
+        notes.emplace_back(
+            "overlap", -1,
+            fmt::format("the boxes of {} and {} overlap by up to {:.2f} m between {:.2f} and {:.2f} s",
+                        box.id, other.id, most_m, *first_s, *last_s));
+}
+
+}  // namespace
+
+Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks) {
+    Notes notes;
+    const auto position = [&](const std::string& id) {
+        return std::ranges::find(tracks, id) - tracks.begin();
+    };
+    for (const std::string& track : tracks) {
+        const BoxTrack* box = find_box(edited.sequence, track);
+        if (!box) continue;
+        add_gap_note(notes, edited, *box);
+        // Two placed actors have one note.
+        for (const BoxTrack& other : edited.sequence.boxes)
+            if (other.id != track && position(other.id) > position(track))
+                add_overlap_note(notes, edited.sequence, *box, other);
+    }
+    return notes;
+}
+
+}  // namespace relidar
