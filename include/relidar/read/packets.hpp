@@ -30,6 +30,9 @@ struct PacketOptions {
     /// Packet format of an Ouster (udp_profile_lidar). Empty: RNG19_RFL8_SIG16_NIR16, or
     /// RNG19_RFL8_SIG16_NIR16_DUAL for two returns per ray.
     std::string ouster_profile = {};
+    /// Number of earlier sensors of the same maker in a rig. Each sensor has a pair of
+    /// UDP ports, and the pairs follow each other.
+    int unit = 0;
     /// True: the times of the scans jitter, because a computer stamped the packets when
     /// they arrived. Firings are then counted by their azimuths instead of their times.
     bool times_jitter = false;
@@ -43,6 +46,8 @@ struct PacketCalibrationFile {
 
 /// Returns the names of the sensors whose packets can be written, for messages.
 std::string packet_sensors();
+/// Returns the maker of a sensor whose packets can be written.
+std::string packet_maker(const std::string& sensor_name);
 /// Returns the packet format (udp_profile_lidar) in the metadata of an Ouster, or an
 /// empty text if the file is something else.
 std::string read_udp_profile(const std::filesystem::path& metadata_file);
@@ -72,7 +77,10 @@ public:
     /// Returns the calibration that belongs to the packets. Must be called after the last
     /// scan, because the calibration of an Ouster contains the azimuths of all firings.
     PacketCalibrationFile calibration_file() const;
-    int udp_port() const;  ///< UDP port to which the sensor usually sends
+    /// UDP port of the packets: 2368 for Velodyne and Hesai, 7502 for Ouster, plus two
+    /// for each earlier unit of the maker. The next port is that of the sensor's other
+    /// packets.
+    int udp_port() const;
 
 private:
     struct Impl;

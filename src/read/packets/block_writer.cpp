@@ -64,6 +64,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     : layout_(layout),
       returns_(std::max(options.returns, 1)),
       columns_per_firing_(count_columns(layout, sensor)),
+      unit_(options.unit),
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams(layout)) {

@@ -47,7 +47,7 @@ std::array<int, 2> find_window(const std::vector<bool>& column_has_fired) {
 /// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR
 /// frame points backward; the metadata contain the transform.
 std::string write_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
-                           const std::array<int, 2>& column_window) {
+                           const std::array<int, 2>& column_window, int udp_port) {
     // In Ouster's metadata, the product line of "OS1-64" is called "OS-1-64".
     const bool has_short_name =
         sensor.name.starts_with("OS") && sensor.name.size() > 3 && sensor.name[3] == '-';
@@ -64,7 +64,8 @@ std::string write_metadata(const SpinningSensor& sensor, const std::string& pack
         {"prod_sn", kSerialText},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
-        {"udp_port_lidar", kOusterPort},
+        {"udp_port_lidar", udp_port},
+        {"udp_port_imu", udp_port + 1},
         {"beam_altitude_angles", altitude_deg},
         {"beam_azimuth_angles", azimuth_deg},
         {"lidar_origin_to_beam_origin_mm", 1000.0 * sensor.beams.front().origin_offset_m},
@@ -83,15 +84,16 @@ class OusterWriter : public PacketFormat {
 public:
     OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
         : start_ns_(options.start_ns),
+          port_(kOusterPort + 2 * options.unit),
           sensor_(sensor),
-          format_(parse_metadata(write_metadata(sensor, choose_profile(options), {0, sensor.columns - 1}),
-                                 sensor.name)) {
+          format_(parse_metadata(
+              write_metadata(sensor, choose_profile(options), {0, sensor.columns - 1}, port_), sensor.name)) {
         if (format_->profile->returns < options.returns)
             fail<UsageError>("cannot write packets of {}: the format {} has one return per ray, expected two",
                              sensor.name, format_->profile->name);
     }
 
-    int udp_port() const override { return kOusterPort; }
+    int udp_port() const override { return port_; }
     int firings_per_packet() const override { return format_->columns_per_packet; }
     double firing_period_us() const override { return 1e6 * format_->sensor.period_s / fixed_columns(); }
     int fixed_columns() const override { return format_->sensor.columns; }
@@ -99,7 +101,7 @@ public:
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
     PacketCalibrationFile make_calibration(const std::vector<bool>& fired) const override {
-        return {".json", write_metadata(sensor_, format_->profile->name, find_window(fired))};
+        return {".json", write_metadata(sensor_, format_->profile->name, find_window(fired), port_)};
     }
 
     /// Encodes the columns of one packet. A column has a time stamp, its number, a status
@@ -140,6 +142,7 @@ public:
 
 private:
     const std::int64_t start_ns_;
+    const int port_;
     const SpinningSensor sensor_;
     const std::shared_ptr<const OusterMetadata> format_;
 

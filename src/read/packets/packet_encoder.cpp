@@ -36,6 +36,14 @@ std::string packet_sensors() {
     return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
 }
 
+std::string packet_maker(const std::string& sensor_name) {
+    const auto has = [&](const std::vector<std::string>& names) {
+        return std::ranges::find(names, sensor_name) != names.end();
+    };
+    if (has(packets::velodyne_names())) return "Velodyne";
+    return has(packets::hesai_names()) ? "Hesai" : "Ouster";
+}
+
 struct PacketEncoder::Impl {
     SpinningSensor sensor;
     PacketOptions options;

@@ -97,7 +97,7 @@ public:
     /// @throws UsageError if `sensor` does not have the beams that `layout` describes
     BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
-    int udp_port() const override { return 2368; }
+    int udp_port() const override { return 2368 + 2 * unit_; }
     int firings_per_packet() const override;
     double firing_period_us() const override { return layout_.cycle_us * double(layout_.n_sequences()); }
     int packets_per_firing() const override;
@@ -126,7 +126,7 @@ private:
     };
 
     const PacketLayout& layout_;
-    int returns_, columns_per_firing_;
+    int returns_, columns_per_firing_, unit_;
     std::int64_t start_ns_;
     double sequence_deg_;            ///< rotation of the head between two firing sequences
     std::vector<PacketBeam> beams_;  ///< beams of a firing

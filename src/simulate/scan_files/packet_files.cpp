@@ -20,7 +20,7 @@ PacketFileWriter::PacketFileWriter(fs::path folder, const std::vector<ScanOutput
         std::string name = kPacketsStem;
         if (sensors.size() > 1) name += "_" + to_topic_name(sensors[s].frame_id);
         const fs::path path = folder / (name + ".pcap"), temporary = make_temp_path(path);
-        files_.push_back({path, temporary, PcapWriter(temporary, packets_.encoder(s).udp_port() + int(s))});
+        files_.push_back({path, temporary, PcapWriter(temporary, packets_.encoder(s).udp_port())});
     }
 }
 

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/simulate/scan_packets.hpp>
 
+#include <map>
+
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
@@ -34,13 +36,15 @@ struct ScanPacketEncoder::Impl {
 };
 
 ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> rig) : impl_(std::make_unique<Impl>()) {
+    std::map<std::string, int> n_units;  // by maker
     for (const ScanOutputOptions& format : rig) {
         if (!format.packets.sensor)
             fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
                              packet_sensors());
         const PacketOptions options{.start_ns = format.time_shift_ns,
                                     .returns = format.config.sensor.returns,
-                                    .ouster_profile = format.packets.ouster_profile};
+                                    .ouster_profile = format.packets.ouster_profile,
+                                    .unit = n_units[packet_maker(format.packets.sensor->name)]++};
         impl_->encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
     }
     impl_->sensors = std::move(rig);
