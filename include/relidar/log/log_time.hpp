@@ -20,10 +20,10 @@ inline constexpr std::int64_t kLatestLogStart_ns = 4'000'000'000'000'000'000;
 /// @param clock  rest of the sentence, for example "on the clock of the recorder"
 void set_log_start(Log& sequence, std::int64_t unix_ns, const std::string& clock);
 
-/// Returns the nanoseconds that are added to times of a log in recordings and packets.
-/// All outputs of a run share this value. It is the date of the log. If a stamp would be
-/// negative, the smallest sufficient number of whole seconds is added.
-/// @param first_s  earliest time that is written, if it can be before the log
+/// Returns the nanoseconds that are added to times of a log in recordings and packets. It
+/// is the date of the log. If a stamp would be negative, the smallest sufficient number
+/// of whole seconds is added.
+/// @param first_s  earliest time that is written; default: the earliest ray of all frames
 std::int64_t time_shift_of(const Log& sequence, double first_s = std::numeric_limits<double>::infinity());
 /// Returns a note if time stamps differ from the times and the date of the log. Otherwise
 /// returns an empty text.

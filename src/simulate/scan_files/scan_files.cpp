@@ -166,8 +166,8 @@ std::string make_scan_format_help() {
 }
 
 std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor, double first_scan_s) {
-    if (!run.sequence.frames.empty())
-        first_scan_s = std::min(first_scan_s, run.sequence.frames.front().time_s);
+    if (std::isinf(first_scan_s) && !run.sequence.frames.empty())
+        first_scan_s = run.sequence.frames.front().time_s;
     double first_ray_s = sensor.pattern ? -scan_period_s(*sensor.pattern) : 0.0;
     for (const float t : sensor.rays.time_offset_s) first_ray_s = std::min(first_ray_s, 1.01 * double(t));
     return time_shift_of(run.sequence, first_scan_s + first_ray_s);

@@ -35,6 +35,7 @@ TEST(LogTime, TheShiftIsTheDateOrTheFewestWholeSeconds) {
     EXPECT_EQ(shift(-1000.0), 1001 * kSecond_ns);
     EXPECT_EQ(shift(1.7e9), 0) << "the times of the log are dates";
     EXPECT_EQ(time_shift_of(make_log_from(10.0), -2.5), 3 * kSecond_ns) << "scans before the log";
+    EXPECT_EQ(time_shift_of(make_log_from(0.0), 2.0), 0) << "no scan is before 0 s";
     EXPECT_EQ(time_shift_note(make_log_from(10.0), 0), "");
     EXPECT_THAT(time_shift_note(make_log_from(-1000.0), shift(-1000.0)), test::Names("1001 s later"));
     const std::int64_t start_ns = 1317042145594360375;
