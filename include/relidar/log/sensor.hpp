@@ -3,6 +3,7 @@
 // pixel to which a point belongs. Sensor frame: x forward, y left, z up, metres.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
@@ -174,12 +175,19 @@ struct SpinningSensor {
     /// Azimuth of the centre of column 0. With pi - pi/columns, column 0 begins exactly
     /// at azimuth pi.
     double first_azimuth_rad = 0.0;
+    /// Azimuths of the first and the last ray of a turn. Between the last and the first,
+    /// the head turns without firing. No value: it fires at all azimuths.
+    std::optional<std::array<double, 2>> azimuth_rad = {};
     double min_range_m = 0.0;
     double max_range_m = 80.0;
     double divergence_rad = 0.0;
 
     RangeLimits range_limits() const { return {min_range_m, max_range_m}; }
 };
+
+/// Returns the columns of a turn in which a sensor fires, ascending: all `columns`, or
+/// those within `azimuth_rad`.
+std::vector<int> fired_columns(const SpinningSensor& sensor);
 
 /// Start and direction of a beam in the sensor frame.
 struct BeamRay {

@@ -90,17 +90,39 @@ int offset_columns(const Beam& beam, int n_columns) {
     return int(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
 }
 
+std::vector<int> fired_columns(const SpinningSensor& sensor) {
+    constexpr double kSlack_rad = 1e-9, kTurn_rad = 2.0 * kPi;
+    std::vector<int> columns;
+    const double direction = sensor.clockwise ? -1.0 : 1.0;
+    const auto turned_rad = [&](double azimuth_rad) {  // since the first ray of a turn, 0 to a full turn
+        const double rad = direction * (azimuth_rad - (*sensor.azimuth_rad)[0]) + kSlack_rad;
+        return rad - kTurn_rad * std::floor(rad / kTurn_rad);
+    };
+    const bool fires_always =
+        !sensor.azimuth_rad ||
+        std::abs((*sensor.azimuth_rad)[1] - (*sensor.azimuth_rad)[0]) > kTurn_rad - kSlack_rad;
+    for (int column = 0; column < sensor.columns; ++column)
+        if (fires_always || turned_rad(sensor.first_azimuth_rad - column * kTurn_rad / sensor.columns) <=
+                                turned_rad((*sensor.azimuth_rad)[1]) + kSlack_rad)
+            columns.push_back(column);
+    return columns;
+}
+
 RayTable make_rays(const SpinningSensor& sensor) {
     check_spinning(sensor);
+    const std::vector<int> fired = fired_columns(sensor);
+    if (fired.empty())
+        fail<UsageError>("sensor '{}': found no column within azimuth_deg, expected a wider field of view",
+                         sensor.name);
     const int rows = int(sensor.beams.size()), columns = sensor.columns;
-    RayTable rays = make_ray_table(rows, columns, sensor.divergence_rad);
+    RayTable rays = make_ray_table(rows, int(fired.size()), sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[std::size_t(row)];
         const BeamRays geometry(beam);
         const int shift = offset_columns(beam, columns);
-        std::size_t at = std::size_t(row) * std::size_t(columns);
-        for (int column = 0; column < columns; ++column, ++at) {
+        std::size_t at = std::size_t(row) * fired.size();
+        for (const int column : fired) {
             // The beam points to the azimuth of this column when the head is `shift`
             // columns away.
             const int firing = ((column + shift) % columns + columns) % columns;
@@ -112,7 +134,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);
             rays.time_offset_s[at] = float(head * seconds_per_rad);
-            rays.channel[at] = std::uint16_t(row);
+            rays.channel[at++] = std::uint16_t(row);
         }
     });
     return rays;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/log/sensor_files.hpp>
 
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -26,6 +27,23 @@ struct SensorSpecifier {
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
 };
+
+/// Removes the field of view of a spinning sensor from the end of a name, for example
+/// ":60..-60" from "OS1-64:1024x10:60..-60". Returns nothing if the name has none.
+std::optional<std::array<double, 2>> cut_azimuths(std::string& text) {
+    const std::size_t colon = text.rfind(':'), dots = text.find("..", std::min(colon, text.size()));
+    if (colon == std::string::npos || dots == std::string::npos) return {};
+    const auto first = parse_number(std::string_view(text).substr(colon + 1, dots - colon - 1)),
+               last = parse_number(std::string_view(text).substr(dots + 2));
+    if (!first || !last) return {};
+    if (!(std::max(std::abs(*first), std::abs(*last)) <= 360.0) || *first == *last)
+        fail<UsageError>(
+            "sensor '{}': found azimuths from {} to {} degrees, expected two different numbers from -360 to "
+            "360",
+            text, *first, *last);
+    text.resize(colon);
+    return std::array{*first * kPi / 180.0, *last * kPi / 180.0};
+}
 
 /// Parses "OS1-64:1024x20": name, columns and rate in Hz. Columns and rate are optional.
 /// @throws UsageError if the columns or the rate are out of range
@@ -101,12 +119,23 @@ SensorModel parse_sensor(const std::string& text, const std::string& name, const
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,
                         double default_max_range_m) {
-    const SensorSpecifier name = parse_specifier(name_or_file);
+    std::string full_name = name_or_file;
+    const std::optional<std::array<double, 2>> azimuth_rad = cut_azimuths(full_name);
+    const SensorSpecifier name = parse_specifier(full_name);
+    const auto with_azimuths = [&](SensorModel sensor) {
+        auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
+        if (azimuth_rad && !spinning)
+            fail<UsageError>(
+                "sensor '{}': found a field of view, expected none, because the sensor does not spin",
+                name_or_file);
+        if (azimuth_rad) spinning->azimuth_rad = azimuth_rad;
+        return sensor;
+    };
     if (const auto built_in_sensor = find_built_in(name.name, name.columns, name.rate_hz))
-        return *built_in_sensor;
+        return with_azimuths(*built_in_sensor);
     const std::string extension = fs::path(name.name).extension().string();
     if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(name.name))
-        return read_sensor_file(name, default_max_range_m);
+        return with_azimuths(read_sensor_file(name, default_max_range_m));
     std::vector<std::string> known_names = other_known_names;
     for (const std::string& sensor : list_sensors()) known_names.push_back(sensor);
     fail<UsageError>(
@@ -127,8 +156,9 @@ std::string sensor_file_help() {
            "80), channel (ignored).\n"
            "              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 means 1024 "
            "columns per sweep at 10 Hz\n"
-           "              (default: 1800x10). The names of spinning sensors accept the same suffix, for "
+           "(default: 1800x10). The names of spinning sensors accept the same suffix, for "
            "example VLP-16:900x20.\n"
+           "              :60..-60 at the end of a name is the field of view in the order of rotation.\n"
            "  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and optionally "
            "origin_x_m, origin_y_m,\n"
            "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), min_range_m "
@@ -145,7 +175,11 @@ std::string sensor_file_help() {
            "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", "
            "\"translation_m\": [1,0,2],\n"
            "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of "
-           "the sensor that the rig replaces.";
+           "the sensor that the rig replaces.\n"
+           "              \"vehicle\": {\"length_m\", \"width_m\", \"height_m\", \"rear_axle_to_front_m\", "
+           "\"base_link_m\": [x,y,z] (rear axle on the\n"
+           "              ground), \"boxes\": [{\"centre_m\", \"size_m\"}] (default: one box), \"points\": "
+           "\"drop\" or \"ego\"} blocks rays.";
 }
 
 }  // namespace relidar

@@ -4,6 +4,7 @@
 // - offset_columns(beam).
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <relidar/base/math.hpp>
 
@@ -22,22 +23,33 @@ constexpr double kProbeRange_m =
 /// Finds the ray of each ring in a firing of a scan.
 class FiringRays {
 public:
-    FiringRays(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
-        if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
+    FiringRays(const Scan& scan, const SpinningSensor& sensor) : image_columns_(scan.rays.columns) {
+        if (scan.rays.rows != int(sensor.beams.size()) || image_columns_ < 1)
             fail<UsageError>(
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
                 sensor.name, scan.rays.rows, sensor.beams.size());
-        for (const Beam& beam : sensor.beams) shift_.push_back(offset_columns(beam, columns_));
+        if (sensor.azimuth_rad) {
+            place_.resize(std::size_t(sensor.columns));
+            const std::vector<int> fired = fired_columns(sensor);
+            for (std::size_t i = 0; i < fired.size(); ++i) place_[std::size_t(fired[i])] = i;
+        }
+        for (const Beam& beam : sensor.beams) shift_.push_back(offset_columns(beam, n_firings()));
     }
     std::size_t n_rings() const { return shift_.size(); }
-    int n_firings() const { return columns_; }
-    std::size_t ray_at(std::size_t ring, int firing) const {
-        const int column = ((firing - shift_[ring]) % columns_ + columns_) % columns_;
-        return ring * std::size_t(columns_) + std::size_t(column);
+    int n_firings() const { return place_.empty() ? image_columns_ : int(place_.size()); }
+    /// Returns the index of a ray. No value if it is outside the field of view.
+    std::optional<std::size_t> ray_at(std::size_t ring, int firing) const {
+        const int n = n_firings(), column = ((firing - shift_[ring]) % n + n) % n;
+        const std::optional<std::size_t> place =
+            place_.empty() ? std::size_t(column) : place_[std::size_t(column)];
+        if (!place) return {};
+        return ring * std::size_t(image_columns_) + *place;
     }
 
 private:
-    int columns_;
+    int image_columns_;
+    /// [columns of a turn] columns of the image; empty if they are equal
+    std::vector<std::optional<std::size_t>> place_;
     std::vector<int> shift_;
 };
 
@@ -49,9 +61,9 @@ double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vecto
     for (int firing = 0; firing < rays.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
         for (std::size_t ring = 0; ring < rays.n_rings(); ++ring) {
-            const std::size_t ray = rays.ray_at(ring, firing);
-            if (scan.range_m[ray] <= 0.0f) continue;
-            const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
+            const std::optional<std::size_t> ray = rays.ray_at(ring, firing);
+            if (!ray || scan.range_m[*ray] <= 0.0f) continue;
+            const double time_us = 1e6 * double(scan.rays.time_offset_s[*ray]) - beam_delays_us[ring];
             first = std::min(first, time_us);
             last = std::max(last, time_us);
         }
@@ -64,27 +76,30 @@ double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vecto
 /// return, because their directions are measured. Uses all rays if none has a return.
 FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
                        const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
-    FiringColumn column{.is_measured = true, .returns = {}};
+    FiringColumn column{.returns = {}};
     column.returns.resize(firing_rays.n_rings());
     std::size_t n_returned = 0, n_used = 0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-        const std::size_t ray = firing_rays.ray_at(ring, firing_index);
+        const std::optional<std::size_t> ray = firing_rays.ray_at(ring, firing_index);
+        if (!ray) continue;
+        column.is_measured = true;
         auto& [first, second] = column.returns[ring];
-        first = {scan.range_m[ray], scan.intensity[ray]};
+        first = {scan.range_m[*ray], scan.intensity[*ray]};
         if (!scan.second_returns.empty())
-            second = {scan.second_returns[0].range_m[ray], scan.second_returns[0].intensity[ray]};
+            second = {scan.second_returns[0].range_m[*ray], scan.second_returns[0].intensity[*ray]};
         n_returned += first.range_m > 0.0f;
     }
     double east = 0.0, north = 0.0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-        const std::size_t ray = firing_rays.ray_at(ring, firing_index);
-        const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kProbeRange_m;
+        const std::optional<std::size_t> ray = firing_rays.ray_at(ring, firing_index);
+        if (!ray) continue;
+        const double range_m = n_returned > 0 ? double(scan.range_m[*ray]) : kProbeRange_m;
         if (range_m <= 0.0) continue;
-        const double head = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[ray]) +
-                                                       glm::dvec3(scan.rays.direction[ray]) * range_m);
+        const double head = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[*ray]) +
+                                                       glm::dvec3(scan.rays.direction[*ray]) * range_m);
         east += std::cos(head);
         north += std::sin(head);
-        column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * beam_delays_us[ring];
+        column.time_s += double(scan.rays.time_offset_s[*ray]) - 1e-6 * beam_delays_us[ring];
         ++n_used;
     }
     column.has_returns = n_returned > 0;
@@ -133,6 +148,7 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(
             join_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
+    std::erase_if(columns, [](const FiringColumn& column) { return !column.is_measured; });
     if (has_laser_times) time_empty_firings(columns, sensor.period_s);
     // Sorts firings by the rotation angle of the head. Times in a log are not exact, so
     // they only decide in which turn a firing is.

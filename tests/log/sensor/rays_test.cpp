@@ -41,6 +41,35 @@ TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
     EXPECT_NEAR(make_rays(other).time_offset_s[0], -rays.time_offset_s[0], 1e-9);
 }
 
+/// Column c of 8 faces 157.5 - 45 c degrees. Clockwise from 60 to -60 degrees are the
+/// columns at 22.5 and -22.5 degrees, from -60 to 60 all others.
+TEST(Rays, FieldOfViewSelectsColumns) {
+    const auto columns_between = [](double first_deg, double last_deg, bool clockwise = true) {
+        SpinningSensor sensor = make_two_beams();
+        sensor.clockwise = clockwise;
+        sensor.azimuth_rad = {first_deg * kPi / 180.0, last_deg * kPi / 180.0};
+        EXPECT_EQ(summarise_pattern(sensor).n_rays, 2 * fired_columns(sensor).size());
+        return fired_columns(sensor);
+    };
+    EXPECT_EQ(columns_between(60, -60), (std::vector{3, 4}));
+    EXPECT_EQ(columns_between(-60, 60), (std::vector{0, 1, 2, 5, 6, 7}));
+    EXPECT_EQ(columns_between(60, -60, false), (std::vector{0, 1, 2, 5, 6, 7}));
+    EXPECT_EQ(columns_between(22.5, -22.5), (std::vector{3, 4})) << "both ends are included";
+    EXPECT_EQ(columns_between(180, -180).size(), 8u);
+    SpinningSensor front = make_two_beams();
+    front.azimuth_rad = {kPi / 3.0, -kPi / 3.0};
+    const RayTable some = make_rays(front), all = make_rays(make_two_beams());
+    ASSERT_EQ(std::pair(some.rows, some.columns), std::pair(2, 2));
+    for (std::size_t i = 0; i < 4; ++i) {
+        const std::size_t same = i / 2 * 8 + 3 + i % 2;
+        EXPECT_EQ(some.direction[i], all.direction[same]);
+        EXPECT_EQ(some.time_offset_s[i], all.time_offset_s[same]);
+        EXPECT_EQ(some.channel[i], all.channel[same]);
+    }
+    front.azimuth_rad = {0.1, -0.1};
+    EXPECT_THROW((void)make_rays(front), UsageError) << "no column";
+}
+
 /// Columns of a window end, even if the window is narrower than the allowed gap.
 TEST(Rays, OnlyAFullTurnIsCircular) {
     const auto is_circular = [](const RayTable& rays) {

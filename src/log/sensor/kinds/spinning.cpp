@@ -65,13 +65,26 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
     return json;
 }
 
+/// Reads the azimuths of the first and the last ray, azimuth_deg or azimuth_rad.
+std::optional<std::array<double, 2>> read_azimuths(const JsonField& field) {
+    const bool in_rad = field.has_member("azimuth_rad");
+    if (!in_rad && !field.has_member("azimuth_deg")) return {};
+    const JsonField pair = field.at(in_rad ? "azimuth_rad" : "azimuth_deg");
+    std::array<double, 2> azimuths = pair.numbers<2>();
+    for (double& azimuth : azimuths) azimuth *= in_rad ? 1.0 : kPi / 180.0;
+    if (azimuths[0] == azimuths[1] || std::max(std::abs(azimuths[0]), std::abs(azimuths[1])) > 6.2832)
+        pair.reject("found another pair of numbers",
+                    "expected two different azimuths of at most 360 degrees, in the order of rotation");
+    return azimuths;
+}
+
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
     /// Reads a spinning sensor from JSON. The beams can be missing if only the scans of a
     /// LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
+        check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth", "azimuth"});
         SpinningSensor sensor;
         const auto common = read_common(field, default_name, 0.0);
         sensor.name = common.name;
@@ -83,6 +96,7 @@ struct SpinningFunctions {
         if (field.has_member("beams")) read_beams(field, sensor);
         const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
         sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", middle, kMaxAngle_deg);
+        sensor.azimuth_rad = read_azimuths(field);
         return {sensor.name, "", common.limits, std::move(sensor)};
     }
     static nlohmann::ordered_json write(const SpinningSensor& sensor) {
@@ -90,6 +104,7 @@ struct SpinningFunctions {
                                        {"divergence_rad", sensor.divergence_rad},
                                        {"clockwise", sensor.clockwise},
                                        {"first_azimuth_rad", sensor.first_azimuth_rad}};
+        if (sensor.azimuth_rad) json["azimuth_rad"] = *sensor.azimuth_rad;
         if (sensor.beams.empty()) return json;
         json["columns"] = sensor.columns;
         json["beams"] = nlohmann::ordered_json::array();
@@ -98,15 +113,17 @@ struct SpinningFunctions {
     }
     static RayTable make_rays(const SpinningSensor& sensor, double) { return relidar::make_rays(sensor); }
     static ScanPatternSummary describe(const SpinningSensor& sensor) {
-        return {.n_rays = sensor.beams.size() * std::size_t(sensor.columns), .period_s = sensor.period_s};
+        return {.n_rays = sensor.beams.size() * fired_columns(sensor).size(), .period_s = sensor.period_s};
     }
 };
 
 }  // namespace
 
 PatternKind spinning_kind() {
-    return make_kind<SpinningFunctions>("spinning",
-                                        "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
+    return make_kind<SpinningFunctions>(
+        "spinning",
+        "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}], azimuth_deg: "
+        "[first, last]");
 }
 
 }  // namespace relidar
