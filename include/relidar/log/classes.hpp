@@ -33,9 +33,10 @@ enum class SurfaceClass : std::uint8_t {
     pole,
     sign,       ///< traffic sign or traffic light
     structure,  ///< man-made structure without a more specific class
-    object      ///< small static object, such as a cone or a barrier
+    object,     ///< small static object, such as a cone or a barrier
+    ego         ///< the vehicle that carries the sensor
 };
-inline constexpr std::size_t kSurfaceClasses = 16;
+inline constexpr std::size_t kSurfaceClasses = 17;
 
 /// A cubic cell of the world with labelled points, and their most frequent class.
 struct SurfaceClassCell {

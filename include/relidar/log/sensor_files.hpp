@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/sensor.hpp>
 
 namespace relidar {
@@ -17,7 +18,8 @@ namespace relidar {
 inline constexpr double kDefaultMaxRange_m = 80.0;
 
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"
-/// may follow, for example "beams.csv:1024x10".
+/// may follow, for example "beams.csv:1024x10", and its field of view in degrees, for
+/// example "VLP-16:60..-60" (SpinningSensor::azimuth_rad).
 ///   NAME       a name of list_sensors(), in upper or lower case
 ///   FILE.csv   a beam table (parse_beams()), or a ray table with a line for each
 ///              ray, in firing order. Columns of a ray table: azimuth_deg (positive to
@@ -53,7 +55,8 @@ struct MountedSensor {
     std::string name;
     SensorModel sensor;
     Pose rig_from_sensor;
-    int returns = 1;  ///< number of returns per ray, 1 or 2
+    int returns = 1;        ///< number of returns per ray, 1 or 2
+    VehicleBody body = {};  ///< body of the rig's vehicle, in the frame of the sensor
 };
 
 /// Reads the sensors of a rig from a JSON file with the key "sensors". Returns nothing if
@@ -64,11 +67,24 @@ struct MountedSensor {
 /// FILE.json. File paths are relative to the rig's file. "translation_m" and
 /// "yaw_pitch_roll_deg" are the mounting; the default is 0. The axes are x forward, y
 /// left, z up. Yaw is the first rotation and is positive to the left. "returns" is 2 for
-/// a sensor with two returns per ray. Sensor names are also used as folder names, so they
-/// must be unique. They may contain letters, digits, -, _ and dots.
+/// a sensor with two returns per ray. read_rig_vehicle() reads the key "vehicle". Sensor
+/// names are also used as folder names, so they must be unique. They may contain letters,
+/// digits, -, _ and dots.
 /// @throws DataError naming the sensor and the key that is wrong
 /// @throws errors of find_sensor()
 std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path);
+
+/// Reads the own vehicle of a rig. Returns nothing if the file is not a rig or its rig
+/// has no vehicle.
+///   "vehicle": {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5,
+///               "rear_axle_to_front_m": 3.6, "base_link_m": [-1, 0, -1.8],
+///               "boxes": [{"centre_m": [1.3, 0, 0.7], "size_m": [4.5, 1.8, 1]}],
+///               "points": "drop"}
+/// "base_link_m" is the position of base_link in the frame of the rig: the middle of the
+/// rear axle on the ground. Boxes are in the frame base_link. Without "boxes", the body
+/// is one box from the ground to the height. "points" is "drop" (default) or "ego".
+/// @throws DataError naming the key that is wrong
+std::optional<OwnVehicle> read_rig_vehicle(const std::string& path);
 
 /// Returns the help text for users about the formats of sensor files.
 std::string sensor_file_help();

@@ -14,6 +14,7 @@
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>
@@ -67,7 +68,8 @@ struct RenderedScan {
     /// median range if T never falls below 0.5.
     std::vector<float> mean_range_m;
     std::vector<float> weight;  ///< [n] alpha accumulated along the ray (W).
-    /// [n] index into Scene::instances of the object that the ray hit; -1: none
+    /// [n] index into Scene::instances of the object that the ray hit; -1: none;
+    /// kOwnVehicleInstance: the vehicle that carries the sensor
     std::vector<std::int32_t> instance;
     /// [n] firing time relative to `time_s`; 0 without a rolling shutter
     std::vector<float> time_offset_s;
@@ -201,6 +203,7 @@ struct SimulatedSensor {
     /// False: all rays are fired at the scan's reference time. The settings can override
     /// this: see is_rolling().
     bool rolling_shutter = true;
+    VehicleBody body = {};  ///< blocks rays
 };
 
 /// Returns true if the sensor fires its rays at different times. Without a rolling

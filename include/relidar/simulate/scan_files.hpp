@@ -17,6 +17,7 @@
 #include <relidar/base/images.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/sensor.hpp>
 #include <relidar/log/sequence.hpp>
 #include <relidar/run/config.hpp>
@@ -64,6 +65,10 @@ struct ScanOutputOptions {
     Pose offset;
     /// For the frame of the vehicle in recordings.
     Pose vehicle_from_lidar;
+    std::optional<OwnVehicle> vehicle = {};
+    /// Height of base_link of `vehicle` above the ground, metres: the median over the
+    /// scans. No value if the log has not observed the ground.
+    std::optional<double> base_link_height_m = {};
     bool rolling_shutter = true;
     /// The names of the sensor's other topics begin with this name.
     std::string topic = "/lidar/points";
@@ -83,7 +88,8 @@ struct ScanOutputOptions {
 };
 /// Returns a time shift for ScanOutputOptions::time_shift_ns with which no stamp is
 /// before 1970.
-/// @param first_scan_s  time of the first scan, if it can be before the log
+/// @param first_scan_s  time of the first scan that is written; default: the first frame
+/// of the log
 std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor,
                            double first_scan_s = std::numeric_limits<double>::infinity());
 /// Returns the default format for scans of a run: npz files with rays in the sensor
@@ -101,12 +107,12 @@ std::string to_topic_name(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
-///   mcap    scans.mcap, for Foxglove: foxglove.PointCloud of each sensor (x y z intensity
-///           time instance ring return, channels), FrameTransforms on /tf and /tf_static,
-///           SceneUpdate on /actors with a box for each actor
-///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z intensity
-///           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with Autoware's
-///           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
+///   mcap    scans.mcap, for Foxglove: foxglove.PointCloud of each sensor (x y z
+/// intensity           time instance ring return, channels), FrameTransforms on /tf and
+/// /tf_static,           SceneUpdate on /actors with a box for each actor
+///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z
+/// intensity           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with
+/// Autoware's           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
 ///           (vision_msgs/Detection3DArray) and /actors_autoware (TrackedObjects)
 ///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig (PacketEncoder);
 ///           packets.csv or packets.json has the calibration for the driver
@@ -171,7 +177,7 @@ private:
 /// Writes the scans of a sensor to a folder one by one, and a summary file scans.json.
 /// The files of a scan are FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns];
-///        instance [rows,columns] int32, -1 if nothing was hit;
+///        instance [rows,columns] int32, -1 if nothing was hit, -2 for the own vehicle;
 ///        instance_names [instances], the names of the instances;
 ///        directions, origin [rows,columns,3];
 ///        with sensor.returns = 2: range_2, intensity_2 [rows,columns], 0 if there is no

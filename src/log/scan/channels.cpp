@@ -36,9 +36,11 @@ const BasicChannels& basic_channels() {
                  .meaning = "firing time of the ray, relative to `time_s` of the scan",
                  .of_ray = true},
         .ring = {.name = "ring", .meaning = "number of the beam; beam 0 is the highest", .of_ray = true},
-        .instance = {.name = "instance",
-                     .meaning = "index of the hit object: 0 background, above 0 an actor, -1 no hit",
-                     .none = -1.0},
+        .instance =
+            {.name = "instance",
+             .meaning =
+                 "index of the hit object: 0 background, above 0 an actor, -1 no hit, -2 the own vehicle",
+             .none = -1.0},
     };
     return channels;
 }
@@ -63,7 +65,7 @@ const std::vector<ChannelInfo>& optional_channels() {
         {.name = "class",
          .meaning = "kind of the surface: 0 unknown, 1 vehicle, 2 cyclist, 3 person, 4 other actor, 5 road, "
                     "6 sidewalk, 7 terrain, 8 other ground, 9 building, 10 fence, 11 vegetation, 12 pole, 13 "
-                    "sign, 14 structure, 15 object, -1 no hit",
+                    "sign, 14 structure, 15 object, 16 the own vehicle, -1 no hit",
          .none = -1.0},
         {"spread", "m", "distance between mean and median range"},
         {.name = "seen",

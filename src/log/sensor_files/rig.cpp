@@ -83,9 +83,51 @@ void check_keys(const Json& object, const std::vector<std::string>& known_keys, 
                  fmt::join(known_keys, ", "));
 }
 
-}  // namespace
+double read_length(const Json& json, const char* key, const std::string& place) {
+    const double length_m = json.contains(key) && json.at(key).is_number() ? json.at(key).get<double>() : 0.0;
+    if (!(length_m > 0.0 && length_m <= kMaxOffset_m))
+        fail("{}: the value of {} is invalid, expected a number above 0 and up to {}", place, key,
+             kMaxOffset_m);
+    return length_m;
+}
 
-std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path) {
+OwnVehicle parse_vehicle(const Json& json, const std::string& place) {
+    if (!json.is_object()) fail("{}: the value is not an object, expected an object", place);
+    check_keys(json,
+               {"length_m", "width_m", "height_m", "rear_axle_to_front_m", "base_link_m", "boxes", "points"},
+               place);
+    const double length_m = read_length(json, "length_m", place),
+                 width_m = read_length(json, "width_m", place),
+                 height_m = read_length(json, "height_m", place),
+                 front_m = read_length(json, "rear_axle_to_front_m", place);
+    OwnVehicle vehicle{.json = json.dump()};
+    vehicle.rig_from_base_link.translation = read_vector(json, "base_link_m", kMaxOffset_m, place);
+    const std::string points = json.contains("points") ? read_text(json, "points", place) : "drop";
+    if (points != "drop" && points != "ego")
+        fail("{}: points: found \"{}\", expected drop or ego", place, quote(points));
+    vehicle.keeps_points = points == "ego";
+    const auto add_box = [&](const glm::dvec3& centre_m, const glm::dvec3& size_m) {
+        vehicle.boxes.push_back({{.translation = centre_m}, size_m});
+    };
+    const Json boxes = json.value("boxes", Json());
+    if (boxes.is_null())
+        add_box({front_m - 0.5 * length_m, 0.0, 0.5 * height_m}, {length_m, width_m, height_m});
+    else if (!boxes.is_array() || boxes.empty() || boxes.size() > kMostSensors)
+        fail("{}: boxes: expected a list with 1 to {} boxes", place, kMostSensors);
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        const std::string where = fmt::format("{}: box {}", place, i);
+        if (!boxes[i].is_object()) fail("{}: the value is not an object, expected an object", where);
+        check_keys(boxes[i], {"centre_m", "size_m"}, where);
+        const glm::dvec3 size_m = read_vector(boxes[i], "size_m", kMaxOffset_m, where);
+        if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
+            fail("{}: the value of size_m is invalid, expected three numbers above 0", where);
+        add_box(read_vector(boxes[i], "centre_m", kMaxOffset_m, where), size_m);
+    }
+    return vehicle;
+}
+
+/// Returns null if the file is not a rig.
+Json read_rig_json(const std::string& path) {
     if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
@@ -95,7 +137,22 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
-    check_keys(json, {"sensors"}, path);
+    check_keys(json, {"sensors", "vehicle"}, path);
+    return json;
+}
+
+}  // namespace
+
+std::optional<OwnVehicle> read_rig_vehicle(const std::string& path) {
+    const Json json = read_rig_json(path);
+    if (json.is_null() || !json.contains("vehicle")) return {};
+    return parse_vehicle(json.at("vehicle"), path + ": vehicle");
+}
+
+std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path) {
+    const Json json = read_rig_json(path);
+    if (json.is_null()) return {};
+    const std::optional<OwnVehicle> vehicle = read_rig_vehicle(path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
         fail("{}: the key \"sensors\" is invalid, expected a list with 1 to {} entries", path, kMostSensors);
@@ -113,7 +170,8 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
                                    read_vector(sensor, "translation_m", kMaxOffset_m, where)};
         const Json returns = sensor.contains("returns") ? sensor.at("returns") : Json(1);
         if (returns != 1 && returns != 2) fail("{}: the value of returns is invalid, expected 1 or 2", where);
-        rig.push_back({name, std::move(model), rig_from_sensor, returns.get<int>()});
+        rig.push_back({name, std::move(model), rig_from_sensor, returns.get<int>(),
+                       vehicle ? place_body(*vehicle, rig_from_sensor) : VehicleBody{}});
     }
     return rig;
 }

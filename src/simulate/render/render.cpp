@@ -10,6 +10,7 @@
 #include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 #include "gpu/context.hpp"
+#include "simulate/render/body_rays.hpp"
 #include "simulate/render/channel_makers.hpp"
 #include "simulate/render/empty_scan.hpp"
 #include "simulate/render/footprint.hpp"
@@ -298,6 +299,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
                              : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
     add_beam_channels(scan, channel_inputs(sweep), settings.channels);
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
+    block_rays(scan, sensor.body, sensor.limits);
     ActorViews views, standing_views;
     if (settings.has_views) {
         views = count_first_hits(scan);
@@ -315,6 +317,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
     apply_noise(scan, sweep, seed);
+    block_rays(scan, sensor.body, sensor.limits);  // removes noise from points of the body
     if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
     views.insert(views.end(), standing_views.begin(), standing_views.end());
     scan.actor_views = std::move(views);

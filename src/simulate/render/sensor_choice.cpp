@@ -141,6 +141,7 @@ SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar) {
 SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar) {
     SimulatedSensor choice = simulate_sensor(mounted.sensor, lidar);
     choice.returns = mounted.returns;
+    choice.body = mounted.body;
     return choice;
 }
 

@@ -170,6 +170,12 @@ void ScanFolderWriter::write_summary() const {
         {"recordings", Json::array()},
         {"scans", Json::array()},
         {"settings", settings_json(config)}};
+    if (format_.vehicle) {
+        json["vehicle"] = Json::parse(format_.vehicle->json);
+        json["vehicle"]["base_link_from_sensor"] = matrix_json(format_.vehicle_from_lidar * format_.offset);
+        json["vehicle"]["base_link_height_m"] =
+            format_.base_link_height_m ? Json(*format_.base_link_height_m) : Json();
+    }
     if (recordings_) json["recordings"] = recordings_->list_file_names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text_file(folder_ / kSummaryName, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");

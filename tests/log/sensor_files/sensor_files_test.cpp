@@ -255,6 +255,60 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
 }
 
+TEST(Rigs, TheVehicleBlocksRays) {
+    const auto rig = [](const std::string& vehicle) {
+        return write("vehicle_rig.json",
+                     R"({"sensors": [{"name": "roof", "sensor": "VLP-16", "translation_m": [0.5, 0, 0],
+            "yaw_pitch_roll_deg": [90, 0, 0]}], "vehicle": )" +
+                         vehicle + "}");
+    };
+    const std::string size =
+        R"({"length_m": 4.5, "width_m": 1.8, "height_m": 1.4, "rear_axle_to_front_m": 3.5)";
+    // The rear axle is 1 m behind the rig and 2 m below: the box is 3.5 m ahead of the
+    // axle and 1 m behind it, and reaches from the ground to 1.4 m.
+    const std::string file = rig(size + R"(, "base_link_m": [-1, 0, -2], "points": "ego"})");
+    const OwnVehicle vehicle = read_rig_vehicle(file).value();
+    EXPECT_TRUE(vehicle.keeps_points);
+    ASSERT_EQ(vehicle.boxes.size(), 1u);
+    EXPECT_LT(glm::distance(vehicle.rig_from_base_link * vehicle.boxes[0].frame_from_box.translation,
+                            glm::dvec3(0.25, 0.0, -1.3)),
+              1e-12);
+    // The sensor is at x = 0.5 and looks to the left.
+    const VehicleBody body = read_sensor_rig(file).value()[0].body;
+    ASSERT_EQ(body.boxes.size(), 1u);
+    EXPECT_LT(glm::distance(body.boxes[0].frame_from_box.translation, glm::dvec3(0.0, 0.25, -1.3)), 1e-12);
+    const std::string boxes = R"(, "boxes": [{"centre_m": [1, 0, 1], "size_m": [1, 2, 0.5]},
+        {"centre_m": [2, 0, 1], "size_m": [1, 1, 1]}]})";
+    EXPECT_EQ(read_rig_vehicle(rig(size + boxes)).value().boxes.at(0).size_m, glm::dvec3(1, 2, 0.5));
+    EXPECT_FALSE(read_rig_vehicle("VLP-16"));
+    for (const auto& [text, parts] : std::vector<std::pair<std::string, const char*>>{
+             {"3", "vehicle ... object"},
+             {size + R"(, "hight_m": 2})", "'hight_m' ... 'height_m'"},
+             {R"({"length_m": 4.5})", "width_m"},
+             {size + R"(, "points": "all"})", "points ... drop or ego"},
+             {size + R"(, "boxes": []})", "boxes"},
+             {size + R"(, "boxes": [{"centre_m": [0, 0, 0]}]})", "box 0 ... size_m"}})
+        EXPECT_THAT([&] { read_sensor_rig(rig(text)); }, testing::ThrowsMessage<Error>(Names(parts))) << text;
+}
+
+TEST(SensorFiles, FieldOfViewIsPartOfFilesAndNames) {
+    const auto columns = [](const std::string& name) { return make_rays(find_sensor(name)).columns; };
+    // 1 degree per column: columns are at half degrees, 60 of them from 59.5 to 0.5
+    EXPECT_EQ(columns("VLP-16:360x10:60..0"), 60);
+    EXPECT_EQ(columns("VLP-16:360x10:0..60"), 300);
+    EXPECT_EQ(2 * columns("VLP-16:90..-90"), columns("VLP-16"));
+    const std::string beams = write("view.csv", "elevation_deg\n5\n-5\n");
+    EXPECT_EQ(columns(beams + ":360x10:60..0"), 60);
+    EXPECT_EQ(columns(write("view.json", R"({"spinning": {"columns": 360, "beams": [{"elevation_deg": 1}],
+        "azimuth_deg": [60, 0]}})")),
+              60);
+    expect_message("x.json",
+                   R"({"spinning": {"columns": 360, "beams": [{"elevation_deg": 1}], "azimuth_deg": [60]}})",
+                   "azimuth_deg ... 1 numbers");
+    EXPECT_THROW((void)find_sensor("rosette:60..-60"), UsageError);
+    EXPECT_THROW((void)find_sensor("VLP-16:60..60"), UsageError);
+}
+
 /// The JSON object of a sensor must define the same rays in a file, in a rig and as text.
 TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
     RayTable cones = make_rays(*find_built_in("rosette"), 0.37);
@@ -265,7 +319,8 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
          "",
          {1.0 / 3.0, 200.0 / 3.0},
          WindowScanSensor{"thirds", 4, 6, 1.0 / 3.0, -0.3, 0.1, -0.2, 1.0 / 30.0, 1e-3 / 3.0}}};
-    for (const char* name : {"HDL-64E-KITTI:400x7", "kitti360", "AT128", "window-128", "rosette"})
+    for (const char* name :
+         {"HDL-64E-KITTI:400x7", "VLP-16:400x10:70..-50", "kitti360", "AT128", "window-128", "rosette"})
         sensors.push_back(find_sensor(name));
     for (const SensorModel& sensor : sensors) {
         const std::string text = format_sensor_json(sensor);

@@ -59,6 +59,8 @@ struct RenderOptions {
     bool overwrite = false;
     bool no_refine = false;
     bool quiet = false;
+    std::optional<OwnVehicle> vehicle = {};         ///< of the rig
+    std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
 PointCoordinateFrame parse_frame(const std::string& name) {
@@ -86,6 +88,12 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     ScanOutputOptions format = default_options(run, sensor);
     format.offset = sensor_offset;
     format.time_shift_ns = options.time_shift_ns;
+    if (options.vehicle) {
+        format.vehicle = options.vehicle;
+        format.vehicle_from_lidar =
+            inverse(parse_offset(options.offset) * options.vehicle->rig_from_base_link);
+        format.base_link_height_m = options.base_link_height_m;
+    }
     apply_names(
         format,
         rig_sensor_name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : rig_sensor_name,
@@ -344,6 +352,7 @@ void run_render(const RenderOptions& command_options) {
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.select_device(options.device);
     const SensorRig rig = read_sensor_rig(options.sensor);
+    options.vehicle = read_rig_vehicle(options.sensor);
     check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
@@ -362,9 +371,17 @@ void run_render(const RenderOptions& command_options) {
     const auto sweeps =
         drives ? sweeps_on_path(run, options, track, lidar) : sweeps_of_frames(run, options, lidar);
     const std::vector<MountedSimulatedSensor> targets = list_sensors(options.sensor, rig, run, lidar);
+    const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
     for (const MountedSimulatedSensor& w : targets)
-        options.time_shift_ns = std::max(
-            options.time_shift_ns, time_shift_of(run, w.sensor, drives ? track.time_s.front() : INFINITY));
+        options.time_shift_ns = std::max(options.time_shift_ns, time_shift_of(run, w.sensor, first_s));
+    if (options.vehicle) {
+        const PoseTrack of_log = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
+        const PoseTrack path = drives ? track : mount_track(of_log, offset);
+        PoseTrack at_scans;
+        for (const NumberedScanTime& sweep : sweeps)
+            at_scans.pose.push_back(path.pose_at(sweep.time_s) * options.vehicle->rig_from_base_link);
+        options.base_link_height_m = median_height_m(run, at_scans);
+    }
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
@@ -391,8 +408,12 @@ void run_render(const RenderOptions& command_options) {
     }
     end_progress();
     finish_outputs(output, ranks);
-    if (!options.quiet)
-        print(sweep_renderer.format_summary(share.end - share.begin, sweeps.size(), ranks.size()));
+    if (options.quiet) return;
+    print(sweep_renderer.format_summary(share.end - share.begin, sweeps.size(), ranks.size()));
+    const std::optional<double>& height_m = options.base_link_height_m;
+    if (options.vehicle)
+        print(fmt::format("base_link is {} above the ground\n",
+                          height_m ? fmt::format("{:.2f} m", *height_m) : "an unknown height"));
 }
 
 void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
@@ -460,7 +481,7 @@ returns from it; and its visible share, which is the share of its rays that no o
 )") + make_scan_format_help() +
            R"(ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
 instance (npz, exr, ply, pcd): surface at the median range, the number in `relidar info RUN`;
-0 background, -1 nothing.
+0 background, -1 nothing, -2 the own vehicle.
 )";
 }
 

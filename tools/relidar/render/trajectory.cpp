@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"
@@ -80,6 +81,18 @@ std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack
     std::vector<double> times;
     for (int i = 0; i < static_cast<int>(n); ++i) times.push_back(steps.first + i * steps.step);
     return times;
+}
+
+std::optional<double> median_height_m(const Run& run, const PoseTrack& dataset_path) {
+    constexpr glm::dvec3 kVehicle_m{4.0, 2.0, 0.0};  // area in which the ground is searched
+    std::vector<double> heights_m;
+    for (const std::optional<double>& height_m :
+         heights_above_ground({run.scene, run.sequence}, dataset_path, kVehicle_m))
+        if (height_m) heights_m.push_back(*height_m);
+    if (heights_m.empty()) return {};
+    const auto middle = heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2);
+    std::ranges::nth_element(heights_m, middle);
+    return *middle;
 }
 
 /// Warns if a trajectory leads away from the recorded path, or continues after the end of

@@ -31,6 +31,10 @@ Pose parse_offset(const std::string& text);
 /// trajectory
 std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack& track, double log_rate_hz);
 
+/// Returns the median height above the ground of a point of a vehicle that follows a
+/// path. No value if the log has not observed the ground.
+std::optional<double> median_height_m(const Run& run, const PoseTrack& dataset_path);
+
 /// Far from the recorded path, or after the end of the log, when actors do not exist.
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s);
 
