@@ -69,19 +69,6 @@ PointCoordinateFrame parse_frame(const std::string& name) {
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
-/// Removes the boxes of actors that are not rendered, so that they do not appear in
-/// recordings.
-void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
-    if (visible.empty()) return;
-    const std::vector<bool> shown = select_instances(run.scene, visible);
-    if (!shown.front()) output.standing.clear();
-    std::erase_if(output.actors, [&](const BoxTrack& box) {
-        for (std::size_t i = 0; i < shown.size(); ++i)
-            if (run.scene.instances[i].track == box.id) return !shown[i];
-        return true;
-    });
-}
-
 /// @param rig_sensor_name empty if there is only one sensor
 ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, const SimulatedSensor& sensor,
                               const Pose& sensor_offset, const std::string& rig_sensor_name) {

@@ -30,4 +30,15 @@ std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const 
     return targets;
 }
 
+void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
+    if (visible.empty()) return;
+    const std::vector<bool> shown = select_instances(run.scene, visible);
+    if (!shown.front()) output.standing.clear();
+    std::erase_if(output.actors, [&](const BoxTrack& box) {
+        for (std::size_t i = 0; i < shown.size(); ++i)
+            if (run.scene.instances[i].track == box.id) return !shown[i];
+        return true;
+    });
+}
+
 }  // namespace relidar::cli

@@ -8,6 +8,7 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 
@@ -27,5 +28,10 @@ std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const 
 
 std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar);
+
+/// Removes the boxes of actors that are not rendered, so that they do not appear in
+/// recordings.
+/// @param visible  value of --only
+void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible);
 
 }  // namespace relidar::cli
