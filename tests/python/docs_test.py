@@ -35,7 +35,7 @@ class Docs(TestCase):
     def test_blocks_of_the_guide(self):
         text = (SOURCE / "docs/python.md").read_text()
         blocks = re.findall(r"^```(python.*?)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-        self.assertEqual([kind for kind, _ in blocks], ["python"] * 3 + ["python torch", "python"] + ["python torch"] * 2)
+        self.assertEqual([kind for kind, _ in blocks], ["python"] * 3 + ["python torch", "python"] + ["python torch"] * 3)
         names = {}
         with inside(FOLDER / "guide"), contextlib.redirect_stdout(io.StringIO()):
             for kind, block in blocks:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """Losses of train() that are Python functions, compared with the same loss of the library."""
-import os
-import pathlib
-import re
 import sys
 import unittest
 from unittest import mock
@@ -42,8 +39,8 @@ def scale(batch):
 
 
 class Losses(TestCase):
-    def assert_same_training(self, losses):
-        surfels, line = train(losses=losses)
+    def assert_same_training(self, losses, device=None):
+        surfels, line = train(losses=losses, device=device)
         expected, expected_line = train(WEIGHT)
         for name in expected:
             self.assert_same(surfels[name], expected[name])
@@ -58,13 +55,7 @@ class Losses(TestCase):
             return (error.abs() * float(scale(batch))).sum()
 
         self.assert_same_training([range_loss])
-
-    @unittest.skipUnless(torch, "needs torch")
-    def test_the_example_of_the_guide(self):
-        text = (pathlib.Path(os.environ["RELIDAR_SOURCE_DIR"]) / "docs/python.md").read_text()
-        names = {"relidar": relidar, "log": log(), "config": settings()}
-        exec(re.search(r"^```py\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[1], names)
-        self.assertGreater(len(names["run"].scene), 100)
+        self.assert_same_training([range_loss], relidar.Device(share_memory=False))   # with copies
 
     def test_gradients_by_hand_without_torch(self):
         def range_loss(batch):

@@ -50,13 +50,14 @@ PythonLoss::PythonLoss(SharedDevice device, PythonCallGuard& python_calls, py::f
     : device_(std::move(device)), python_calls_(python_calls), function_(std::move(function)) {
     try {
         torch_ = py::module_::import("torch");
+        tensors_ = py::module_::import("relidar.torch");
     } catch (const py::error_already_set& error) {
         if (!error.matches(PyExc_ModuleNotFoundError)) throw;
     }
 }
 
 py::object PythonLoss::to_tensor(const py::object& array) const {
-    return torch_ ? torch_.attr("from_dlpack")(array) : array.attr("numpy")();
+    return torch_ ? tensors_.attr("_read")(array) : array.attr("numpy")();
 }
 
 void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
@@ -141,7 +142,8 @@ void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch&
     sum.attr("__iadd__")(result);
     if (torch_ && sum.attr("is_cuda").cast<bool>()) torch_.attr("cuda").attr("synchronize")();
     for (const auto& [array, tensor] : {std::pair(upstream, d_rendered), std::pair(term, sum)})
-        if (!array.attr("is_shared").cast<bool>()) array.attr("copy_from")(tensor);
+        if (!(torch_ ? tensors_.attr("_is_shared")(array) : array.attr("is_shared")).cast<bool>())
+            array.attr("copy_from")(tensor);
 }
 
 }  // namespace relidar::python

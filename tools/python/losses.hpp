@@ -23,7 +23,7 @@ private:
     SharedDevice device_;
     PythonCallGuard& python_calls_;
     py::function function_;
-    py::object torch_;  ///< the module, or null if it is not installed
+    py::object torch_, tensors_;  ///< the modules torch and relidar.torch, null without torch
 
     py::object to_tensor(const py::object& array) const;
     py::object make_batch(const RenderedBatch& rendered, const TargetBatch& targets,
