@@ -66,7 +66,7 @@ TEST_F(Files, AByteOrderMarkIsNoText) {
     EXPECT_EQ(read_text_file(folder / "excel.csv"), "x,y\n");
     EXPECT_EQ(read_file(folder / "excel.csv").size(), 7u) << "bytes stay as they are";
     EXPECT_THAT(get_data_error_message([&] { read_text_file(folder / "unicode.csv"); }),
-                test::Names("UTF-16, expected UTF-8"));
+                test::Names("UTF-16 ... UTF-8"));
 }
 
 TEST_F(Files, NumbersInNames) {

@@ -311,7 +311,7 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
         refused("count", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
     refused("7 vertices", [](Parts& p) { p.data += "x"; });
     refused("vertex 5: opacity ... nan", [](Parts& p) { p.value(5, 54) = std::nanf(""); });
-    refused("vertex 2: scale_1 is inf",
+    refused("vertex 2: scale_1 ... inf",
             [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });
     for (const float model : {3.0f, -1.0f, 0.5f, 1e30f})
         refused("vertex 1 ... model", [&](Parts& p) { p.value(1, 94) = model; });

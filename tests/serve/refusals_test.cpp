@@ -48,15 +48,15 @@ v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request, double period_
 const std::vector<Case> kPoseCases = {
     {[](auto& r) { r.clear_path(); }, "path ... 0"},
     {[](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, "path[0].pose.translation.y ... nan"},
-    {[](auto& r) { pose(r).mutable_translation()->set_x(1e300); }, "found 1e+300"},
+    {[](auto& r) { pose(r).mutable_translation()->set_x(1e300); }, "1e+300"},
     {[](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, "path[0].pose.rotation ... nan"},
     {[](auto& r) { pose(r).mutable_rotation()->set_w(2.0); }, "quaternion ... 2"},
     {[](auto& r) { pose(r).mutable_rotation()->Clear(); }, "quaternion ... 0"},
-    {[](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, "path[0].time_s: found nan"},
+    {[](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, "path[0].time_s ... nan"},
     {[](auto& r) { add_pose(*r.mutable_path(), 0.4, make_pose_at_x(0)); }, "path[1].time_s ... 0.4 ... 0.5"},
     {[](auto& r) { r.set_time_s(kNan); }, "time_s ... nan"},
-    {[](auto& r) { extend_path(r).set_time_s(500000.0); }, "time_s ... 500000 s ... 0.5 to 0.6 s"},
-    {[](auto& r) { extend_path(r).set_time_s(2.7); }, "time_s ... 2.7 s ... 0.5 to 0.6 s"},
+    {[](auto& r) { extend_path(r).set_time_s(500000.0); }, "time_s ... 500000 s ... 0.5 ... 0.6 s"},
+    {[](auto& r) { extend_path(r).set_time_s(2.7); }, "time_s ... 2.7 s ... 0.5 ... 0.6 s"},
     {[](auto& r) { extend_path(r).set_points_at_s(-500.0); }, "points_at_s"},
     {[](auto& r) { r.set_scene("smal"); }, "scene ... \"smal\" ... \"small\"", Code::NOT_FOUND},
     {[](auto& r) { r.set_weather("fog=0"); }, "weather ... fog=0 ... 1 ... 1e6"},
@@ -70,7 +70,7 @@ const std::vector<Case> kPoseCases = {
          add_pose(*car.mutable_poses(), 3.0, make_pose_at_x(4));
          add_pose(*car.mutable_poses(), 4.0, make_pose_at_x(5));
      },
-     "actors.actors[0].poses ... 3 to 4 s ... 0.5 s"},
+     "actors.actors[0].poses ... 3 ... 4 s ... 0.5 s"},
     {[](auto& r) {
          for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, make_pose_at_x(0));
      },
@@ -101,15 +101,14 @@ const std::vector<Case> kSensorCases = {
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); }, "ray 0 ... 0 ... 1"},
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); }, "nan"},
     {[](auto& r) { set_rays(r, 1).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
-     "origin_m of ray 0"},
+     "origin_m ... ray 0"},
     {[](auto& r) { set_rays(r, 1).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
-     "rays.divergence_rad of ray 0"},
+     "rays.divergence_rad ... ray 0"},
 };
 
 const std::vector<Case> kPatternCases = {
     {[](auto& r) { spec(r).mutable_spinning()->add_beams(); }, "0 rays"},
-    {[](auto& r) { set_spinning(r).add_beams()->set_elevation_rad(kNan); },
-     "beams[0].elevation_rad: found nan"},
+    {[](auto& r) { set_spinning(r).add_beams()->set_elevation_rad(kNan); }, "beams[0].elevation_rad ... nan"},
     {[](auto& r) { set_spinning(r).add_beams()->set_elevation_rad(-15.0); },
      "beams[0].elevation_rad ... -15 ... -1.57"},
     {[](auto& r) {
@@ -126,8 +125,8 @@ const std::vector<Case> kPatternCases = {
          w.set_bottom_rad(0.1);
          w.set_period_s(0.1);
      },
-     "window.bottom_rad: found 0.1"},
-    {[](auto& r) { set_spinning(r, 0.0).add_beams(); }, "spinning.period_s: found 0"},
+     "window.bottom_rad ... 0.1"},
+    {[](auto& r) { set_spinning(r, 0.0).add_beams(); }, "spinning.period_s ... 0"},
     {[](auto& r) {
          spec(r).mutable_window()->set_rows(4294967295u);
          spec(r).mutable_window()->set_columns(4294967295u);
@@ -139,7 +138,7 @@ const std::vector<Case> kPatternCases = {
          s.set_period_s(0.1);
          s.set_first_hz(kNan);
      },
-     "rosette.first_hz: found nan"},
+     "rosette.first_hz ... nan"},
     {[](auto& r) { set_rays(r, 1).set_max_range_m(-1.0); }, "max_range_m"},
     {[](auto& r) { r.set_returns(3); }, "3 ... 0, 1 ... 2"},
     {[](auto& r) {

@@ -227,7 +227,7 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
         {[](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, "frame_end_us"},
         {[](auto& r) { r.set_frame_end_us(400'000); }, "sensor_pose ... duration"},
         {[](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); },
-         "lidar.lidar_type ... 7 ... (PANDAR128), 1 (AT128) or 2 (OTHER)"},
+         "lidar.lidar_type ... 7 ... (PANDAR128), 1 (AT128) ... 2 (OTHER)"},
         {[](auto& r) { r.mutable_lidar()->set_logical_id("roof"); }, "lidar.logical_id ... \"roof\"",
          Code::NOT_FOUND},
         {[&](auto& r) { add_car(r, here, here).set_track_id("cat"); },

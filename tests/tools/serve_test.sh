@@ -59,9 +59,9 @@ printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 bad 2 "RUN" serve
 bad 3 "nowhere" serve nowhere
 bad 2 "--queue: .*0" serve run --queue 0
-bad 2 "memory-mib: found -1" serve run --memory-mib -1
+bad 2 "memory-mib: .*-1" serve run --memory-mib -1
 bad 3 "run: .* MiB .*1.0 MiB \(--memory-mib\)" serve run --memory-mib 1
-bad 2 "--weather: .*snow=-1, .*100 mm/h" serve run --weather snow=-1
+bad 2 "weather: .*snow=-1, .*100 mm/h" serve run --weather snow=-1
 bad 2 "tls-cert .*--tls-key" serve run --tls-cert x.pem
 bad 3 "run/config.toml: .*PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
 bad 2 "\"run\"; use NAME=RUN" serve run "$PWD/run"
@@ -75,7 +75,7 @@ relidar=$relidar_dev bad 3 "127.0.0.1:1 .*status 14" bench --serve 127.0.0.1:1
 serve town=run
 bad 2 "$address: .*process" serve run --listen "$address"
 "$relidar_dev" bench --serve "$address" --calls 8 --clients 2 >bench.out || fail "bench --serve: $(cat bench.out)"
-grep -q "town at $address: 8 .*2 .*768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
+grep -q "town .*$address: 8 .*2 .*768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
 relidar=$relidar_dev bad 3 "status 5: .*scene: found \"city\"" bench --serve "$address" --serve-scene city
 
 # Health of our services (1 = serving), and the list of services by reflection.

@@ -149,7 +149,7 @@ TEST(CheckGaps, SaysWhereFramesAreMissing) {
     checks::note_faults(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_EQ(log.notes[0].id, "time_gaps");
-    EXPECT_THAT(log.notes[0], test::Names("1 ... 5.0 s ... frames 6 and 7 ... 0.1 s"));
+    EXPECT_THAT(log.notes[0], test::Names("1 ... 5.0 s ... frames 6 ... 7 ... 0.1 s"));
     log = make_sequence_with_gap(0.3);
     checks::note_faults(log);
     EXPECT_EQ(log.notes, Notes()) << "frames that a log leaves out";

@@ -142,7 +142,7 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 TEST(KnownSensors, WrongTablesAreNamed) {
     EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv"));
     expect_message("a.csv", "channel\n1\n", "a.csv ... column 'elevation_deg'");
-    expect_message("b.csv", "elevation_deg\n1\nabc\n", "b.csv line 3: elevation_deg is 'abc'");
+    expect_message("b.csv", "elevation_deg\n1\nabc\n", "b.csv line 3: elevation_deg ... 'abc'");
     expect_message("c.csv", "elevation_deg\nnan\n", "'nan'");
     expect_message("d.csv", "elevation_deg\n1\n2\n", "lowest");
     expect_message("e.csv", "elevation_deg,channel\n1\n", "1 ... 2");

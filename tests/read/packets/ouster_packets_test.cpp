@@ -419,7 +419,7 @@ TEST_F(OusterPackets, WhatIsWrongIsSaidInOneLine) {
         {"\"pixels_per_column\": 16", "\"pixels_per_column\": 64", "pixels_per_column ... 64 ... 16"},
         {"[0, 127]", "[0, 128]", "column_window"},
         {"\"columns_per_packet\": 16", "\"columns_per_packet\": 24", "divisor"},
-        {"\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"", "columns_per_frame is 128"},
+        {"\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"", "columns_per_frame ... 128"},
     };
     for (const auto& [from, to, parts] : cases) {
         std::string text = metadata;

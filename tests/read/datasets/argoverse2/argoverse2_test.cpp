@@ -248,9 +248,9 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
                               sweep.filename().string() + " ... " + part);
     };
     refuse_point(2e4f, 1, 0, "point 0 ... (20000, 1, 1) ... 10000");
-    refuse_point(NAN, 1, 0, "column 'x': row 0 is nan");
+    refuse_point(NAN, 1, 0, "column 'x': row 0 ... nan");
     refuse_point(1.0f, 64, 0, "column 'laser_number': row 0 ... 64 ... 0 ... 63");
-    refuse_point(1.0f, 1, 300000000, "column 'offset_ns': row 0 is 300000000");
+    refuse_point(1.0f, 1, 300000000, "column 'offset_ns': row 0 ... 300000000");
     refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "sweep");
     refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})}, "column 'y' ... column");
     const std::string original = test::read_text(sweep);

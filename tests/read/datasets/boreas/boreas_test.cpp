@@ -108,9 +108,9 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
                                parts);
     };
     with(data.poses(), 3, ",0.0,0.0\n", "\n", "lidar_poses.csv line 3 ... 11 ... 12");
-    with(data.poses(), 4, ",0.3,", ",x,", "lidar_poses.csv line 4: cell 11 is 'x' ... 1e+08");
-    with(data.poses(), 4, ",0.3,", ",nan,", "lidar_poses.csv line 4: cell 11 is 'nan'");
-    with(data.poses(), 4, "16064", "t6064", "lidar_poses.csv line 4: found 't606417097728152'");
+    with(data.poses(), 4, ",0.3,", ",x,", "lidar_poses.csv line 4: cell 11 ... 'x' ... 1e+08");
+    with(data.poses(), 4, ",0.3,", ",nan,", "lidar_poses.csv line 4: cell 11 ... 'nan'");
+    with(data.poses(), 4, "16064", "t6064", "lidar_poses.csv line 4 ... 't606417097728152'");
     with(data.poses(), 5, "16064", "16063",
          "lidar_poses.csv line 5 ... time 1606317097828152 ... 1606417097728152");
     const std::string poses = test::read_text(data.poses()), scan = test::read_text(data.scan(3));

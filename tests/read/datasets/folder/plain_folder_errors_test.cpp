@@ -135,7 +135,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
            "poses.txt line 2 ... 0 s ... 0 s ... increasing");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "finite");
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "quaternion ... 0.5");
-    expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "5 to 6 s ... frame 0 ... 0 s");
+    expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "5 ... 6 s ... frame 0 ... 0 s");
     expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
            "poses.txt line 1: column 'yaw' ... unknown");
     // seconds since 1970 for a folder with "rate_hz", and two wrong units
@@ -299,7 +299,7 @@ TEST_F(FolderDamage, OfValues) {
         change(some[7]);
         return test::make_pcd_binary(some);
     };
-    expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 is (");
+    expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 ... (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7 ... time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
            "\"time_unit\" ... \"point_times\" ... sequence.json");

@@ -93,7 +93,7 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
                                parts);
     };
     with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2 ... 4 ... 12");
-    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 is 'x'");
+    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 ... 'x'");
     with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... rotation");
     with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... time 5 ... 1561000444446857630");
     with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... 'x'");

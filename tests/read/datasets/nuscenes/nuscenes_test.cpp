@@ -234,7 +234,7 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
     expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"",
            "'e5' ... missing ... sweeps/LIDAR_TOP/turn_5.pcd.bin");
     expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ", "key 'translation' ... 3");
-    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': found 1.9 x -4.5 x 1.6");
+    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size' ... 1.9 x -4.5 x 1.6");
     expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"", "'car' ... category");
     expect("sample", "[\n", "x", "'x' ... objects");
     expect("sample", "}\n]", "", "truncated");
@@ -258,9 +258,9 @@ TEST(Nuscenes, SaysWhichFileIsWrong) {
     };
     expect("", "0 bytes ... 32 ... 20");
     expect(good.substr(0, good.size() - 20), "25580 bytes ... 32");
-    expect(with(7, 1, NAN), "point 7 is (");
-    expect(with(7, 2, 2e4f), "point 7 is (");
-    expect(with(7, 3, INFINITY), "point 7 is (");
+    expect(with(7, 1, NAN), "point 7 ... (");
+    expect(with(7, 2, 2e4f), "point 7 ... (");
+    expect(with(7, 3, INFINITY), "point 7 ... (");
     expect(with(7, 4, 32.0f), "point 7 ... ring 32 ... 31");
     expect(with(7, 4, 0.5f), "point 7 ... ring 0.5 ... 31");
     expect(std::string(640, '\0'), "points ... 1 m");

@@ -227,8 +227,8 @@ TEST(Waymo, DamagedFramesAreRefused) {
                test::make_waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     expect_top("record 1: TOP ... 32000 values ... 16 x 400 x 5", image(h, w, 5, 1.0f));
     expect_top("16 x 399 ... 16 x 400", image(h, w - 1, 4, 1.0f));
-    expect_top("pixel 0 has range nan m", image(h, w, 4, NAN));
-    expect_top("pixel 0 has range inf m", image(h, w, 4, INFINITY));
+    expect_top("pixel 0 ... range nan m", image(h, w, 4, NAN));
+    expect_top("pixel 0 ... range inf m", image(h, w, 4, INFINITY));
     expect_top("2 x 2 ... poses ... 16 x 400", image(h, w, 4, 1.0f), image(2, 2, 6, 0.0f));
     expect_top("pixel 200 ... (nan", image(h, w, 4, 1.0f), image(h, w, 6, NAN));
     expect("record 1 ... SIDE_LEFT ... missing",
