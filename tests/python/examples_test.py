@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the examples with PyTorch in a short form on the street: scores, an error of a pose, a recall."""
+import contextlib
+import functools
+import importlib.util
+import io
+import os
+import pathlib
+import sys
+import unittest
+
+import numpy as np
+
+import relidar
+from common import FOLDER, TestCase, config, log
+
+if importlib.util.find_spec("torch"):
+    import torch
+else:
+    print("skipped: examples_test.py, because PyTorch is not installed")
+
+
+def load(name):
+    """Imports an example without running its main()."""
+    path = pathlib.Path(os.environ["RELIDAR_SOURCE_DIR"]) / "tools/examples" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def settings(iterations):
+    changed = config().copy()
+    changed["train.iterations"], changed["refine.enabled"] = iterations, False
+    return changed
+
+
+@functools.cache
+def trained():
+    return relidar.train(log(), settings(100))
+
+
+@unittest.skipUnless(importlib.util.find_spec("torch"), "PyTorch is not installed")
+class Examples(TestCase):
+    def setUp(self):
+        torch.manual_seed(1)
+
+    def test_train(self):
+        """The scores of held-out scans are near those of relidar.train() after as many iterations."""
+        start = relidar.train(log(), settings(1))
+        found = load("torch_train").train(start, log(), 100)
+        scores = [relidar.evaluate(scene, log())["mean"] for scene in (start, trained(), found)]
+        for name, share in (("depth_mae_m", 0.5), ("cd_mean_m", 0.7), ("intensity_rmse", 0.6)):
+            first, native, last = (score["strict/" + name] for score in scores)
+            self.assertLess(last, share * first, name)
+            self.assertLess(last, 1.1 * native, name)
+
+    def test_mounting(self):
+        module = load("torch_mounting")
+        np.testing.assert_allclose(module.pose_error(relidar.pose(0, 0, 0.3, 0, 3), np.eye(4)), (0.3, 3.0), rtol=1e-6)
+        truth = next(iter(trained().mountings.values()))
+        start = truth @ relidar.pose(0.2, -0.2, 0.1, 2, 1.5, -1.66)
+        metres, degrees = module.pose_error(module.find_mounting(trained(), log(), start, iterations=80, n_rays=2000), truth)
+        self.assertLess(metres, 0.01)
+        self.assertLess(degrees, 0.05)
+
+    def test_detector(self):
+        if not hasattr(relidar.torch, "ScanDataset"):
+            self.skipTest("relidar.torch has no ScanDataset")
+        trained().save(FOLDER / "examples_run")
+        with contextlib.redirect_stdout(io.StringIO()):
+            losses, recall, precision = load("torch_detector").main(FOLDER / "examples_run", 24, 20)
+        self.assertLess(np.mean(losses[-20:]), 0.6 * np.mean(losses[20:40]))
+        self.assertGreater(recall, 0.4)
+        self.assertGreater(precision, 0.6)
+
+
+if __name__ == "__main__":
+    unittest.main()
