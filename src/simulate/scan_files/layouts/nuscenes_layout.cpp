@@ -246,6 +246,8 @@ private:
                 if (!record.at("token").get<std::string>().starts_with(scene_prefix_)) add(record);
         std::ranges::for_each(records_[table], add);
         if (table == "map") all = {make_map()};
+        if (table == "scene")  // a replaced scene keeps its place
+            std::ranges::sort(all, {}, [](const Json& scene) { return scene.at("name").get<std::string>(); });
         write_bytes(folder / (table + ".json"), Json(all).dump(0) + "\n");
     }
 
