@@ -127,23 +127,5 @@ TEST_F(OwnLossTraining, ReducesTheLossAndResumes) {
     EXPECT_EQ(resumed.log.back().terms, last.terms);
 }
 
-/// The exception must not be lost, and the device must be usable afterwards.
-TEST_F(OwnLossTraining, EndsWithTheErrorOfTheLoss) {
-    struct FailingLoss final : Loss {
-        int n_calls = 0;
-        void add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) override {
-            if (++n_calls == 20) throw UsageError("twenty");
-        }
-    } failing;
-    config.train.checkpoint_minutes = 1e-9;
-    EXPECT_THROW(
-        train(device(), street, split, config, {}, {.checkpoints = scratch.path, .losses = {&failing}}),
-        UsageError);
-    const std::optional<Checkpoint> checkpoint = load_newest(scratch.path, {});
-    ASSERT_TRUE(checkpoint);
-    EXPECT_EQ(checkpoint->iteration, 19);
-    EXPECT_FALSE(train_robust(1 << 30, &*checkpoint).interrupted);
-}
-
 }  // namespace
 }  // namespace relidar
