@@ -27,8 +27,9 @@ def find_mounting(run, log, start, iterations=120, n_rays=6000, note=None):
     start: first estimate of the mounting; n_rays: rays of an iteration; note: called with a line of text
     """
     scene = relidar.torch.Scene.from_run(run, poses=True)
-    frames = [relidar.torch.Frame(run, log, position).to(scene.device) for position in run.held_out]
-    vehicles = torch.from_numpy(run.trajectory[1][run.held_out])
+    positions = run.held_out or list(range(len(log)))
+    frames = [relidar.torch.Frame(run, log, position).to(scene.device) for position in positions]
+    vehicles = torch.from_numpy(run.trajectory[1][positions])
     vehicles[:, :3, 3] -= torch.from_numpy(run.world_offset)
     # The rays of a Frame are in the scene, with the mounting of the log.
     to_sensor = torch.linalg.inv(vehicles @ torch.from_numpy(next(iter(run.mountings.values()))))

@@ -72,7 +72,7 @@ def main(log_folder, run_folder, iterations="540", n_frames="-1"):
     log = relidar.load_sequence(log_folder, config)
     run = train(relidar.train(log, config), log, int(iterations))
     run.save(run_folder, overwrite=True)
-    print(relidar.evaluate(run, log)["mean"])
+    print(relidar.evaluate(run, log)["mean"] if run.held_out else "no frame is held out")
 
 
 if __name__ == "__main__":
