@@ -8,7 +8,8 @@ namespace {
 
 TEST(Labels, MoversWithoutALabelGetTheKindOfTheirSize) {
     const auto kind_of = [](const glm::dvec3& size_m) {
-        return guess_kind({.id = "mover", .category = kDiscoveredCategory, .size_m = size_m, .world_from_box = {}});
+        return guess_kind(
+            {.id = "mover", .category = kDiscoveredCategory, .size_m = size_m, .world_from_box = {}});
     };
     EXPECT_EQ(kind_of({0.8, 0.6, 1.75}), ObjectKind::person);
     EXPECT_EQ(kind_of({1.8, 0.7, 1.7}), ObjectKind::cyclist);

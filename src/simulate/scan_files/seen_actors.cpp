@@ -81,9 +81,12 @@ std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const S
 std::vector<float> times_in_box(const std::vector<BackgroundPoint>& points, const Pose& world_from_box,
                                 const glm::dvec3& size_m) {
     const Pose box_from_world = inverse(world_from_box);
+    const double radius_m = 0.5 * glm::length(size_m) + 2.0 * kObjectMargin_m;
     std::vector<float> times_s;
     for (const BackgroundPoint& point : points)
-        if (is_on_object(box_from_world * point.world_m, size_m)) times_s.push_back(point.time_offset_s);
+        if (glm::distance(point.world_m, world_from_box.translation) < radius_m &&
+            is_on_object(box_from_world * point.world_m, size_m))
+            times_s.push_back(point.time_offset_s);
     return times_s;
 }
 

@@ -158,6 +158,17 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
 }
 
+/// Parts without a gap of 0.5 m are one return. Its mean range, 10.8 m, lies on part 2.
+TEST(Footprint, AReturnHasTheInstanceOfTheSurfaceAtItsRange) {
+    const RenderedScan scan = joined({{10.0f, 0.3f, 0.0f},
+                                      {10.4f, 0.3f, 0.0f},
+                                      {10.85f, 0.3f, 0.0f},
+                                      {11.25f, 0.3f, 0.0f},
+                                      {11.5f, 0.3f, 0.0f}});
+    EXPECT_NEAR(scan.median_range_m[0], 10.8f, 1e-4f);
+    EXPECT_EQ(scan.instance[0], 2);
+}
+
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
                    parts = split_rays(ray, 9, 4e-3);
