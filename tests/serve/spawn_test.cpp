@@ -285,8 +285,13 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     const std::vector<SceneSource> sources{{"small", folder / "small"}};
     const ScanRequest request{0.5, {{0.5}, {make_pose_at_x(1.0)}}};
     {
+        // A scan needs memory too, which stays allocated.
         const AssetCatalogue none({});
         SceneSet one(device(), sources, std::uint64_t(1) << 40, none);
+        const relidar::Run& run = one.runs()[0];
+        one.use_scene(0, {}, [&](ScanRenderer& renderer) {
+            renderer.render(make_sensor(run.config, run.sequence), request);
+        });
         budget = 2 * (device().allocated_bytes() - before);
     }
     const AssetCatalogue shelf({(folder / "more").string()});

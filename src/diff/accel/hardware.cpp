@@ -55,6 +55,8 @@ struct BuildInput {
     /// @param n_primitives number of triangles, boxes or instances
     VkAccelerationStructureBuildSizesInfoKHR query_sizes(Device::Impl& device, std::uint32_t n_primitives) {
         range.primitiveCount = n_primitives;
+        // set_target() may have set a structure that was destroyed since then.
+        info.srcAccelerationStructure = info.dstAccelerationStructure = VK_NULL_HANDLE;
         info.geometryCount = 1;
         info.pGeometries = &geometry;
         VkAccelerationStructureBuildSizesInfoKHR result{
