@@ -2,9 +2,9 @@
 // Points of a simulated scan in device memory (ScanRenderer::wait_for_device_points()).
 #pragma once
 
+#include <relidar/simulate/returned_point.h>
 #include <relidar/base/math.hpp>
 #include <relidar/gpu/stream.hpp>
-#include <relidar/simulate/returned_point.h>
 
 namespace relidar {
 

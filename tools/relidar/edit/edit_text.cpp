@@ -289,10 +289,9 @@ const std::vector<EditOption>& edit_options() {
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove}, {"--move", apply_move_edit},        {"--class", apply_class},
-        {"--retime", apply_delay},  {"--speed", apply_speed},           {"--trajectory", apply_trajectory},
-        {"--copy", apply_copy_edit},
-        {"--insert", apply_insert}, {"--keep", apply_keep_only}};
+        {"--remove", apply_remove},  {"--move", apply_move_edit}, {"--class", apply_class},
+        {"--retime", apply_delay},   {"--speed", apply_speed},    {"--trajectory", apply_trajectory},
+        {"--copy", apply_copy_edit}, {"--insert", apply_insert},  {"--keep", apply_keep_only}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {
