@@ -65,8 +65,6 @@ class Examples(TestCase):
         self.assertLess(degrees, 0.05)
 
     def test_detector(self):
-        if not hasattr(relidar.torch, "ScanDataset"):
-            self.skipTest("relidar.torch has no ScanDataset")
         trained().save(FOLDER / "examples_run")
         with contextlib.redirect_stdout(io.StringIO()):
             losses, recall, precision = load("torch_detector").main(FOLDER / "examples_run", 24, 20)

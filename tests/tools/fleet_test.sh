@@ -145,6 +145,31 @@ snakefile() {
     cd ..
 }
 
+# Two scenes with the same seed have the same files. A repeated command renders nothing, another
+# seed is refused, and a scene that was interrupted is rendered again.
+variations() {
+    local python=/usr/bin/python3 made="../set/data"
+    vary() {
+        "$python" "$fleet/variations.py" runs/a --relidar "$relidar" --sensor VLP-16:90x10 --frames 0:2 \
+            --layout kitti --scenes 2 "$@" >../out 2>../err
+    }
+    cd make || exit 1
+    vary --out ../set
+    check "variations.py: exit code $?, expected 0" test $? = 0
+    check "variations.py renders other scans than two of each scene" \
+        test "$(find "$made" -path '*training/velodyne/*.bin' | wc -l)" = 4
+    (cd "$made" && find . -name '*.bin' -exec sha256sum {} +) | sort >../first
+    vary --out ../set
+    check "variations.py renders a complete data set again" test ! -s ../out
+    rm ../set/done/0001
+    vary --out ../set
+    (cd "$made" && find . -name '*.bin' -exec sha256sum {} +) | sort >../second
+    check "a scene differs after an interruption" cmp -s ../first ../second
+    vary --out ../set --seed 2
+    check "variations.py mixes two seeds" test $? = 1
+    cd ..
+}
+
 score_tables
 stand_ins
 slurm
@@ -152,6 +177,7 @@ kubernetes
 if "$relidar" list devices >out 2>err; then
     streets
     makefile
+    variations
     snakefile
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"

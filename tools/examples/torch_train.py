@@ -40,8 +40,8 @@ def list_rates(scene):
     """Returns a list of (name of a parameter, part of it, learning rate)."""
     extent = 6 * (scene.means - scene.means.mean(0)).norm(dim=1).quantile(0.9).item()
     rates = [("means", ..., 1e-5 * extent), ("quats", ..., 5e-3), ("log_scales", ..., 6.5e-2), ("opacity_logits", ..., 0.15)]
-    for channel, rate in enumerate((0.04, 0.08, 0.08)):   # intensity, hit logit, drop logit
-        rates += [("features", (slice(None), channel, 0), rate), ("features", (slice(None), channel, slice(1, 4)), 0.05 * rate)]
+    for channels, rate in ((slice(0, 1), 0.04), (slice(1, 3), 0.08)):   # intensity; hit logit and drop logit
+        rates += [("features", (slice(None), channels, 0), rate), ("features", (slice(None), channels, slice(1, 4)), 0.05 * rate)]
     return rates
 
 

@@ -62,6 +62,7 @@ inline Run make_example_run(const std::filesystem::path& folder) {
         0.1,
         true,
         3.14,
+        {},
         0.5,
         80.0,
         1e-3};
