@@ -5,6 +5,7 @@
 #ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 #define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 
+// Four pseudorandom words from four key words: two rounds of a linear step and a mix.
 uvec4 pcg4d(uvec4 key) {
     key = key * 1664525u + 1013904223u;
     key.x += key.y * key.w;

@@ -20,6 +20,8 @@ std::string describe_json(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
+/// Appends the numbers of nested lists in order. Returns the first value that is not a
+/// number or is nested too deeply, or null if there is none.
 const nlohmann::json* collect_numbers(const nlohmann::json& value, int max_depth,
                                       std::vector<double>& numbers) {
     if (value.is_number()) {
@@ -97,6 +99,7 @@ double JsonField::number_in(double min_value, double max_value) const {
 }
 
 std::int64_t JsonField::integer_in(std::int64_t min_value, std::int64_t max_value) const {
+    // A number above INT64_MAX would become negative.
     const bool fits = value_->is_number_integer() &&
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));

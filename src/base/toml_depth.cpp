@@ -40,6 +40,7 @@ void check_toml_depth(std::string_view toml_text, const std::string& name) {
             at = std::min(toml_text.find('\n', at), toml_text.size());
             continue;
         }
+        // Counts the parts of a dotted key. Other separators begin a key or value.
         if (c == '.') ++parts;
         else if (c == '\n' || c == '=' || c == ',' || c == '{' || c == '[') parts = 1;
         if (c == '{' || c == '[') ++depth;

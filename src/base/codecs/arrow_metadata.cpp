@@ -79,6 +79,8 @@ public:
         return values;
     }
     std::vector<FlatbufferTable> read_tables(int field_number) const {
+        // A vector is its length, followed by one offset per table. Each offset counts
+        // from its own position.
         const std::uint8_t* vector = verified_vector(field_number, sizeof(flatbuffers::uoffset_t));
         std::vector<FlatbufferTable> all;
         const std::size_t n = vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0;
@@ -131,6 +133,8 @@ ArrowField::Type parse_float_type(const FlatbufferTable& type_table) {
     return {ArrowValueKind::floating, 16 << precision, true};
 }
 
+/// Field numbers: Field {0 name, 2 type_type, 3 type, 4 dictionary}, DictionaryEncoding
+/// {0 id, 1 indexType}.
 ArrowField parse_field(const FlatbufferTable& field_table) {
     ArrowField field;
     field.name = field_table.read_name_field(0);
@@ -144,6 +148,7 @@ ArrowField parse_field(const FlatbufferTable& field_table) {
         const std::optional<FlatbufferTable> index = encoding->find_table(1);
         field.dictionary = {
             encoding->read_scalar<std::int64_t>(0, 0),
+            // Without an index type, the indices are signed 32-bit integers.
             index ? parse_int_type(*index) : ArrowField::Type{ArrowValueKind::integer, 32, true}};
     }
     return field;
@@ -160,6 +165,8 @@ ArrowCompression parse_codec(const FlatbufferTable& batch_table) {
 
 }  // namespace
 
+/// Field numbers: Schema {0 endianness, 1 fields}, Footer {1 schema, 2 dictionaries, 3
+/// recordBatches}.
 Footer parse_footer(std::string_view footer_bytes) {
     AlignedFlatbuffer copy(footer_bytes);
     const FlatbufferTable footer = FlatbufferTable::root_table(copy), schema = footer.read_table(1, "schema");
@@ -172,6 +179,8 @@ Footer parse_footer(std::string_view footer_bytes) {
     return parsed;
 }
 
+/// Field numbers: Message {1 header_type, 2 header}, DictionaryBatch {0 id, 1 data},
+/// RecordBatch {0 length, 1 nodes, 2 buffers}.
 RecordBatch parse_batch(std::string_view message_bytes) {
     AlignedFlatbuffer copy(message_bytes);
     const FlatbufferTable message = FlatbufferTable::root_table(copy);

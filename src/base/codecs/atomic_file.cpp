@@ -117,6 +117,7 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
 void remove_temp(const fs::path& folder) {
     static const std::regex kTemporaryInfix(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
+    // Collects the paths first, because the loop must not change the folder.
     std::vector<fs::path> temporary_paths;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
         const bool is_ours =

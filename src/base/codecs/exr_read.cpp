@@ -96,6 +96,8 @@ void parse_compression(std::string_view bytes, ImageHeader& image_header) {
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
+/// Reads the list of channels: name, type, linearity and sampling of each channel. An
+/// empty name ends the list.
 void parse_channels(std::string_view bytes, ImageHeader& image_header) {
     const std::string list(bytes);
     ExrHeaderReader items(list);
@@ -250,6 +252,7 @@ ExrImage read_exr(const std::filesystem::path& path) {
         return decode_exr(read_file(path));
     } catch (const DataError& error) {
         const std::string message = error.what();
+        // Some messages of read_file() already begin with the path.
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
     } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.

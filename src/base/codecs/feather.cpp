@@ -108,6 +108,8 @@ std::size_t rows_without_nulls(const Batch& batch, std::size_t node, std::size_t
     return std::size_t(field_node.length);
 }
 
+/// Appends the values of a column in one batch. Buffer 0 of the column contains the
+/// validity bits, buffer 1 the values.
 template <class Stored, class T, class Convert>
 void append_converted(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                       const Convert& convert_stored_value) {

@@ -78,6 +78,7 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     n_messages_[id] = 0;
     const std::string channel =
         encode_record(kChannel, encode(id, schema, topic, encoding, encode_map(metadata)));
+    // The summary at the end of the file repeats all channels.
     channels_ += channel;
     append(channel);
     return id;
@@ -173,6 +174,7 @@ void McapWriter::finish() {
     const std::uint64_t offsets = written_;
     for (const SummaryRecordGroup& group : groups)
         append(encode_record(kSummaryOffset, encode(group.code, group.begin, group.n_bytes)));
+    // The footer contains the positions of the summary and of its offsets.
     append(encode_record(kFooter, encode(begin, offsets, no_checksum)));
     append(kMagic);
     file_.close();

@@ -46,6 +46,8 @@ std::vector<Out> convert_elements(const NamedArray& array) {
 template <class Out>
 using Converter = std::vector<Out> (*)(const NamedArray&);
 
+/// Returns the function that converts elements of a NumPy type to `Out`, or null if the
+/// type is unknown.
 template <class Out>
 Converter<Out> find_converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
@@ -114,6 +116,7 @@ std::u32string decode_utf8(std::string_view utf8) {
 namespace codecs {
 
 std::size_t element_bytes(std::string_view numpy_type) {
+    // Texts of a fixed number of characters: S has bytes, U has UTF-32.
     if (numpy_type.starts_with('S') || numpy_type.starts_with('U')) {
         std::uint32_t length = 0;
         const auto [end, error] =
@@ -190,6 +193,7 @@ NamedArray single_text(std::string name, const std::string& text) {
 
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
     std::vector<std::u32string> letters;
+    // Like NumPy, stores at least one character, even if all texts are empty.
     std::size_t length = 1;
     for (const std::string& text : texts)
         length = std::max(length, letters.emplace_back(decode_utf8(text)).size());

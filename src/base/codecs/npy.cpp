@@ -163,6 +163,7 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
         throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
     const auto version = std::to_integer<int>(bytes[6]);
     if (version < 1 || version > 3) fail("the file has npy version {}, expected 1 to 3", version);
+    // The length of the header has 2 bytes in version 1, otherwise 4 bytes.
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
     std::size_t length = 0;  // size of the header, stored in little-endian order
     std::memcpy(&length, bytes.data() + 8, n_length);

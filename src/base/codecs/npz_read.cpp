@@ -22,6 +22,7 @@ ZipArchive open_zip(const std::vector<std::byte>& bytes) {
     if (bytes.empty()) fail("the file is empty");  // libzip would see an archive without entries.
     zip_error_t error;
     zip_error_init(&error);
+    // 0: libzip does not free the bytes. ZIP_CHECKCONS also checks the entries.
     zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
     zip_t* archive = zip_open_from_source(source, ZIP_RDONLY | ZIP_CHECKCONS, &error);
     if (!archive) {

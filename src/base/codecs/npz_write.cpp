@@ -31,6 +31,7 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
 }
 
 void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
+    // libzip reads the header and the values later, without a copy.
     const std::array<zip_buffer_fragment_t, 2> parts{
         {{reinterpret_cast<zip_uint8_t*>(header.data()), header.size()},
          {reinterpret_cast<zip_uint8_t*>(const_cast<std::byte*>(array.bytes.data())), array.bytes.size()}}};
@@ -41,6 +42,7 @@ void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
         fail("array '{}': {}", array.name, zip_strerror(archive));
     }
     zip_set_file_compression(archive, std::uint64_t(index), ZIP_CM_DEFLATE, kDeflateLevel);
+    // A fixed date, so that equal arrays give equal files.
     zip_file_set_dostime(archive, std::uint64_t(index), 0, kFirstDosDate, 0);
 }
 

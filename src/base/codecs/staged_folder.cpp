@@ -54,6 +54,7 @@ void remove_abandoned(const fs::path& parent_folder, const std::string& own_pref
 }  // namespace
 
 StagedFolder::StagedFolder(const fs::path& final_path)
+    // Removes a slash at the end, because filename() would be empty.
     : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
     const std::string prefix = fmt::format(".{}{}", final_path_.filename().string(), kTemporaryInfix);
     remove_abandoned(final_path_.parent_path(), prefix);
@@ -62,6 +63,8 @@ StagedFolder::StagedFolder(const fs::path& final_path)
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
     if (failed) fail("cannot create the folder {}: {}", path_.string(), failed.message());
+    // While this process holds the lock, remove_abandoned() keeps the folder, even on
+    // another machine.
     marker_ = ::open((path_ / kMarkerFile).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
     if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
 }

@@ -83,6 +83,7 @@ std::string TfRecordReader::read_record(std::size_t record_index) const {
     in.seekg(std::streamoff(byte_range.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
         fail("{}: record {}: cannot read its {} bytes", file_.string(), record_index, data.size());
+    // The checksum of the data follows the data.
     const auto crc = load_value<std::uint32_t>(&data[byte_range.size]);
     data.resize(byte_range.size);
     if (crc != masked_crc32c(data))

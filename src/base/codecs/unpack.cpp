@@ -22,6 +22,7 @@ void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompres
                                compressed_bytes.data() + read, &n_from, nullptr);
         read += n_from;
         written += n_to;
+        // Without progress, the input is truncated or the output is full.
         if (LZ4F_isError(left) || (n_to == 0 && n_from == 0)) break;
     } while (left != 0 || read < compressed_bytes.size());
     LZ4F_freeDecompressionContext(context);
@@ -54,6 +55,7 @@ bool stream_zstd(const std::function<std::string_view()>& read_block,
             write_block({block.data(), out.pos});
         }
     }
+    // `left` is 0 at the end of a frame.
     return left == 0;
 }
 
