@@ -12,11 +12,15 @@
 RELIDAR_PARAMS(BvhCostParams);
 shared float sums[64];  // cost of each subgroup
 
+/// Returns the cost of all leaf slots of a node: half the area of the box of the leaf
+/// times its number of surfels times SURFEL_COST.
 float leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;
     uint leaves[2] = params.wide.nodes.at[node].leaves;
     float cost = 0.0;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
+        // One byte per slot: number of surfels (3 bits), offset of the first (5 bits).
+        // The number is 0 if the slot has no leaf.
         uint leaf = (leaves[s / 4u] >> (8u * (s % 4u))) & 255u, count = leaf >> 5;
         Box b = make_empty_box();
         for (uint k = 0u; k < count; ++k)
@@ -36,6 +40,7 @@ void main() {
     if (subgroupElect()) sums[gl_SubgroupID] = cost;
     barrier();
     if (ordered_thread() != 0u) return;
+    // Thread 0 already has the sum of subgroup 0.
     for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
     if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
 }

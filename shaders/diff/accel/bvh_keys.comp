@@ -17,6 +17,7 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
+    // Upper bounds have the opposite sign, because atomicMin() computes all bounds.
     vec3 low, high;
     for (uint c = 0u; c < 3u; ++c) {
         low[c] = from_ordered(params.bounds.at[6 * model + c]);
@@ -24,6 +25,7 @@ void main() {
     }
     uvec3 cell = morton_cell(params.records.at[i].mean, low, high, RELIDAR_BVH_MORTON_BITS);
     uint coarse = interleave_bits(cell >> 5), fine = interleave_bits(cell & 31u);  // 24 bits and 15 bits
+    // A key has 64 bits, lower word first: Morton code in bits 0-38, then the model.
     params.keys.at[i] = uvec2(coarse << 15 | fine, coarse >> 17 | model << 7);
     params.other_ends.at[i] = RELIDAR_BVH_NO_NODE;
     params.demands.at[i] = 0u;

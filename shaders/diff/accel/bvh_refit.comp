@@ -41,10 +41,15 @@ uvec3 pack_lane_bytes(uvec3 lane_bytes) {
 }
 bool broadcast_first(bool value) { return subgroupShuffle(value, gl_SubgroupInvocationID - lane_in_group()); }
 
+/// Returns the box of a child of a node. The box of an inner child is already finished.
+/// The box of a leaf is the union of the boxes of its surfels.
 Box make_child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     if ((inner_mask >> slot & 1u) != 0u)
+        // Inner children are consecutive nodes. The index of this child is the number
+        // of inner slots before its slot.
         return load_shared_box(params.wide.boxes, params.wide.nodes.at[node].first_child +
                                                       bitCount(inner_mask & ((1u << slot) - 1u)));
+    // Byte of this slot: number of surfels (3 bits) and offset of the first (5 bits).
     uint leaf = params.wide.nodes.at[node].leaves[slot / 4u] >> (8u * (slot % 4u)) & 255u;
     Box b = make_empty_box();
     uint first = params.wide.nodes.at[node].first_leaf + (leaf & 31u);

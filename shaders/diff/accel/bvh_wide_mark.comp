@@ -78,6 +78,8 @@ void choose_remaining(uint level_begin) {
 }
 
 void main() {
+    // Queue entries from `begin` to `level_end` belong to this level. Level 0 contains
+    // the roots, one per model.
     uint begin = 0u;
     level_end = params.n_models;
     for (uint k = 1u; k <= params.level; ++k) {

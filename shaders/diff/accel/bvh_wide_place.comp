@@ -16,6 +16,8 @@ void main() {
     uint node = params.queue.at[entry];
     if (node == RELIDAR_BVH_NO_NODE) return;
     node &= ~RELIDAR_BVH_LEAF;
+    // The roots are first. x is the number of inner children of all earlier binary
+    // nodes: those in the same tile, and those in earlier tiles.
     uint place = params.n_models + params.offsets.at[node].x + params.tiles.at[node / RELIDAR_BVH_TILE].x;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         uint slot = params.slots.at[8u * entry + s];

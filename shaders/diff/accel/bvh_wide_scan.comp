@@ -17,5 +17,6 @@ void main() {
         if (tile < params.n_tiles) params.tiles.at[tile] = before + sum;
         before += total;
     }
+    // x counts all inner children. The roots, one per model, are nodes too.
     if (ordered_thread() == 0u) params.wide.count.at[0] = params.n_models + before.x;
 }

@@ -43,6 +43,7 @@ void main() {
     for (uint k = first; k < min(first + RELIDAR_RADIUS_STRETCH, params.n_surfels); ++k) {
         uint surfel = params.first_surfel + k;
         if (surfel - params.models.at[model].first_surfel >= params.models.at[model].n_surfels) {
+            // This surfel belongs to a later model, so the radius is complete.
             extend_radius(model, radius);
             radius = 0.0;
             model = find_model(params.models, params.n_models, surfel);

@@ -65,6 +65,7 @@ void main() {
     vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
     bool visible = s.opacity > params.alpha_min;
     if (visible) {
+        // At k standard deviations, sigma exp(-k^2 / 2) = alpha_min.
         float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
         u = half_axis(s.axis_u, k);
         v = half_axis(s.axis_v, k);
@@ -73,6 +74,7 @@ void main() {
     if (BOXES != 0u) {
         // Half size of the axis-aligned box around an ellipsoid with half axes u, v, w.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
+        // Software tree (BOXES = 2): adds a bound of the mean's rounding error.
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
         bool empty = BOXES == 2u && !visible;
         for (uint c = 0u; c < 3u; ++c) {

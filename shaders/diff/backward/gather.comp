@@ -58,6 +58,7 @@ void main() {
     if (block == 0u) params.most_hits.at[0] = max(params.most_hits.at[0], params.n_hits.at[0]);
     uint end = block_end(block);
     if (first >= end) return;
+    // `row` is the current row. Its sum is stored when the next row begins.
     uint row = params.rows.at[first], instance = 0u;
     bool starts_in_block = first == 0u || params.rows.at[first - 1u] != row;
     clear_sums();

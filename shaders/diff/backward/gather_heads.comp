@@ -33,9 +33,11 @@ void main() {
     if (row >= params.n_rows || params.rows.at[end] != row || !has_row_start(block, row)) return;
     clear_sums();
     add_partial_sum(last_row_sum(block));
+    // Adds the parts of all later blocks that begin with the same row.
     for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
         add_partial_sum(first_row_sum(later));
         end = block_end(later);
     }
+    // A row belongs to one instance, so the last hit of this block gives the instance.
     add_surfel_sums(row, params.hits.at[params.slots.at[block_end(block) - 1u]].instance);
 }

@@ -92,6 +92,7 @@ void main() {
     // A split divides the scale by 1.6, so the following test uses the smaller scale.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = drop_reason(i, model, q, scale, opacity, max_scale);
+    // Each growing surfel requests one copy, so its weight is 1.
     uint weight = 0u;
     if (why != RELIDAR_DENSIFY_KEPT) {
         action = RELIDAR_DENSIFY_DROP;

@@ -16,6 +16,7 @@ RELIDAR_PARAMS(ObserveParams);
 void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
+    // Bit of this frame in the set of frames in which the surfel had a gradient.
     uint word = i * params.n_words + params.frame / 32u;
     uint bit = 1u << (params.frame % 32u);
     uint frames = params.frames.at[word];

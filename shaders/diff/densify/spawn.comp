@@ -24,6 +24,7 @@ void split_surfel(uint row) {
     mat3 r = rotation_matrix(q);
     // Starts with random number 2, because kernel densify/classify has used 0 and 1.
     vec2 z = normal_pair(params.key, row, 2u);
+    // A random point of the surfel's Gaussian, relative to its mean.
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
     if (has_third_axis())

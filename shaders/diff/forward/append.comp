@@ -18,6 +18,7 @@ void main() {
         find_next_hits(params.scene, make_ray(entry), search_start_key(params.scene),
                        transmittance_limit(params.scene, 1.0));
         length = n_hits | (hits_closed ? RELIDAR_LIST_CLOSED : 0u);
+        // More hits than fit into the list: kernel forward/trace renders this ray.
         if (n_hits > params.lists.room) {
             length = RELIDAR_LIST_UNFIT;
             atomicAdd(params.n_overflows.at[0], 1u);

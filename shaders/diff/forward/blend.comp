@@ -62,6 +62,8 @@ void main() {
     Blended b = start_blending(params.scene, i);
     uint n = length & ~RELIDAR_LIST_CLOSED;
     bool ended = n > 0u && blend_list(list, n, ray, b);
+    // A closed list must end the ray. Otherwise a hit was reported twice, and the list
+    // may lack hits.
     if ((length & RELIDAR_LIST_CLOSED) != 0u && !ended) params.lists.lengths.at[list] = RELIDAR_LIST_UNFIT;
     else finish_blending(i, b);
 }

@@ -26,6 +26,7 @@ void render_ray(TraceScene scene, Ray ray, uint ray_index) {
             store_hit(b.ray.n_hits, hit);
             blend_hit(scene, ray, hit, hit_channels(scene, ray, hit), b);
         }
+        // Unless hits_closed is set, this pass has found all remaining hits.
         if (!hits_closed) ended = true;
         else previous_key = load_hit_key(n_hits - 1u);
     }

@@ -21,10 +21,12 @@ void main() {
     if (k < params.n_rays) {
         uint b = params.nearest_measured.at[k], a = params.nearest_simulated.at[k];
         if (b != RELIDAR_NO_INDEX) {
+            // From simulated point k to the nearest measured point b.
             vec3 difference = params.simulated.at[k] - params.measured.at[b];
             squares_m2 += dot(difference, difference);
         }
         if (a != RELIDAR_NO_INDEX) {
+            // From measured point k to the nearest simulated point a.
             vec3 difference = params.simulated.at[a] - params.measured.at[k];
             squares_m2 += dot(difference, difference);
             add_fixed(
@@ -32,6 +34,7 @@ void main() {
                 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
         }
     }
+    // Eq. 11 divides by the number of points of the smaller cloud.
     float weight = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0);
     add_to_sum(params.terms, kTerm_chamfer, weight * squares_m2);
 }

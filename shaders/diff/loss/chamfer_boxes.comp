@@ -25,5 +25,6 @@ void main() {
         }
     }
     params.tile_low.at[tile] = low;
+    // An empty tile has RELIDAR_NO_POINT at both corners: its distance is infinite.
     params.tile_high.at[tile] = low.x >= RELIDAR_NO_POINT ? low : high;
 }

@@ -74,11 +74,13 @@ void search_tile(uint tile, uvec2 image_size, uint tiles_per_row, inout Nearest 
 void main() {
     uint k = thread_index();
     if (k >= params.rows * params.columns) return;
+    // The distance starts at infinity (0x7f800000).
     Nearest best = Nearest(params.queries.at[k], uintBitsToFloat(0x7f800000u), RELIDAR_NO_INDEX);
     if (best.query.x < RELIDAR_NO_POINT) {
         uvec2 points = uvec2(params.rows, params.columns), tiles = count_tiles(points),
               groups = count_tiles(tiles);
         visit_point(k, best);
+        // Tile that contains pixel k.
         search_tile(
             k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
             points, tiles.y, best);

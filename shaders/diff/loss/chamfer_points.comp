@@ -30,6 +30,7 @@ void main() {
         DeviceRay ray = params.rays.at[i];
         // subtracts the first ray's origin, to keep float precision
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
+        // Simulated and measured range, m. 0 means that the ray has no such point.
         vec2 range =
             target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
         if (range.x > 0.0) is_point.x = 1.0;

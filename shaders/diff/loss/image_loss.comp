@@ -72,6 +72,7 @@ void main() {
     vec4 terms = vec4(0.0);
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
+        // Rays without a known measurement keep zero gradients.
         RayGradient g;
 #define RELIDAR_START(name, built, value, input, slope, meaning) g.name = 0.0;
         RELIDAR_BLENDED_VALUES(RELIDAR_START)

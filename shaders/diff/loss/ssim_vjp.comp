@@ -21,6 +21,8 @@ void main() {
             uint p = window_pixel(q, row, column);
             if (p == kNoPixel || !has_return(load_target(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
+            // Statistics of the window around p: dL/dm, 2 dL/dv and dL/dcov, divided by
+            // the sum of weights; then the means mx and my.
             sum += window_weight(row, column) *
                    (params.statistics.at[at] +
                     (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +

@@ -35,12 +35,15 @@ vec2 norm_gradients(uint pixel, uint first_value, uint first_gradient, uint firs
 }
 
 void main() {
+    // One job is one part of one channel. Surplus subgroups repeat the last part, but
+    // store nothing.
     uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
     uint parts_per_image = params.n_parts / params.n_images, image = part / parts_per_image;
     uint begin = first_pixel(part % parts_per_image, parts_per_image),
          end = first_pixel(part % parts_per_image + 1u, parts_per_image);
+    // Index of the first value of this channel of this image.
     uint plane = (image * params.from.channels + params.from.first + channel) * params.n_pixels;
     vec2 sum = vec2(0.0);
     if (params.kind == kNormVjpSums) {
@@ -54,6 +57,7 @@ void main() {
     }
     sum = subgroupAdd(sum);
     if (params.kind == kMomentSums) {
+        // Mean and squared deviations from it. Kernel norm_finish combines the parts.
         float mean = sum.x / float(max(end - begin, 1u)), squares = 0.0;
         for (uint i = begin + lane; i < end; i += LANES) {
             float off = params.from.values.at[plane + i] - mean;

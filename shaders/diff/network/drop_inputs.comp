@@ -14,9 +14,11 @@ void main() {
     uint i = thread_index(), n_pixels = params.rows * params.columns;
     if (i >= params.n_images * n_pixels) return;
     uint image = i / n_pixels, at = i % n_pixels, x = at % params.columns;
+    // Pixel `at` shows the pixel `turn` columns to the left of it; columns wrap around.
     uint seen = at - x + (x + params.columns - params.turn.at[image] % params.columns) % params.columns,
          sampled = params.chosen.at[image];
     for (uint c = 0u; c < params.n_channels; ++c) {
+        // The last n_fixed channels describe pixels of the sensor, so they do not turn.
         uint from = c + params.n_fixed < params.n_channels ? seen : at;
         float v = params.samples.at[(sampled * params.n_channels + c) * n_pixels + from];
         vec2 affine = params.scale_shift.at[c];

@@ -28,6 +28,7 @@ vec2 cross_entropy(uint pixel, float logit, float probability) {
 void main() {
     uint part = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
     if (part >= params.n_parts) return;
+    // The first n % n_parts parts have one pixel more.
     uint begin = params.n / params.n_parts * part + min(part, params.n % params.n_parts);
     uint end = begin + params.n / params.n_parts + (part < params.n % params.n_parts ? 1u : 0u);
     vec2 sum = vec2(0.0);

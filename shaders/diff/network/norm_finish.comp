@@ -35,6 +35,7 @@ void main() {
     if (params.training != 0u) {
         vec2 batch = batch_moments(channel);
         float n = float(params.n_images * params.n_pixels);
+        // The running variance is unbiased: batch variance times n / (n - 1).
         params.running.at[channel] =
             mix(moments, vec2(batch.x, batch.y * n / max(n - 1.0, 1.0)), params.momentum);
         moments = batch;
@@ -43,5 +44,6 @@ void main() {
     vec2 beta_gamma = params.beta_gamma.at[channel];
     float scale = beta_gamma.y * inverse;
     params.moments.at[channel] = vec2(moments.x, inverse);
+    // gamma (x - mean) / deviation + beta, written as scale x + shift.
     params.scale_shift.at[channel] = vec2(scale, beta_gamma.x - scale * moments.x);
 }

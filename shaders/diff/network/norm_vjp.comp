@@ -17,6 +17,7 @@ void main() {
     if (plane >= params.n_images * params.n_channels) return;
     uint channel = plane % params.n_channels, first = thread_pixel(params.n_pixels);
     vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
+    // mean(g) and mean(g x^): the gradients of beta and gamma per pixel of the batch.
     vec2 mean = params.d_beta_gamma.at[channel] * (1.0 / float(params.n_images * params.n_pixels));
     uint from = plane_index(params.from, plane, params.n_channels) * params.n_pixels;
     uint d_to = plane_index(params.d_to, plane, params.n_channels) * params.n_pixels;

@@ -19,6 +19,7 @@ void main() {
          largest = 0u;
     float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
+        // Offset of pixel (k / 2, k % 2) of the block from its first pixel.
         uint off = k % 2u + k / 2u * params.columns;
         float v = params.pooled.values.at[first + off];
         largest = v > value ? off : largest;

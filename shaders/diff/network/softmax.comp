@@ -10,6 +10,8 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(SoftmaxParams);
 
+/// Replaces a row x by exp(x - max x) / sum exp(x - max x). Subtracting the maximum
+/// avoids an overflow.
 void softmax_row(uint first) {
     float largest = -1e30, sum = 0.0;
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)

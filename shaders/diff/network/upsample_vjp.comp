@@ -54,6 +54,7 @@ void main() {
         float weight_y = small_row_weight(y, row);
         if (weight_y == 0.0) continue;
         for (int k = 0; k < n_x; ++k) {
+            // Columns wrap around. n_x <= columns, so no column is added twice.
             int x = (first_x + k + 2 * int(params.columns)) % int(params.columns);
             float weight = weight_y * small_column_weight(x, column);
             if (weight == 0.0) continue;

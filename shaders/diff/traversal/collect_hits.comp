@@ -18,6 +18,7 @@ void main() {
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {
         find_next_hits(params.scene, ray, previous_key, 0.0);
         for (uint i = 0u; i < n_hits; ++i, ++count) {
+            // Hits beyond max_hits are counted but not stored.
             if (count >= params.max_hits) continue;
             uint slot = ray_index * params.max_hits + count;
             Hit hit = load_hit(i);
@@ -25,6 +26,7 @@ void main() {
             params.instance.at[slot] = hit.instance;
             params.surfel.at[slot] = hit.surfel;
         }
+        // If hits_closed is false, this pass has found all remaining hits.
         more = hits_closed;
         if (more) previous_key = load_hit_key(n_hits - 1u);
     }

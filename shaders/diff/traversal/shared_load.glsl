@@ -43,6 +43,7 @@ vec3 get_vec3(SharedWords words, uint index) {
                                  broadcast_word(words, index + 2u)));
 }
 
+/// Loads one node for all lanes. The numbers are the positions of the fields in words.
 BvhNode load_node(BvhNodes nodes, uint index) {
     SharedWords words = load_words(Uints(uvec2(nodes)), index * kNodeWords, kNodeWords);
     BvhNode node;

@@ -48,6 +48,8 @@ struct AccelerationStructure::Impl {
 
 namespace {
 
+/// Returns the surfel ranges of all models that change their shape while they walk.
+/// Joins adjacent ranges.
 SurfelRanges animated_ranges(const std::vector<SurfelModel>& models) {
     SurfelRanges ranges;
     for (const SurfelModel& model : models) {
@@ -104,9 +106,11 @@ void AccelerationStructure::append_model(Stream& stream, const DeviceScene& scen
     if (a.hardware) {
         const SurfelModel& model = scene.layout().models.back();
         a.hardware->append_model(scene);
+        // false: a build, not a refit. The other models keep their trees.
         a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, false);
         return stream.submit_and_wait();
     }
+    // Builds the tree of this model alone, then copies it behind the other trees.
     Bvh tree(stream.device(), added);
     tree.build_trees(stream, added, a.options);
     stream.submit_and_wait();
@@ -121,6 +125,7 @@ void AccelerationStructure::append_instances(const DeviceScene& scene) {
 void AccelerationStructure::record_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
+    // Ignores a cost that was measured before the last build.
     if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;

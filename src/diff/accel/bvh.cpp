@@ -177,6 +177,7 @@ struct Bvh::Impl {
         return 3 * RELIDAR_BVH_MORTON_BITS + std::uint32_t(std::bit_width(std::max(n_models, 1u) - 1));
     }
     void compute_boxes(Stream& s, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+        // The software tree needs only boxes, so vertices and reach are null.
         run(s, proxies, range.count,
             {.records = scene.surfel_records().address(),
              .vertices = {},
@@ -337,6 +338,7 @@ void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o
 
 void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
+    // One workgroup builds the tree over all instances.
     run(stream, b.top, kWorkgroupSize,
         {.bvh = bvh_addresses(),
          .instances = scene.instance_table().address(),
@@ -374,8 +376,10 @@ void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
     const Impl& a = *added.impl_;
     const std::uint32_t first_node = b.bound, first_surfel = scene.layout().models.back().first,
                         n_surfels = first_surfel + a.n, n_nodes = first_node + a.bound;
+    // n surfels need at most n / 4 nodes and a root, so the spare ones get n / 4.
     if (n_surfels > b.order.size() || n_nodes > b.nodes.size())
         reserve_spare(n_surfels, [&](std::size_t n) { b.reserve_nodes(n, n_nodes + (n - n_surfels) / 4); });
+    // The copied indices count from the start of the added tree.
     std::vector<shared::BvhNode> nodes = a.nodes.download(a.bound);
     for (shared::BvhNode& node : nodes) {
         node.first_child += first_node;

@@ -164,6 +164,7 @@ struct RayQueryAccel::Impl {
     void allocate_tlas(std::size_t n_instances);
     void allocate_scratch();
     void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+        // The kernel writes either vertices or boxes, so both use the same array.
         run(stream, proxies, range.count,
             {.records = scene.surfel_records().address(),
              .vertices = geometry.address_as<float, shared::ProxyVertices>(),
@@ -364,6 +365,7 @@ void RayQueryAccel::append_model(const DeviceScene& scene) {
     std::vector<std::uint32_t> radii = a.radii.download();
     radii.resize(models.size(), 0u);
     a.radii = {a.device, radii, "radii of models"};
+    // The array of the proxies may have moved, so all models get their new addresses.
     while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
     for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
     a.allocate_scratch();

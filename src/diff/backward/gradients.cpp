@@ -8,6 +8,7 @@ DeviceGradients::DeviceGradients(Device& device, const DeviceScene& scene, const
     : surfels(device, scene.size(), "gradient", scene.surfel_parameters().parameters_used()),
       records(device, 16 * std::size_t(scene.count_rows()), "record gradient"),
       touched(device, scene.size(), "list of surfels with a gradient") {
+    // Rays: dL/d(origin, direction). Poses: dL/d(translation, rotation).
     if (selection.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
     if (!selection.poses) return;
     poses = {device, 6 * scene.layout().instances.size(), "pose gradient"};

@@ -35,11 +35,13 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
     sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
+    // Each pass of the sort reads one set of arrays and writes the other.
     for (int set : {0, 1}) {
         rows_[set] = {device_, capacity, "rows of hits"};
         slots_[set] = {device_, capacity, "sorted hits"};
     }
     hits_ = Array<shared::HitRecord>(device_, capacity, "gradients of hits");
+    // A block stores up to two sums: of its first row and of its last row.
     parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1),
               "sums of hit records"};
 }

@@ -18,6 +18,8 @@ struct BlockTable {
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
+/// Splits the surfels of each instance into blocks. Only the first instance of a model
+/// has the gradient of the view direction.
 BlockTable split_into_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
@@ -57,6 +59,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
     const auto n_instances = std::uint32_t(scene.layout().instances.size()),
                n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
+    // Adds surfels to blocks, blocks to instances, and instances to the sensor.
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),

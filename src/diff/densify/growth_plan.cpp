@@ -32,6 +32,7 @@ GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::
         plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
+    // The random phase selects the copied surfels if max_surfels limits their number.
     plan.phase = std::uint32_t(random % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
     return limit_growth(plan, std::uint32_t(o.max_surfels));

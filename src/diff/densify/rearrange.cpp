@@ -14,6 +14,7 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t 
     : device_(device), allot_(device, "diff/densify/allot"), move_(device, "diff/densify/move") {
     scratch_surfels_.primitive = used.primitive;
     scratch_surfels_.bends = used.bends;
+    // One bit per frame and surfel.
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve_surfels(n);
     Stream stream(device);
@@ -79,6 +80,7 @@ void SurfelReorderer::move_rows(Stream& s, Array<T>& rows, Array<T>& to, std::ui
          .n_surfels = before_,
          .stride = stride,
          .fresh = zero ? 1u : 0u});
+    // Now `rows` contains the new order.
     std::swap(rows, to);
 }
 

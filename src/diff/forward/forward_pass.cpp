@@ -47,6 +47,7 @@ void ForwardPass::record_forward(Stream& stream, const DeviceScene& scene, const
                                  const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
                                  StoredRayHits* stored_hits, const Array<shared::RenderedSurface>* surfaces) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_rays.size());
+    // Index after the last ray of the batch.
     [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
@@ -65,6 +66,7 @@ void ForwardPass::record_forward(Stream& stream, const DeviceScene& scene, const
         .n_kept = stored_hits ? stored_hits->per_ray : 0,
         .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
+    // Renders with hit lists. Then `trace` renders only the rays whose lists are unfit.
     if (impl_->lists) impl_->lists->render(stream, batch, params, stored_hits);
     relidar::run(stream, impl_->trace, count_threads(batch), params);
 }

@@ -162,6 +162,7 @@ RenderedRayValues Renderer::download_rays() {
     const std::size_t n = r.batch.rays.n_rays;
     if (!r.surfaces) return to_ray_values(r.rendered.download(n));
     RenderedRayValues rendering = to_ray_values(r.rendered.download(n), r.surfaces->download(n));
+    // The array contains both values. Removes those that were not requested.
     if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
@@ -173,6 +174,7 @@ void Renderer::set_stored_hits(std::uint32_t hits_per_ray) {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
     const std::uint32_t before = std::exchange(r.options.keep_hits, hits_per_ray);
+    // An earlier batch may have had more threads than rays.
     const std::size_t n_threads =
         std::max(r.rendered.size(), r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0);
     try {
@@ -210,6 +212,7 @@ std::uint32_t Renderer::append_model(const Scene& added) {
     Scene model = added;
     if (r.scene.surfel_parameters().bends && !model.surfels.bends) model.surfels.add_still_gait();
     r.scene.surfel_parameters().check_group(model.surfels);
+    // The acceleration structure must be built before a model can be appended.
     if (!r.placed) update(r.scene.poses(), r.view_origin_m);
     DeviceScene activated(r.device, model);
     activated.activate(r.stream, r.model, r.view_origin_m);

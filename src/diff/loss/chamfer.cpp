@@ -61,6 +61,7 @@ struct ChamferLoss::Impl {
 
     void tile_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& levels) const {
         RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
+        // The boxes of single points have equal corners, so both inputs are the points.
         relidar::run(stream, boxes, std::size_t(levels.tiles.x) * levels.tiles.y,
                      {.low = cloud.points.address().cast_tag<shared::LowCorners>(),
                       .high = cloud.points.address().cast_tag<shared::HighCorners>(),
@@ -72,6 +73,7 @@ struct ChamferLoss::Impl {
                       .tile_columns = levels.tile.y});
     }
     void group_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& levels) const {
+        // The same kernel joins the boxes of tiles to boxes of groups of tiles.
         RELIDAR_ASSERT_LE(std::size_t(levels.groups.x) * levels.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(levels.groups.x) * levels.groups.y,
                      {.low = cloud.tile_low.address().cast_tag<shared::LowCorners>(),

@@ -21,6 +21,8 @@ shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool
             .unused = 0};
 }
 
+/// Describes the attention weights as one matrix [pixels, pixels] per image and head,
+/// transposed if `turned` is true.
 shared::MatrixView attention_matrices(const Tensor& w, ImageBatchSize g, std::uint32_t heads, bool turned) {
     const auto pixels = std::uint32_t(g.n_image_pixels());
     return {.values = w.values.address(),
@@ -84,10 +86,13 @@ void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, 
     const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
                 value = qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = output.grid;
+    // Scores of all pairs of pixels: one row per query, one column per key.
     multiply(stream, head_matrices(query, heads_, true), head_matrices(key, heads_, false),
              attention_matrices(state.share, grid, heads_, false), pixels, size,
              1.0f / std::sqrt(float(size)), grid);
+    // false: not the derivative.
     run_softmax(stream, state, grid, false);
+    // Adds the values, weighted by each row of weights.
     multiply(stream, head_matrices(value, heads_, false), attention_matrices(state.share, grid, heads_, true),
              head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }

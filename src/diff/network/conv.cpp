@@ -27,6 +27,8 @@ std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
     return std::uint32_t(std::clamp<std::size_t>(div_ceil(lines, kLinesOfPart), 1, most));
 }
 
+/// Checks that the device can run the network. Returns the number of taps, so that an
+/// initialiser can call this function.
 std::uint32_t check_taps(const Device& device, std::uint32_t kernel_taps) {
     RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
     const DeviceInfo& info = device.info();

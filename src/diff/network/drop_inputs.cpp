@@ -69,6 +69,7 @@ void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> 
         device, images, [](const RayDropImage& image) -> const std::vector<float>& { return image.dropped; },
         "measured drops");
     n_known_pixels_.clear();
+    // A negative target is unknown.
     for (const RayDropImage& image : images)
         n_known_pixels_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(),
                                                             [](float value) { return value >= 0.0f; })));

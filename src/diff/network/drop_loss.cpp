@@ -6,6 +6,7 @@
 namespace relidar::network {
 
 void RayDropLoss::record_loss(Stream& s, std::size_t n, const RayDropLossArrays& a, std::size_t n_known) {
+    // One subgroup processes one part.
     const std::uint32_t of_workgroup = kThreads / lanes_;
     relidar::run(s, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
                  {.logit = a.logit,
@@ -22,6 +23,7 @@ void RayDropLoss::record_loss(Stream& s, std::size_t n, const RayDropLossArrays&
 RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {
     RayDropScore score;
     const std::vector<float> partial = partial_.download();
+    // Each part has two sums: cross-entropies, and number of correct predictions.
     for (std::size_t part = 0; part < n_parts_; ++part) {
         score.entropy += double(partial[2 * part]);
         score.accuracy += double(partial[2 * part + 1]);

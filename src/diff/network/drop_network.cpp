@@ -29,6 +29,7 @@ struct NetworkPreset {
 };
 
 const NetworkPreset& find_predefined(const std::string& name) {
+    // name, width, factors, heads, taps, residual, batch, {dropout, turns}
     static const NetworkPreset networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
                                              {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
                                              {"pixel", 16, {1}, 0, 1, true, 1, {}}};

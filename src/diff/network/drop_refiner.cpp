@@ -117,6 +117,7 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_drops(
     shaped.inputs.fill_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
                              shaped.unet.input_images());
     shaped.unet.run_inference(stream);
+    // Computes only probabilities. Without targets, the number of known pixels is 0.
     shaped.loss->record_loss(stream, grid.n_image_pixels(),
                              {.logit = shaped.unet.logits().values.address().cast_tag<shared::DropLogits>(),
                               .start = r.network.residual ? shaped.inputs.rendered_logits().address()

@@ -40,6 +40,7 @@ void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
 
 shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32_t kind) const {
     shared::ChannelSumsParams params{};
+    // Only kNormVjpSums reads d_to. norm_vjp() replaces it.
     params.from = params.d_to = input.view;
     params.partial = partial_.address();
     params.kind = kind;

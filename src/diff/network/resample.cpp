@@ -6,6 +6,7 @@
 namespace relidar::network {
 namespace {
 
+/// Common parameters of all kernels. Only max_pool_vjp() uses `pooled`; it replaces it.
 shared::ResampleParams resample_params(const Slice& in, const Slice& out, ImageBatchSize large,
                                        ImageBatchSize small) {
     RELIDAR_ASSERT_EQ(in.channels, out.channels);

@@ -92,6 +92,7 @@ RayDropNetwork train_drop_network(Device& device, const std::vector<RayDropImage
     while (course.report.step < course.report.n_steps) {
         const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
         if (k == 0) course.entropy = course.accuracy = 0.0;
+        // `order` is also empty after a resume within an epoch.
         if (k == 0 || order.empty())
             order = sample_epoch(images.size(), images[0].columns,
                                  network::regularisation_of(options).turns && images[0].circular, seed,

@@ -44,6 +44,8 @@ void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid
         values = Tensor(device, channels, of, "activations");
         if (with_gradients_) gradients = Tensor(device, channels, of, "gradients of activations");
     };
+    // Level l has the encoder blocks 2 l - 2 and 2 l - 1, and the decoder blocks 2 l
+    // and 2 l + 1.
     if (level > 0) {
         tensors(l.pooled, l.d_pooled, widths_[level - 1], grid);
         tensors(l.down_between, l.d_down_between, widths_[level], grid);
@@ -121,6 +123,8 @@ void Unet::run_attention(Stream& stream, Mode mode) {
 }
 
 void Unet::run_all_layers(Stream& stream, Mode mode) {
+    // The encoder writes each level except the smallest into `joined` (skip
+    // connection).
     conv1_.run_convolution(stream, inputs_, conv_weights(plan_.first_conv.weights),
                            conv_bias(*plan_.first_conv.bias), skip(0));
     const std::size_t n_levels = widths_.size() - 1;
@@ -132,6 +136,8 @@ void Unet::run_all_layers(Stream& stream, Mode mode) {
                        l < n_levels ? skip(l) : levels_[l].up, mode);
     }
     if (attention_) run_attention(stream, mode);
+    // The decoder goes from the smallest level to the full size. It joins the upsampled
+    // images of the level below with the skip connection.
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
         const LevelBuffers& level = levels_[l];
         if (const std::uint32_t below = upsampled_channels(widths_, l); below > 0) {
@@ -184,6 +190,7 @@ void Unet::attention_vjp(Stream& stream) {
 }
 
 void Unet::backward(Stream& stream) {
+    // Processes all layers of run_all_layers() in reverse order.
     const std::size_t n_levels = widths_.size() - 1;
     conv_vjp(stream, plan_.last_conv, levels_[0].up, d_logit_);
     conv1_.input_vjp(stream, d_logit_, conv_weights(plan_.last_conv.weights), levels_[0].d_up);
@@ -199,6 +206,7 @@ void Unet::backward(Stream& stream) {
         }
     }
     if (attention_) attention_vjp(stream);
+    // d_skip() already has the gradient from the decoder. max_pool_vjp() adds to it.
     for (std::size_t l = n_levels; l > 0; --l) {
         const LevelBuffers& level = levels_[l];
         const Slice d_to = l < n_levels ? d_skip(l) : level.d_up, between = level.down_between;

@@ -20,12 +20,15 @@ std::size_t reserve_floats(std::size_t& n_allocated, std::size_t n_floats) {
 }  // namespace
 
 UnetLayout::UnetLayout(const RayDropNetwork& network) {
+    // Weights [n_out, n_in, taps], then the biases if there are any.
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
         ConvOffsets layer{
             n_in, n_out, taps, reserve_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
         if (biased) layer.bias = reserve_floats(n_parameters, n_out);
         return layer;
     };
+    // Normalisation, then a convolution without bias. Each channel has the values
+    // (beta, gamma) and running (mean, variance).
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
         return BlockOffsets{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
                             conv(n_in, n_out, taps, false)};
@@ -41,6 +44,7 @@ UnetLayout::UnetLayout(const RayDropNetwork& network) {
         query = block(w[n_levels], 3 * w[n_levels], 1);
         project = conv(w[n_levels], w[n_levels], 1, true);
     }
+    // A network with one level also has decoder blocks.
     for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
         const std::uint32_t joined = joined_channels(w, l);
         up.push_back(block(joined, joined, network.taps));

@@ -160,6 +160,7 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
     params.epsilon = float(a.options.epsilon);
     params.correction1 = moment_correction(a.options.beta1, step_number);
     params.correction2 = moment_correction(a.options.beta2, step_number);
+    // Each row has one value, so it has no blocks with different learning rates.
     params.first_scale = params.block_scale = 1.0f;
     params.n_rows = std::uint32_t(a.moment1.size());
     params.stride = params.block = params.n_blocks = params.n_active = 1;

@@ -92,6 +92,7 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
     const RenderedRayValues expected = render_ring(device, {}, tree_state);
     int n_wrong = 0;
     for (std::size_t i = 0; i < kTestRays; ++i)
+        // A depth is also wrong if it is NaN.
         n_wrong += actual.hits[i] != expected.hits[i] ||
                    !(std::abs(actual.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
     return n_wrong;
