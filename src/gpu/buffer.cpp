@@ -127,6 +127,8 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
+/// Allocates the pieces of a sparse buffer and binds them. On failure, the caller frees
+/// the allocated pieces.
 VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes) {
     for (std::uint64_t offset = 0; offset < requirements.size; offset += max_bytes) {
         VkMemoryRequirements piece_needs = requirements;
@@ -210,6 +212,7 @@ Buffer Buffer::share() const {
 
 MemoryAddress Buffer::address_for_others() const {
     using enum MemoryAddress::Interface;
+    // A sparse buffer of several pieces has no common address.
     if (!impl_ || !impl_->device->share_memory || impl_->memory.size() != 1) return {};
     if (impl_->mapped) return {host, impl_->mapped, 0};
     const gpu::MemorySuballocation& piece = impl_->memory.front();

@@ -93,6 +93,7 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& l
             total};
 }
 
+/// Returns a text about the first wrong result, or an empty text.
 std::string run_subgroup_test(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
@@ -108,6 +109,7 @@ std::string run_subgroup_test(Device& device) {
     for (std::uint32_t group = 0; group < kCheckThreads; group += kCheckWorkgroup) {
         std::uint32_t total = 0, before = 0;
         for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(group + i);
+        // `before` is the sum of the earlier subgroups of this workgroup.
         for (std::uint32_t first = group; first < group + kCheckWorkgroup; first += lanes) {
             Words values;
             for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::test_value(first + i));
@@ -115,6 +117,7 @@ std::string run_subgroup_test(Device& device) {
                 const auto expected = expected_results(values, lane, before, total);
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
+                    // A sum in a branch is only defined if lanes reconverge.
                     if (lane_results[k] != expected[k] && (k != kInBranch || lanes_reconverge(device)))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k],
                                            lane_results[k], lane, expected[k]);
@@ -170,6 +173,7 @@ double test_swap_adds(Device& device, std::uint32_t n_threads, double& elapsed_s
     return error;
 }
 
+/// Returns the subgroup sizes that a kernel can require: powers of two, 4 to 64.
 std::vector<int> subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};

@@ -12,6 +12,8 @@ namespace relidar::gpu {
 
 namespace {
 
+/// Lists the extensions of a device. For a lent device, lists only those that its owner
+/// has enabled.
 std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical,
                                                    const LentVulkan* lent = nullptr) {
     auto extensions = enumerate<VkExtensionProperties>(
@@ -148,6 +150,7 @@ bool has_extension(VkPhysicalDevice physical, const char* extension_name) {
 
 namespace {
 
+/// Returns the missing features that all kernels need, as one text.
 std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                 const VkPhysicalDeviceDriverProperties& driver_properties,
                                 const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,

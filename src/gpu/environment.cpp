@@ -26,6 +26,7 @@ std::uint64_t parse_limit(const std::string& mib_text) {
     std::uint64_t mib = 0;
     const char* end = mib_text.data() + mib_text.size();
     const auto [parsed, failed] = std::from_chars(mib_text.data(), end, mib);
+    // The upper limit avoids an overflow of the number of bytes.
     if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
         fail<UsageError>(
             "environment variable RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0",
@@ -47,6 +48,7 @@ std::filesystem::path user_cache_folder() {
 
 DeviceOptions apply_environment(DeviceOptions options) {
     if (read_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
+    // If the user has selected drivers, missing drivers are intended.
     options.report_missing_drivers =
         std::ranges::all_of(kDriverVariables, [](const char* name) { return !std::getenv(name); });
     const std::string limit = read_variable("RELIDAR_MEMORY_LIMIT_MIB");

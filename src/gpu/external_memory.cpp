@@ -130,6 +130,7 @@ struct ImportedBlock {
 
     ImportedBlock(const ComputeLibrary& of, const Device::Impl& owner, const MemoryBlock& block)
         : library(of), device_index(find_device(of, owner)) {
+        // The second argument is the index of the function in LibraryNames::functions.
         library.check(library.get_device(&device, device_index), 2);
         library.check(library.retain_context(&context, device), 4);
         library.check(library.push_context(context), 5);

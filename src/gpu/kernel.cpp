@@ -184,6 +184,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const Kernel
                        SubgroupRequirement subgroups)
     : impl_(std::make_unique<Impl>()) {
     impl_->module = std::string(kernel_name);
+    // A module is NAME or NAME@VARIANT. All variants share the name of the kernel.
     impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
     impl_->words = embedded_spirv(kernel_name);
     impl_->subgroups = subgroups;

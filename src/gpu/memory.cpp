@@ -45,6 +45,7 @@ MemoryBudget query_budget(VkPhysicalDevice physical) {
         const VkMemoryHeap& heap = memory.memoryProperties.memoryHeaps[i];
         const MemoryBudget heap_budget{has_budgets ? budgets.heapBudget[i] : heap.size,
                                        has_budgets ? budgets.heapUsage[i] : 0};
+        // Keeps the largest heap in device memory.
         if ((heap.flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT) && heap_budget.n_bytes >= largest.n_bytes)
             largest = heap_budget;
     }

@@ -54,11 +54,13 @@ std::vector<std::string> find_driverless(const std::vector<DeviceInfo>& devices,
                                     file.lexically_relative(root).string(), advice));
     };
     for (const GpuMaker& maker : kGpuMakers) {
+        // Vulkan already offers a device of this vendor.
         if (std::ranges::find(devices, maker.vendor_id, &DeviceInfo::vendor_id) != devices.end()) continue;
         const fs::path file = find_device_file(root, maker.vendor_id, maker.device_file);
         if (!file.empty()) add(fmt::format("the {} GPU of this machine", maker.name), file, maker.advice);
     }
     const bool has_gpu = std::ranges::any_of(devices, [](const DeviceInfo& d) { return d.type != "CPU"; });
+    // WSL gives access to the GPU of Windows by the file /dev/dxg.
     if (!has_gpu && fs::exists(root / "dev/dxg", failed))
         add("the GPU of Windows", root / "dev/dxg", "install Mesa's Vulkan driver for WSL (dzn)");
     return lines;

@@ -34,6 +34,8 @@ void PrefixSum::run(Stream& stream, const StridedCounts& counts,
                  0);
 }
 
+/// Computes the sums of tiles, then their prefix sums (recursively, one level higher),
+/// and then the prefix sums within the tiles. A single tile needs only the last step.
 void PrefixSum::record_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const {
     if (level_0_params.n == 0) return;
     const std::size_t n_tiles = count_tiles(level_0_params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;

@@ -42,10 +42,13 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
 SortBuffers RadixSort::run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
                            Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
+    // Each pass sorts by 8 bits, from the lowest to the highest, and keeps the order of
+    // equal digits.
     for (std::uint32_t pass = 0; pass < pass_count(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,
             .keys = input.keys,
+            // Without an order, the first pass uses the indices 0, 1, 2, ...
             .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : input.order,
             .sorted_keys = scratch.keys,
             .sorted_order = scratch.order,
