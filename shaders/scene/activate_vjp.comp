@@ -79,6 +79,7 @@ void zero_gradients(uint surfel) {
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
     if (has_gait())
         for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = 0.0;
+    // If STAGED is set, channels_vjp() writes the zeros of the SH coefficients.
     if (STAGED || params.sh_per_surfel == 0u) return;
     for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
         params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;

@@ -54,9 +54,11 @@ void sum_gradients(uint first_ray, uint ray_step, uint knot, out vec3 d_translat
 
 void main() {
     uint group = workgroup_index(), local = gl_LocalInvocationID.x;
+    // One workgroup per row and knot (sensor pose).
     uint row = group / params.n_knots, knot = group % params.n_knots;
     sum_gradients(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
                   forces[local], torques[local]);
+    // Adds the second half of the sums to the first half until one sum remains.
     for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
         barrier();
         if (local < n) {

@@ -17,11 +17,13 @@ float read_channel(uint index, uint channel) {
     if (channel == RELIDAR_DROP_INTENSITY) return m.intensity;
     if (channel == RELIDAR_DROP_LOGIT) {
         float p = clamp(m.drop_prob, kLeastProbability, 1.0 - kLeastProbability);
+        // Inverse of p = 1 / (1 + exp(-logit)).
         return log(p / (1.0 - p));
     }
     if (channel == RELIDAR_DROP_WEIGHT) return m.weight;
     if (channel == RELIDAR_DROP_SPREAD) return log(1.0 + abs(m.median_range_m - m.mean_range_m));
     if (channel == RELIDAR_DROP_COSINE) return m.incidence;
+    // The last three channels are the position of the sensor.
     return channel == RELIDAR_DROP_ELEVATION ? params.rays.at[index].direction.z
                                              : params.origin[channel - RELIDAR_DROP_ORIGIN];
 }

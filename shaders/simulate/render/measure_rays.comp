@@ -65,8 +65,10 @@ void main() {
     RenderedRay r = params.rendered.at[i];
     RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
     uint channel = params.rays.at[i].channel;
+    // Channels without calibration have gain 1 and no offsets.
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
+    // A median exists only if surfaces absorb at least half of the light.
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
     float normalised_depth_m = r.depth / r.weight,
           chosen_m = select_range(r, surface.mode, normalised_depth_m);
@@ -77,7 +79,10 @@ void main() {
     m.mean_range_m = measured_range(dominated ? normalised_depth_m : surface_m, beam);
     m.intensity =
         clamp(beam.intensity_gain * falloff_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
+    // Probability of a return, from the sensor (sees) and from the two logits.
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
+    // A ray that hits an actor needs a median, so that the outline of the actor does
+    // not depend on the surface behind it.
     bool can_return = dominated || (is_met && r.instance == kBackgroundInstance);
     m.drop_prob =
         1.0 -
