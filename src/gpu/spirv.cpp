@@ -20,6 +20,7 @@ SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const Execut
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
     bool extended = false;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        // Extensions follow the capabilities and precede all other instructions.
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
             append_instruction(result, extension_words);
             extended = true;

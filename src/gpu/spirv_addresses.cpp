@@ -78,6 +78,8 @@ private:
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
+    /// Collects the types, array lengths (constants), array strides and member offsets
+    /// that determine the layout of the parameter block.
     void store_type(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
         if (opcode == kOpTypeInt || opcode == kOpTypeFloat || opcode == kOpTypeVector ||
@@ -113,6 +115,7 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     };
     require(words.size() >= kHeaderWords && words[0] == kMagic, "the magic number of SPIR-V");
     require(words[1] <= kMaxVersion, "a SPIR-V version up to 1.6 (Vulkan 1.3)");
+    // The upper half of the first word of an instruction is its number of words.
     for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
         require(words[at] >> 16 > 0 && words[at] >> 16 <= words.size() - at, "its last words (truncated)");
     bool has_main = false, has_bindings = false;
@@ -126,6 +129,7 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     });
     require(last_opcode == kOpFunctionEnd, "a function at its end (truncated)");
     require(has_main, "a compute entry point main()");
+    // Specialisation constant 0 is the workgroup size (relidar/base/kernel.glsl).
     require(!has_bindings && list_constants(words).contains(0), "the interface of relidar/base/kernel.glsl");
     const std::uint32_t size = find_params_size(words);
     require(size > 0, "names or without RELIDAR_PARAMS of numbers, vectors, arrays and pointers");

@@ -60,6 +60,8 @@ private:
             value_by_id_[instruction[2]] = *value;
     }
 
+    /// Returns the value of an instruction, or nothing if it depends on unknown
+    /// operands. One known operand can decide `or` and `and`.
     std::optional<std::uint32_t> evaluate_operation(std::uint32_t operation,
                                                     SpirvInstruction operands) const {
         const std::optional<std::uint32_t> a = find_value(operands[0]),
@@ -78,6 +80,7 @@ private:
 
 class ControlFlowGraph {
 public:
+    /// Collects the successors of each block. The id of a block is the id of its label.
     explicit ControlFlowGraph(std::span<const std::uint32_t> words) {
         std::uint32_t label = 0;
         for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
@@ -87,6 +90,7 @@ public:
                 for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
             else if (opcode == kOpBranch) next_[label] = {instruction[1]};
             else if (opcode == kOpBranchConditional) next_[label] = {instruction[2], instruction[3]};
+            // Words 2, 4, 6 ... are targets: the default, then one after each literal.
             else if (opcode == kOpSwitch)
                 for (std::size_t k = 2; k < instruction.size(); k += 2)
                     next_[label].push_back(instruction[k]);
@@ -140,6 +144,7 @@ SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvCons
         }
         std::optional<std::uint32_t> condition;
         if (opcode == kOpBranchConditional && !merge.empty()) condition = values.find_value(instruction[1]);
+        // Words 2 and 3 are the targets for true and false. Keeps one of them.
         if (condition && blocks.can_remove(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
             append_instruction(result, kOpBranch, {instruction[*condition != 0 ? 2 : 3]});
         } else {

@@ -16,10 +16,12 @@ namespace {
 
 class LaneIndexRewriter {
 public:
+    /// Word 3 of the header is the bound of all ids, so new ids start there.
     explicit LaneIndexRewriter(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
         for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             collect_ids(opcode, instruction);
         });
+        // The module declares no gl_LocalInvocationIndex, so the rewriter declares it.
         is_new_lane_ = lane_ == 0;
         for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
                                   &constant_1_, &constant_255_})
@@ -47,6 +49,7 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
+    /// Collects the ids of the declarations that the new instructions refer to.
     void collect_ids(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
         if (opcode == kOpEntryPoint) entry_ = instruction[2];
@@ -76,10 +79,13 @@ private:
         if (is_new_lane_) emit(kOpVariable, {input_pointer_, lane_, kInput});
     }
 
+    /// Stores LocalInvocationIndex & push.nothing.x & 255 in the private variable
+    /// `zero_`. The value is always 0, but the compiler does not know this.
     void emit_zero() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
         next_ += 5;
+        // The low word (component 0) of push.nothing (member 1).
         emit(kOpAccessChain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
         emit(kOpLoad, {uint_, nothing, member_pointer});
         emit(kOpBitwiseAnd, {uint_, low, nothing, constant_255_});

@@ -46,15 +46,19 @@ private:
         if (opcode == kOpTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
             block_pointer = instruction[1];
         if (opcode == kOpTypeInt && instruction[2] == 32 && !int_type) int_type = instruction[1];
+        // The lower half of the first word of an instruction is its opcode.
         if (opcode == kOpConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
             (types.at(instruction[1])[0] & 0xffffu) == kOpTypeInt)
             constants[instruction[2]] = instruction[3];
         if (opcode == kOpAccessChain) store_path(instruction);
+        // This instruction loads the address of the parameter block.
         if (opcode == kOpLoad && instruction[1] == block_pointer && block_pointer) {
             addresses.insert(instruction[2]);
             push_chain = chains_[instruction[3]];
         }
     }
+    /// Stores the member indices of an access chain into the parameter block. Other
+    /// chains are kept, because they may lead to the address in the push constant.
     void store_path(SpirvInstruction instruction) {
         if (!addresses.contains(instruction[3])) {
             chains_[instruction[2]] = SpirvWords(instruction.begin(), instruction.end());
@@ -118,6 +122,7 @@ public:
             if (opcode == kOpDecorate && !decorated) append_instruction(result, decorations_);
             decorated = decorated || opcode == kOpDecorate;
             SpirvWords words(instruction.begin(), instruction.end());
+            // The interface of an entry point must list all variables that it uses.
             if (opcode == kOpEntryPoint) {
                 for (const auto& [path, v] : variables_) words.push_back(v.id);
                 words[0] = std::uint32_t(words.size()) << 16 | kOpEntryPoint;
@@ -163,20 +168,25 @@ private:
         if (is_new) append_instruction(globals_, kOpConstant, {module_.int_type, next_++, value});
         return at->second;
     }
+    /// Returns the private variable of a parameter. Declares it at the first call.
     std::uint32_t declare_private(std::uint32_t type_id, const MemberPath& path) {
         if (const auto existing_variable = variables_.find(path); existing_variable != variables_.end())
             return existing_variable->second.id;
         const std::uint32_t pointer_type = declare_pointer(private_pointer_, kPrivateStorage, type_id),
                             id = next_++;
         append_instruction(globals_, kOpVariable, {pointer_type, id, kPrivateStorage});
+        // SPIR-V requires this decoration for variables that contain device addresses.
         if ((module_.types.at(type_id)[0] & 0xffffu) == kOpTypePointer)
             append_instruction(decorations_, kOpDecorate, {id, kAliasedPointer});
         variables_[path] = {id, type_id};
         return id;
     }
+    /// Returns the prologue of the entry point. It loads each parameter from the block
+    /// and stores it in its private variable.
     SpirvWords copy_parameters() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
+        // Word 2 of an instruction is the id of its result.
         chain[2] = next_;
         append_instruction(code, chain);
         append_instruction(code, kOpLoad, {module_.block_pointer, block, chain[2]});
@@ -221,6 +231,7 @@ SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     bool functions = false, any = false;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         functions = functions || opcode == kOpFunction;
+        // make_module() copies the declarations, which precede all functions.
         if (!functions) return;
         const auto path_entry =
             opcode == kOpLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();

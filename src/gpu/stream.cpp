@@ -21,6 +21,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
     gpu::vk_check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
     gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
+    // Devices with a time limit for launches also need the measured times.
     const bool measures = d.info().timestamps && device->launch_limit.has_limit();
     for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
@@ -30,6 +31,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
         if (!timing && !measures) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
+        // start and end of each launch
         queries.queryCount = 2 * kMaxLaunches;
         gpu::vk_check(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
                       "vkCreateQueryPool");
@@ -38,6 +40,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
 }
 
 Stream::Impl::~Impl() {
+    // The driver's threads do not exist in a forked process, so a wait would not end.
     if (device->compile_only || device->is_forked()) return;
     device->wait_idle();
     if (recording) --device->n_recording;
@@ -67,6 +70,8 @@ VkCommandBuffer Stream::Impl::open_commands() {
     return slot.commands;
 }
 
+/// Begins another command buffer of a slot. Allocates one only if all buffers of the
+/// slot are in use.
 void Stream::Impl::begin_commands(SubmissionSlot& slot) {
     if (slot.n_buffers == slot.buffers.size()) {
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
@@ -218,6 +223,8 @@ void Stream::Impl::record_write(const Buffer& buffer, const void* host_bytes, st
     });
 }
 
+/// Records a copy to host memory. The slot keeps the target alive until the device has
+/// finished the submission.
 void Stream::Impl::record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                                const VkBufferCopy& region) {
     if (region.size == 0) return;

@@ -50,9 +50,11 @@ void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::
     ++device_.n_uploads;
     device_.upload_bytes += n_bytes;
     const Buffer::Impl& from = ensure_staging(upload_, BufferPurpose::upload, n_bytes);
+    // copy_now() waits for each copy, so the staging memory can be used again.
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
+        // {source offset, target offset, size}
         copy_now(from.handle, target.handle, {0, offset_bytes + done, n});
     }
 }

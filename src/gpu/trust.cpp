@@ -43,6 +43,8 @@ std::string format_results(const std::string& driver_version, const DeviceTestRe
         results.subgroup_size, int(results.ray_query));
 }
 
+/// Reads a file that format_results() has written. Returns nothing if the text differs
+/// in any way, for example in the version or the driver.
 std::optional<DeviceTestResults> read_results(const std::filesystem::path& path, const std::string& driver) {
     std::ifstream file(path);
     std::stringstream content;
@@ -53,6 +55,7 @@ std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
     DeviceTestResults trust;
     int atomics = 0, swaps = 0, ray_query = 0;
     std::string name;
+    // Each line contains a name and a value.
     std::istringstream(text.substr(values)) >> name >> atomics >> name >> swaps >> name >>
         trust.subgroup_size >> name >> ray_query;
     if (ray_query < 0 || ray_query > int(CheckVerdict::wrong)) return std::nullopt;
@@ -120,6 +123,7 @@ void report_note(const std::string& text) {
     if (open_callbacks().note && !fixed_trust) open_callbacks().note(text);
 }
 
+/// Disables features that failed the test of the device, and notes alternatives.
 void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) { report_note(fmt::format("{}: {}", info.name, text)); };
