@@ -106,8 +106,11 @@ void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
 
+/// Adds the points that the boxes of a frame gain and lose if each fault is corrected.
+/// The corrections are tried one at a time.
 void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
     std::vector<glm::dvec3> points_m;
+    // Uses every `step`-th return, and so at most kMaxPoints of them.
     const std::size_t step = 1 + frame.scan.count_returns() / kMaxPoints;
     std::size_t n_returns = 0;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
@@ -121,6 +124,7 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
         if (!box.is_observed(frame.time_s)) continue;
         // The sensor faces the box at another time than the reference time of the frame.
         double time_s = frame.time_s;
+        // This time and the position of the box depend on each other, so it iterates.
         for (int round = 0; round < 2; ++round)
             time_s = facing_time_s(
                 sequence, sensor_from_world_at(time_s) * box.world_from_box.pose_at(time_s).translation,
@@ -129,7 +133,9 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
                    world_from_box = box.world_from_box.pose_at(time_s);
         for (std::size_t f = 0; f < kBoxFaults.size(); ++f) {
             const BoxFault& fault = kBoxFaults[f];
+            // Turning a box shows nothing unless the box is elongated.
             if (!fault.is_bottom && !fault.is_mirrored && !is_elongated(box.size_m)) continue;
+            // The frame whose y axis is mirrored. The world is that of the dataset.
             const Pose mirrored_frame = fault.is_in_vehicle ? sequence.world_from_vehicle.pose_at(time_s)
                                                             : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
             const Pose corrected = correct_box(world_from_box, box.size_m.z, mirrored_frame, fault);
@@ -139,6 +145,7 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
     }
 }
 
+/// Sums the gains over at most kMaxFrames frames, which are spread over the log.
 PointGains compare_boxes(const Log& sequence) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : sequence.frames)
@@ -167,12 +174,14 @@ void remove_ego_boxes(Log& sequence) {
     std::vector<std::string> names;
     const auto is_around = [&](const BoxTrack& box, const Pose& world_from_vehicle,
                                const Pose& world_from_box) {
+        // A LiDAR on the roof may be above the box.
         const glm::dvec3 half_m = 0.5 * box.size_m + glm::dvec3(0, 0, kAboveVehicle_m);
         const auto is_inside = [&](const Pose& vehicle_from_sensor) {
             const glm::dvec3 local_m =
                 glm::abs(inverse(world_from_box) * (world_from_vehicle * vehicle_from_sensor.translation));
             return local_m.x <= half_m.x && local_m.y <= half_m.y && local_m.z <= half_m.z;
         };
+        // {} is the origin of the vehicle.
         return is_inside({}) || std::ranges::any_of(sequence.lidars, is_inside, &Lidar::vehicle_from_sensor);
     };
     std::erase_if(sequence.boxes, [&](const BoxTrack& box) {
@@ -184,6 +193,7 @@ void remove_ego_boxes(Log& sequence) {
             n_around +=
                 is_around(box, sequence.world_from_vehicle.pose_at(time_s), box.world_from_box.pose[k]);
         }
+        // Removes a box only if it contains the vehicle at most of the times.
         if (n_around == 0 || double(n_around) < kShareAroundVehicle * double(n) ||
             std::max(box.size_m.x, box.size_m.y) > kLongestVehicle_m)
             return false;
@@ -198,6 +208,7 @@ void remove_ego_boxes(Log& sequence) {
 
 std::string describe_fault(const Log& sequence) {
     const PointGains gains = compare_boxes(sequence);
+    // Points gained minus points lost, or 0 if the difference may be chance.
     const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };
@@ -208,6 +219,7 @@ std::string describe_fault(const Log& sequence) {
     int n_wider = 0;  // elongated boxes: wider than long minus longer than wide
     for (const BoxTrack& box : sequence.boxes)
         if (is_elongated(box.size_m)) n_wider += box.size_m.y > box.size_m.x ? 1 : -1;
+    // If most boxes are wider than long, their sizes are wrong instead of their angles.
     const char* turned =
         n_wider > 0 ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
     return fmt::format("{}{}: boxes that are corrected in this way gain {} points and lose {}",

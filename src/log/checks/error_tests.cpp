@@ -49,9 +49,11 @@ void test_frame_times(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
+/// Tests all poses: the LiDAR mountings, the vehicle and the boxes.
 void test_poses(const CheckedLog& log, const FaultReport& report) {
     const auto test_pose = [&](const std::string& name, const Pose& pose) {
         const auto& [q, t] = pose;
+        // NaN fails this comparison. -1: a fault of the log, not of one LiDAR.
         if (!(glm::length(t) <= kMaxDistance_m && std::abs(glm::length(q) - 1.0) <= kMaxLengthError))
             report.add(-1, name, t.x, t.y, t.z, glm::length(q), kMaxDistance_m);
     };
@@ -72,6 +74,7 @@ void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
         const RayTable& rays = scan.rays;
         const auto test_size = [&](const char* field, std::size_t size) {
             if (size != std::size_t(rays.rows) * std::size_t(rays.columns))
+                // -1: a fault of the log, not of one LiDAR.
                 report.add(-1, frame.index, field, size, rays.rows, rays.columns);
         };
         test_size("rays.origin", rays.origin.size());
@@ -90,6 +93,7 @@ void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
+/// Tests each value of each ray against its limits. NaN is outside all limits.
 void test_rays(const CheckedLog& log, const FaultReport& report) {
     parallel_for(int(log.sequence.frames.size()), [&](int index) {
         const Frame& frame = log.sequence.frames[std::size_t(index)];
@@ -97,8 +101,10 @@ void test_rays(const CheckedLog& log, const FaultReport& report) {
         const std::size_t n_beams = log.sequence.lidar_of(frame).sensor.beams.size();
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const auto test_value = [&](const char* field, double value, double min, double max) {
+                // -1: a fault of the log, not of one LiDAR.
                 if (!(value >= min && value <= max)) report.add(-1, frame.index, i, field, value, min, max);
             };
+            // An intensity above 0 needs a return, which is a range above 0.
             const auto test_return = [&](const char* range, const char* intensity, float range_m, float value,
                                          bool may_exist) {
                 test_value(range, double(range_m), 0.0, may_exist ? kMaxDistance_m : 0.0);
@@ -112,6 +118,7 @@ void test_rays(const CheckedLog& log, const FaultReport& report) {
             if (n_beams > 0) test_value("rays.channel", scan.rays.channel[i], 0.0, double(n_beams - 1));
             test_value("divergence", double(scan.rays.divergence_of_rad(i)), 0.0, kMaxDivergence_rad);
             test_return("range_m", "intensity", scan.range_m[i], scan.intensity[i], true);
+            // A ray can have a second return only if it has a first one.
             for (const AdditionalReturns& second : scan.second_returns)
                 test_return("second_returns.range_m", "second_returns.intensity", second.range_m[i],
                             second.intensity[i], scan.range_m[i] > 0.0f);
@@ -133,6 +140,7 @@ void test_box_times(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
+/// Reports boxes that are too far from the vehicle, probably in map coordinates.
 void test_box_places(const CheckedLog& log, const FaultReport& report) {
     for (const BoxTrack& box : log.sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {

@@ -112,6 +112,8 @@ void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
         report.add(-1, gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
 }
 
+/// Finds a unit in which the median step between frames is about one sweep, if the
+/// times are not in seconds.
 void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
@@ -120,12 +122,16 @@ void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
         per_second *= 1000.0;
         const double n_sweeps = step_s / per_second / sweep_s;
+        // A log with a scan every few minutes looks like milliseconds, so the limit for
+        // milliseconds is lower.
         if (n_sweeps < kMinSweeps || n_sweeps > (per_second > 1000.0 ? kMaxSweepsOfLongSteps : kMaxSweeps))
             continue;
         return report.add(-1, step_s, sweep_s, unit);
     }
 }
 
+/// Reports steps of the vehicle that are too fast, and the frames of the fastest one.
+/// Short steps do not count, because noise dominates their speed.
 void test_speed(const CheckedLog& log, const FaultReport& report) {
     const auto& [time_s, pose] = log.sequence.world_from_vehicle;
     if (!log.sequence.has_poses) return;
@@ -146,6 +152,8 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
                    find_frame_number(log.sequence, time_s[fastest]));
 }
 
+/// Reports x or y coordinates that were rounded to single precision. They are then
+/// multiples of the step between neighbouring floats.
 void test_float_positions(const CheckedLog& log, const FaultReport& report) {
     for (int axis = 0; axis < 2 && log.sequence.has_poses; ++axis) {
         std::set<double> different_m;
@@ -164,6 +172,7 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
+/// Reports scans with far fewer returns than the median of their neighbours.
 void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         std::vector<std::size_t> n_returns;
@@ -179,6 +188,7 @@ void test_few_returns(const CheckedLog& log, const FaultReport& report) {
         std::size_t n_small = 0, worst = 0, usual_of_worst = 0;
         for (std::size_t k = 0; k < n_returns.size() && are_neighbours; ++k) {
             const auto at = n_returns.begin() + std::ptrdiff_t(k);
+            // Median over up to kNeighbourScans scans before and after this one.
             const std::size_t usual =
                 compute_median(std::vector(at - std::min(kNeighbourScans, at - n_returns.begin()),
                                            at + 1 + std::min(kNeighbourScans, n_returns.end() - at - 1)));

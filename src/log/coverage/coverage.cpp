@@ -80,6 +80,7 @@ void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& 
             block = &blocks_[make_block_key(cell_address.block)];
             block->grid_index = cell_address.block;
         }
+        // One bit for each cell, in words of 16 bits.
         block->cells[cell_address.bit / 16] =
             std::uint16_t(block->cells[cell_address.bit / 16] | 1u << cell_address.bit % 16);
     });
@@ -102,6 +103,7 @@ double ObservedVoxelSet::observed_fraction(const glm::dvec3& start_m, const glm:
     glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
     walk_cells(start_m, end_m, [&](const glm::ivec3& cell, double crossed_m) {
         const VoxelAddress cell_address = locate_cell(cell);
+        // Looks for the block only when the segment enters another block.
         if (cell_address.block != at) {
             at = cell_address.block;
             const auto block_entry = blocks_.find(make_block_key(at));

@@ -123,6 +123,7 @@ std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels
     for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
             for (const char axis : {'x', 'y', 'z'})
+                // The second member is true for integers.
                 numbers.push_back({info.name + axis_separator + axis, false});
         else numbers.push_back({info.name, std::holds_alternative<std::vector<std::int32_t>>(values)});
     }
@@ -149,6 +150,7 @@ void append_return(ScanChannel& points, const ScanChannel& rays, std::size_t ray
 }
 
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element) {
+    // Names of other columns in the files.
     std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) used_names.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
@@ -169,6 +171,7 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, 
         if (count_values(values) != size)
             fail("channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
                  element, info.name, count_values(values), size);
+        // index() is the type of the values: floats, integers or vectors.
         if (count_values(second) > 0 && (count_values(second) != size || second.index() != values.index()))
             fail(
                 "channels of {}: the channel {} has {} values{} for second returns, expected {} values of "

@@ -20,6 +20,8 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 /// to t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
 static_assert(scatter::kMaxColumnsAhead <= kTileColumns);
 
+/// Returns the leaf of a ray. `child` is the first child of a node; the second child
+/// follows it. A leaf has a negative feature index.
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
     const IntensityScatterModel& scatter, const scatter::RayFeatureExtractor& feature_extractor, int row,
     int column) {
@@ -49,6 +51,7 @@ std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
             if (return_flags[i] == 0) continue;
             const IntensityScatterModel::DecisionTreeNode& leaf =
                 find_tree_leaf(scatter, context, row, column);
+            // Draws one of the values of the leaf. The seed depends only on the ray.
             drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash_pair(seed, i)).sample_uniform() *
                                                                double(leaf.count))];
         }
@@ -57,6 +60,7 @@ std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
     // A wave contains all tiles with the same 2 * row + tile, which are independent.
     const int n_waves = 2 * (rendered.rows - 1) + n_tiles;
     for (int wave = 0; wave < n_waves; ++wave) {
+        // First and last row with a tile 0 <= wave - 2 * row < n_tiles.
         const int first_row = std::max(0, (wave - n_tiles + 2) / 2);
         const int last_row = std::min(rendered.rows - 1, wave / 2);
         parallel_for(last_row - first_row + 1,

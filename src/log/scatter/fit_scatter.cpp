@@ -204,6 +204,7 @@ std::vector<TreeNodeSplit> find_layer_splits(const ScatterSamples& samples,
         const IntensityScatterModel::DecisionTreeNode& node = nodes[std::size_t(index)];
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         if (node.count < 2 * kFewestOfLeaf) return;
+        // Best split of each group of kFeaturesPerPass features.
         std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> cuts;
         const auto find_cut = [&](int k) {
             cuts[std::size_t(k)] =
@@ -233,6 +234,7 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
         const auto is_low = [&](const ScatterSample& one) {
             return one.bins[std::size_t(cut.feature)] <= cut.bin;
         };
+        // Moves the samples of the first child to the front.
         n_low[std::size_t(k)] = std::uint32_t(
             std::stable_partition(node_samples.begin(), node_samples.end(), is_low) - node_samples.begin());
     });
@@ -306,11 +308,13 @@ IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images) {
     ScatterSamples samples = make_samples(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const std::vector<double> terms = make_entropy_terms(return_locations.size());
+    // A layer is the nodes that the split of the previous layer has appended.
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
         split_layer(samples, terms, result.nodes, first);
         first = end;
     }
+    // Leaves refer to ranges of the samples, which split_layer() has reordered.
     for (const ScatterSample& one : samples.all) result.values.push_back(one.value);
     result.step = find_step(result.values);
     return result;

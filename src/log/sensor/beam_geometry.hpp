@@ -20,10 +20,13 @@ public:
           sin_elevation_(std::sin(beam.elevation_rad)),
           left_of_axis_m_(beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad)) {}
 
+    /// The origin is the sum of three offsets: along the head direction, up from the
+    /// beam, and to its left.
     BeamRay compute_ray(double head_azimuth_rad) const {
         const double azimuth = head_azimuth_rad + beam_.azimuth_offset_rad;
         const double c = std::cos(azimuth), s = std::sin(azimuth);
         const double ce = cos_elevation_, se = sin_elevation_;
+        // Horizontal part of the last two offsets, along the beam and to its left.
         const double forward = -beam_.origin_up_m * se, left = beam_.origin_left_m;
         BeamRay ray;
         ray.origin_m = glm::dvec3(beam_.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,

@@ -51,6 +51,7 @@ const std::array<FieldRule, kFieldCount> kFieldRules{
 
 using BeamRow = std::array<double, kFieldCount>;
 
+/// Returns the values of one beam. A missing column has the index -1.
 BeamRow parse_beam_row(const std::vector<std::string_view>& cells, const std::vector<int>& column_of_field,
                        const std::string& where) {
     BeamRow value{};
@@ -115,6 +116,7 @@ SpinningSensor parse_beams(const std::string& text, const std::string& where, in
     SpinningSensor sensor;
     sensor.columns = n_columns;
     sensor.period_s = 1.0 / rate_hz;
+    // Half a column from the rear, so that the columns are symmetric to the front.
     sensor.first_azimuth_rad = kPi - kPi / n_columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
         if (trim(lines[l]).empty() || lines[l].starts_with('#')) continue;

@@ -125,6 +125,7 @@ std::string find_beam_table(const std::string& name) {
 
 std::string source_of(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
+/// Combines the table of beams with the data sheet. `columns` is 0 for the default.
 SensorModel make_tabled(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
     const std::string table = find_beam_table(data_sheet.name);
     SpinningSensor sensor =
@@ -189,6 +190,7 @@ std::vector<BeamFiring> read_firings(const std::string& sensor_name) {
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         const auto number = [&](std::string_view column) {
             const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
+            // 0 if the table has no such column
             return at < header.size() ? parse_number(cells.at(at)).value_or(0.0) : 0.0;
         };
         firings.push_back({int(number("channel")), number("firing_offset_us")});

@@ -59,6 +59,7 @@ ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector
         if (!pixel) continue;
         const std::size_t at = std::size_t(*pixel);
         const float range = glm::length(points_m[i]);
+        // The nearest point of a pixel wins, as in a depth buffer.
         if (image.source[at] >= 0 && image.range_m[at] <= range) continue;
         image.range_m[at] = range;
         image.intensity[at] = intensity[i];

@@ -56,6 +56,7 @@ void check_spinning(const SpinningSensor& sensor) {
                            sensor.first_azimuth_rad, sensor.divergence_rad));
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
+        // The sum is not finite if one of the values is not.
         const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m +
                            beam.origin_up_m + beam.origin_left_m + beam.intensity_gain +
                            beam.intensity_offset + beam.range_offset_m;
@@ -95,6 +96,7 @@ std::vector<int> fired_columns(const SpinningSensor& sensor) {
     std::vector<int> columns;
     const double direction = sensor.clockwise ? -1.0 : 1.0;
     const auto turned_rad = [&](double azimuth_rad) {  // since the first ray of a turn, 0 to a full turn
+        // The slack keeps a rounding error from turning 0 into a full turn.
         const double rad = direction * (azimuth_rad - (*sensor.azimuth_rad)[0]) + kSlack_rad;
         return rad - kTurn_rad * std::floor(rad / kTurn_rad);
     };
@@ -102,6 +104,7 @@ std::vector<int> fired_columns(const SpinningSensor& sensor) {
         !sensor.azimuth_rad ||
         std::abs((*sensor.azimuth_rad)[1] - (*sensor.azimuth_rad)[0]) > kTurn_rad - kSlack_rad;
     for (int column = 0; column < sensor.columns; ++column)
+        // A column fires if the head passes it before the end of the field of view.
         if (fires_always || turned_rad(sensor.first_azimuth_rad - column * kTurn_rad / sensor.columns) <=
                                 turned_rad((*sensor.azimuth_rad)[1]) + kSlack_rad)
             columns.push_back(column);
@@ -144,6 +147,7 @@ RayTable make_rays(const RangeImageGrid& grid) {
     SpinningSensor sensor;
     sensor.name = grid.name;
     sensor.columns = grid.columns;
+    // Inverse of project_to_pixel(): column 0 faces backward.
     sensor.first_azimuth_rad = kPi;
     for (int row = 0; row < grid.rows; ++row) {
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});

@@ -59,7 +59,9 @@ public:
         std::string name = (folder_ / "relidar-scans-XXXXXX").string();
         file_ = ::mkostemp(name.data(), O_CLOEXEC);
         if (file_ < 0) fail_storage(folder_, 0, errno);
+        // The file has no name from now on, so the system deletes it in any case.
         ::unlink(name.c_str());
+        // Maps the final size, so that arrays keep their addresses when the file grows.
         void* begin =
             ::mmap(nullptr, kReservedBytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
         if (begin == MAP_FAILED) {
@@ -186,6 +188,7 @@ ScanMemoryUse scan_memory_use() {
 void* allocate_array(std::size_t bytes) {
     if (bytes < kMinCountedBytes) return ::operator new(bytes);
     ScanMemoryState& m = memory_state();
+    // Adds first and compares later, so that concurrent calls cannot exceed the limit.
     if (m.used.fetch_add(bytes) + bytes > m.limit) {
         m.used -= bytes;
         return m.mapped_file().allocate_block(bytes);

@@ -103,6 +103,7 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
 }  // namespace
 
 void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where) {
+    // The limit is infinite if the file contains no maximum range.
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         fail(
@@ -131,6 +132,7 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
         if (azimuth_rad) spinning->azimuth_rad = azimuth_rad;
         return sensor;
     };
+    // Built-in names take precedence over files.
     if (const auto built_in_sensor = find_built_in(name.name, name.columns, name.rate_hz))
         return with_azimuths(*built_in_sensor);
     const std::string extension = fs::path(name.name).extension().string();

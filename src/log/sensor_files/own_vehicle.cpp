@@ -26,6 +26,7 @@ std::optional<BodyHit> find_body_hit(std::span<const VehicleBox> boxes, const gl
         for (int k = 0; k < 3; ++k) {
             const double half_m = 0.5 * box.size_m[k];
             if (way[k] == 0.0) {
+                // A ray that is parallel to these sides must be between them.
                 if (std::abs(start[k]) > half_m) leave_m = -1.0;
                 continue;
             }
@@ -37,6 +38,7 @@ std::optional<BodyHit> find_body_hit(std::span<const VehicleBox> boxes, const gl
             }
             leave_m = std::min(leave_m, far_m);
         }
+        // The side is -1 if the ray starts in the box, or if the box is behind it.
         if (side < 0 || enter_m > leave_m || (first && first->range_m <= enter_m)) continue;
         glm::dvec3 normal(0.0);
         normal[side] = -std::copysign(1.0, way[side]);

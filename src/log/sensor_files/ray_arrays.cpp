@@ -83,6 +83,7 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
     rays.rows = arrays.rows;
     rays.columns = arrays.columns;
     const std::vector<double>& divergence_rad = arrays.divergence_rad;
+    // Stores one value if all rays have the same divergence.
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) != divergence_rad.end())
         rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
     else if (!divergence_rad.empty()) rays.divergence_rad = float(divergence_rad[0]);
@@ -91,6 +92,7 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnitLengthTolerance))
             fail("{}: entry {} of directions has length {}, expected 1", where, i, length);
+        // Normalising a unit vector again could change its last bit.
         const bool is_exact = arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
                               glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);

@@ -38,6 +38,7 @@ constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
 
 using RayCsvRow = std::array<double, kFieldCount>;
 
+/// Values of missing columns are 0, except the maximum range, which has its default.
 RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
                          std::size_t n_cells, const std::string& where) {
     const std::vector<std::string_view> cells = split_csv_cells(line);
@@ -56,6 +57,7 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
     return value;
 }
 
+/// Converts the angles to a direction (x forward, y left, z up).
 void append_ray_row(RayFileArrays& rays, const RayCsvRow& row_values) {
     const double azimuth = row_values[kAzimuth] * kPi / 180.0,
                  elevation = row_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
@@ -92,6 +94,7 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, 
                     line, kColumnNames[f], v[f], first[f]);
         append_ray_row(rays, v);
     }
+    // A single row. make_ray_sensor() reports too many rays.
     rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
     return make_ray_sensor(rays, name, where);

@@ -63,6 +63,7 @@ SensorModel read_rig_sensor(const Json& sensor_json, const std::string& sensor_n
     return model;
 }
 
+/// Folders get the names of sensors, so names must be unique and valid in a path.
 void check_sensor_name(const std::string& name, const std::set<std::string>& used, const std::string& place) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
@@ -110,6 +111,7 @@ OwnVehicle parse_vehicle(const Json& json, const std::string& place) {
         vehicle.boxes.push_back({{.translation = centre_m}, size_m});
     };
     const Json boxes = json.value("boxes", Json());
+    // By default, one box on the ground. The origin is below the rear axle.
     if (boxes.is_null())
         add_box({front_m - 0.5 * length_m, 0.0, 0.5 * height_m}, {length_m, width_m, height_m});
     else if (!boxes.is_array() || boxes.empty() || boxes.size() > kMostSensors)

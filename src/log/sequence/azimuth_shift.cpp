@@ -57,6 +57,7 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
         if (!(scan.range_m[ray] > 0.0f)) return;
         const glm::vec3 &nominal = table.direction[ray], &measured = rays.direction[ray];
         // measured azimuth minus nominal azimuth, positive to the left
+        // = atan2(cross product, dot product) of the horizontal directions
         const double difference_rad =
             std::atan2(double(nominal.x) * measured.y - double(nominal.y) * measured.x,
                        double(nominal.x) * measured.x + double(nominal.y) * measured.y);
@@ -69,6 +70,7 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
         for (const float shift : shifts_by_firing[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
     fill_nan_shifts(shift_rad);
+    // The lasers disagree, so they do not rotate together.
     if (shift_rad.empty() || compute_median(off) > kMaxMismatch_columns * 2.0 * kPi / sensor.columns)
         return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kRounding_rad; }))

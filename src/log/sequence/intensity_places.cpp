@@ -38,6 +38,7 @@ std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame
         const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
         if (!beam) continue;
         const WorldReturn w = locate_return(sequence, frame, ray);
+        // collect_cells() computes the cell (0) and the cosine (0.0f) later.
         result.push_back(
             {w.point_m,
              glm::vec3(w.direction),
@@ -61,10 +62,12 @@ std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
     parallel_blocks(cells.n_cells, [&](std::size_t cell) {
         if (double(items.items_of(cell).size()) < kMinPoints) return;
         PointMomentSums sums;
+        // Coordinates relative to the cell keep the precision of their squares.
         for (const std::uint32_t i : items.items_of(cell))
             sums.add_point(returns[i].point_m -
                            kNormalCell_m * glm::floor(returns[i].point_m / kNormalCell_m));
         const PlaneFit fit = sums.fit_plane();
+        // Axis 0 has the least variance. It is the normal of the plane.
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
             normals[cell] = glm::vec3(fit.axes[0]);
     });

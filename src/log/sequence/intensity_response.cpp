@@ -58,6 +58,7 @@ struct FittedTerms {
 template <class Task>
 void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const Task& process_cell_returns) {
     const std::span all(returns_sorted_by_cell);
+    // Moves a border between chunks to the end of its cell, so that no cell is split.
     const auto find_end_of_cell = [&](std::size_t at) {
         while (at > 0 && at < all.size() && all[at].cell == all[at - 1].cell) ++at;
         return at;
@@ -79,6 +80,7 @@ void fit_albedos(IntensityFit& model, const CellReturns& returns) {
         double sum = 0.0, weight = 0.0;
         for (const CellReturn& r : place) {
             const BeamGainOffset& beam = model.beams[r.beam];
+            // Least squares for the albedo in: intensity = albedo * x + offset.
             const double x =
                 beam.gain * model.shared.range_factor(r.range_m) * model.shared.incidence_factor(r.cosine);
             sum += x * (double(r.intensity) - beam.offset);
@@ -197,6 +199,8 @@ struct alignas(64) Sums {
     }
 };
 
+/// Sums the normal equations over all cells. The sum has a fixed order, so it does not
+/// depend on the number of threads.
 NormalEquations build_equations(const IntensityFit& model, const VariableIndices& variable_indices,
                                 const CellReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
@@ -259,6 +263,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
         }
 }
 
+/// Adds a solution of the normal equations to the variables, and limits them.
 void apply_step(IntensityFit& model, const VariableIndices& variable_indices, const Eigen::VectorXd& step) {
     if (variable_indices.parts.shared) {
         for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
@@ -299,6 +304,7 @@ double rms_error(const IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
         for (const CellReturn& r : place) {
             const BeamGainOffset& beam = model.beams[r.beam];
+            // Expected: gain * albedo * range factor * incidence factor + offset.
             const double mean_beam = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
                                      model.shared.incidence_factor(r.cosine),
                          error = beam.gain * mean_beam + beam.offset - double(r.intensity);

@@ -73,6 +73,7 @@ ReturnsByCell group_by_cell(const Log& sequence, const std::vector<int>& frames)
     const CellItemLists items(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
+    // Sorts the returns by cell: first[k] is the number of returns in earlier cells.
     ReturnsByCell cells{std::vector<RawReturn>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
         cells.first.push_back(cells.first.back() + items.items_of(cell).size());

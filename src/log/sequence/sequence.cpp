@@ -55,6 +55,7 @@ TrackInterpolation PoseTrack::find_segment(double t_s) const {
              pose.size(), time_s.size());
     if (pose.size() == 1) return {};
     const auto after = std::ranges::upper_bound(time_s, t_s) - time_s.begin();
+    // Outside the track, extrapolates from the first or the last segment.
     const auto left =
         std::size_t(std::clamp<std::ptrdiff_t>(after - 1, 0, std::ptrdiff_t(time_s.size()) - 2));
     const double span = time_s[left + 1] - time_s[left];
@@ -84,6 +85,7 @@ void limit_ranges(Scan& scan, const RangeLimits& limits) {
             if (!scan.classes.empty()) scan.classes[i] = SurfaceClass::unknown;
         }
         for (AdditionalReturns& f : scan.second_returns)
+            // A second return cannot exist without a first one.
             if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i]))
                 f.range_m[i] = f.intensity[i] = 0.0f;
     }
@@ -188,6 +190,7 @@ bool BoxTrack::is_moving() const {
                      kTimeTolerance_s = 1e-6;
     const std::vector<double>& t = world_from_box.time_s;
     if (t.size() < 2) return false;
+    // Positions are averaged over windows of this duration. `last_s`: the last start.
     const double window_s = std::min(kAveraging_s, 0.5 * (t.back() - t.front())),
                  last_s = t.back() - window_s;
     const double drift_m = std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
@@ -218,6 +221,7 @@ void set_trajectory(Log& sequence, PoseTrack world_from_vehicle) {
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             box.world_from_box.pose[k] =
+                // new vehicle pose * pose of the box relative to the old vehicle pose
                 world_from_vehicle.pose_at(t_s) *
                 (inverse(sequence.world_from_vehicle.pose_at(t_s)) * box.world_from_box.pose[k]);
         }
@@ -290,6 +294,7 @@ void set_sensor(Lidar& lidar, const SensorModel& sensor) {
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         lidar.sensor = *spinning;
     } else {
+        // Other patterns have no beams. Only name and range limits are stored here.
         lidar.sensor = {.name = sensor.name, .beams = {}, .columns = 0, .period_s = 0.0};
         lidar.sensor.min_range_m = sensor.limits.min_m;
         lidar.sensor.max_range_m = sensor.limits.max_m;
@@ -314,13 +319,16 @@ double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const Sweep
     if (lidar.pattern) {
         const auto [n_rays, period_s, by_time, columns] = summarise_pattern(*lidar.pattern);
         const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * period_s : 0.0;
+        // A rosette and a table of rays have no columns.
         if (!columns || columns->columns < 2) return sweep.time_s + middle_s;
+        // Position of the point between the first (0) and the last column (1).
         const double share =
             glm::clamp((azimuth - columns->first_rad) / (columns->last_rad - columns->first_rad), 0.0, 1.0);
         return sweep.time_s +
                (middle_s + (share - 0.5) * period_s * (columns->columns - 1) / columns->columns);
     }
     if (sweep.start) {
+        // Fraction of a turn between the start of the sweep and the point.
         const double turned =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
         return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;

@@ -47,6 +47,7 @@ struct RayTableFunctions {
                                       .keeps_floats = true};
         const std::size_t rows = count_ray_rows(field);
         c.rows = int(rows);
+        // make_ray_sensor() checks that rows x columns is the number of rays.
         c.columns = int(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
         if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();

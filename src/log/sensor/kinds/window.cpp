@@ -31,6 +31,7 @@ RayTable make_rays(const WindowScanSensor& window) {
                      c = std::cos(elevation);
         for (int column = 0; column < window.columns; ++column) {
             const double azimuth = spaced_value(window.left_rad, window.right_rad, column, window.columns);
+            // All rays of a column fire together. Time 0 is the middle of the scan.
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
             add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
         }
