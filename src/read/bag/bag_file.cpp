@@ -150,6 +150,7 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
             const BagTopic& topic = topics_.topics()[message.topic];
             const std::int64_t log_ns = message.log_ns;
             const bool is_possible = log_ns >= 0 && log_ns <= kMaxRosTime_ns;
+            // The time of the previous message replaces an impossible one.
             if (!is_possible) message.log_ns = last_ns;
             last_ns = message.log_ns;
             std::optional<std::string> unpacked;

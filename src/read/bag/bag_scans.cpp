@@ -68,6 +68,7 @@ LidarPoints BagScans::read_points(std::size_t frame) const {
 
 read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
+    // estimate_units() has already read a few clouds.
     if (const auto sample_entry = lidar.samples.find(position); sample_entry != lidar.samples.end())
         return sample_entry->second;
     try {
@@ -136,6 +137,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
 
 LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {
     LidarTopic topic{&cloud_topic};
+    // The units of packets are known.
     if (!cloud_topic.packets.empty()) return topic;
     std::vector<read::PointTable> samples;
     std::vector<double> stamps_s;

@@ -137,6 +137,8 @@ double sweep_rate_hz(const BagIndex& index, const CloudTopic& cloud_topic) {
            double(std::max<std::size_t>(facts.n - cloud_topic.n_empty, 1));
 }
 
+/// Returns the indices of the requested clouds in `index.clouds`, ascending. If several
+/// LiDARs share a topic, the name of the topic selects all of them.
 std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& index,
                                      const std::vector<std::string>& topic_names) {
     std::vector<std::size_t> lidars;
@@ -233,6 +235,7 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
         const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
         const double rate = sweep_rate_hz(index, clouds) / std::max(sweep_rate_hz(index, main), 1e-9);
+        // Reason to leave out the topic. Its mounting must be rigid, its rate similar.
         std::string why;
         if (&clouds != &main && !index.frames.find_constant(main.frame, clouds.frame))
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",

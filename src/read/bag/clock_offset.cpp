@@ -113,6 +113,7 @@ std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogC
 std::string ClockOffset::describe(const std::string& reference_name) const {
     const char* cause =
         offset_ns % kOffsetUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
+    // Clocks without leap seconds differ from UTC or each other by these constants.
     if (std::abs(offset_ns) == 37 * kOffsetUnit_ns) cause = " (TAI minus UTC is 37 s)";
     if (std::abs(offset_ns) == 18 * kOffsetUnit_ns) cause = " (GPS time minus UTC is 18 s)";
     if (std::abs(offset_ns) == 19 * kOffsetUnit_ns) cause = " (TAI minus GPS time is 19 s)";

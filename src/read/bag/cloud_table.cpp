@@ -65,6 +65,7 @@ read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& me
                          [](const CloudMessage::CloudField& f) { return read::is_known_field(f.name); });
     std::ranges::sort(point_fields, {}, &CloudMessage::CloudField::offset);
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
+    // Points without gaps between rows, in our byte order, are not copied.
     const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
     const std::vector<read::PointField> layout = make_layout(cloud, point_fields);

@@ -34,6 +34,7 @@ glm::dvec4 read_xyzw(pbf_reader reader) {
     return v;
 }
 
+/// Reads a google.protobuf.Timestamp: seconds (1) and nanoseconds (2).
 std::int64_t read_stamp_ns(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
@@ -52,6 +53,7 @@ PoseComponents to_pose(const glm::dvec4& position, const glm::dvec4& quaternion_
     return {position.x, position.y, position.z, q.x, q.y, q.z, q.w};
 }
 
+/// Reads a foxglove.PackedElementField: name (1), offset (2) and type (3).
 CloudMessage::CloudField read_pbf_field(pbf_reader reader) {
     struct Type {
         char kind;

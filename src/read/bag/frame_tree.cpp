@@ -113,6 +113,7 @@ TransformChain FrameTree::make_chain(const std::string& ancestor_frame, const st
                                      LogClock clock, std::int64_t time_origin_ns) const {
     const std::vector<std::string> frame_chain = path_to_root(child_frame);
     TransformChain path;
+    // Appends the transforms from the ancestor down to the child.
     for (std::size_t k = std::size_t(std::ranges::find(frame_chain, ancestor_frame) - frame_chain.begin());
          k-- > 0;) {
         const FrameTreeEdge& up = find_parent(frame_chain[k])->second;

@@ -38,6 +38,7 @@ public:
           poses_(choose_poses(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
                               options.bag.poses_from)),
           boxes_(choose_boxes(bag_, survey_)) {
+        // A path that ends with a slash has no file name.
         const std::filesystem::path clean = path.lexically_normal();
         sequence_.name = (clean.has_filename() ? clean : clean.parent_path()).filename().string();
         sequence_.source = path.string();
@@ -121,6 +122,8 @@ private:
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
                 used[t] = find_purpose(bag_.topics()[t]) == MessagePurpose::transforms ||
+                          // `about` ends with the name of the topic if the poses are
+                          // from a pose topic.
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, used), clouds_.notes,
@@ -137,6 +140,7 @@ private:
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
             if (l == clouds_.main) continue;
+            // Corrects the times of the other LiDARs, and returns a text about this.
             add_topic_note(other,
                            fix_clock_jumps(other.clouds, poses_.clock, list_times(main_topic().clouds)));
         }
@@ -305,6 +309,7 @@ private:
     std::vector<Pose> read_user_poses() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<read::LogFrame> frames;
+            // Time 0 of the log, on the clock that the file is assumed to use.
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
             for (const FrameCloud& frame : frames_)
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
@@ -365,6 +370,7 @@ private:
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();
         sequence_.has_poses = has_poses_ || !file_poses.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i) {
+            // Without poses, the vehicle stays at the origin.
             Pose pose;
             if (!file_poses.empty()) pose = file_poses[i];
             else if (has_poses_) pose = vehicle_pose(frames_[i].time_s);

@@ -53,6 +53,7 @@ McapMessage parse_message(std::string_view record_body) {
     return {channel, std::int64_t(log_ns), reader.read_rest()};
 }
 
+/// A chunk consists of two times, unpacked size, checksum, compression and records.
 SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     codecs::ByteReader reader(chunk_record_body.bytes);
     reader.read_bytes(16);  // skips the times of the first and the last message
@@ -61,6 +62,7 @@ SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     const std::string_view compression = reader.read_string();
     SharedBytes records = unpack_chunk(
         compression, chunk_record_body.share_part(reader.read_bytes(reader.read_number<std::uint64_t>())), n);
+    // The checksum 0 means that the writer has computed none.
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
         fail("the checksum of the data is wrong, so the data is damaged");
@@ -85,6 +87,7 @@ public:
             codecs::ByteReader reader(head.bytes);
             const auto code = reader.read_number<std::uint8_t>();
             const auto length = reader.read_number<std::uint64_t>();
+            // The summary behind the data repeats other records, so it is not read.
             if (code == kMcapDataEnd || code == kMcapFooter) return;
             if (length > file_.size() - at - kRecordHead) break;
             callbacks.done(double(at) / double(file_.size()));
@@ -92,6 +95,7 @@ public:
                             [&] { process_at(code, at, length, topics, callbacks); });
             at += kRecordHead + length;
         }
+        // The end of the data section is missing.
         callbacks.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
                                    file_.name(), at, file_.size()));
     }
@@ -136,6 +140,7 @@ private:
             return process_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk},
                                   topics, callbacks);
         const SharedBytes records = unpack_mcap_chunk(body);
+        // Frees the packed bytes, unless `records` shares them.
         body = {};
         codecs::ByteReader reader(records.bytes);
         while (reader.remaining() > 0) {
@@ -170,6 +175,7 @@ private:
             if (channel == channels_.end())
                 fail("a message belongs to channel {}, but no earlier record describes this channel",
                      message.channel);
+            // If the topic is not requested, only the time is used.
             const bool is_requested = callbacks.topic_filter(topics.topics()[channel->second]);
             callbacks.message_callback({channel->second, message.log_ns,
                                         is_requested ? message.bytes : std::string_view(), message_position});

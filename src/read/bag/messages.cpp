@@ -132,6 +132,7 @@ PoseComponents read_pose(MessageReader& reader) {
 }
 
 Pose make_pose(const PoseComponents& position_and_quaternion) {
+    // The order is x, y, z of the position, then x, y, z, w of the quaternion.
     const glm::dquat q(position_and_quaternion[6], position_and_quaternion[3], position_and_quaternion[4],
                        position_and_quaternion[5]);
     const double length = glm::length(q);
@@ -181,6 +182,7 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
         if (topic.type != "sensor_msgs/PointCloud2") return read_livox(reader);
         cloud = read_ros_cloud(reader);
     }
+    // LiDARs that share a topic differ in their frame.
     cloud.lidar = cloud.header.frame;
     return cloud;
 }
@@ -203,6 +205,7 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
     const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
     // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
     if (is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
+        // Size of a transform without its names. Rejects impossible lengths.
         const std::size_t n = is_list ? reader.read_length(72) : 1;
         for (std::size_t i = 0; i < n; ++i) {
             TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};

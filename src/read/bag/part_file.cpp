@@ -115,8 +115,10 @@ SharedBytes ChunkCache::find_or_unpack(std::uint64_t chunk_offset,
         if (const auto cached_chunk = find_cached_chunk(); cached_chunk != chunks_.end())
             return cached_chunk->second;
     }
+    // Unpacks without the lock, so that other threads are not blocked.
     const SharedBytes chunk = unpack();
     const std::lock_guard guard(lock_);
+    // Another thread may have added the same chunk.
     if (find_cached_chunk() == chunks_.end()) chunks_.emplace_back(chunk_offset, chunk);
     if (chunks_.size() > kMaxCachedChunks) chunks_.pop_front();
     return chunk;
@@ -170,8 +172,10 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
             check_size(file, n_unpacked += bytes.size());
             write_block(unpacked, bytes, file);
         });
+        // No bytes: flushes the file.
         write_block(unpacked, {}, file);
     } catch (const DataError& error) {
+        // A constructor that throws has no destructor call, so it cleans up here.
         std::error_code ignored;
         std::filesystem::remove_all(temporary_folder_, ignored);
         fail("{}: {}", file.string(), error.what());
@@ -190,6 +194,7 @@ std::filesystem::path strip_gz(const std::filesystem::path& file) {
 DecompressedFile open_unpacked(const std::filesystem::path& path) {
     File packed(std::fopen(path.c_str(), "rb"));
     if (!packed) fail("cannot read {}", path.string());
+    // Every gzip file begins with the bytes 1f 8b.
     const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());
     std::rewind(packed.get());
     if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
@@ -203,6 +208,7 @@ DecompressedFile open_unpacked(const std::filesystem::path& path) {
         check_size(path, n_unpacked += std::uint64_t(n));
         write_block(unpacked, {block.data(), std::size_t(n)}, path);
     }
+    // No bytes: flushes the file.
     write_block(unpacked, {}, path);
     int code = Z_OK;
     gzerror(reader.get(), &code);

@@ -181,6 +181,7 @@ public:
         bytes_ = std::uint64_t(std::max<off_t>(ftello(unpacked.file), 0));
         std::rewind(unpacked.file);
         pcap_.reset(pcap_fopen_offline_with_tstamp_precision(unpacked.file, PCAP_TSTAMP_PRECISION_NANO, why));
+        // libpcap closes the file only if it could open the capture.
         if (!pcap_) std::fclose(unpacked.file);
         if (!unpacked.problem.empty())
             problem_ = fmt::format("{}: {}; the packets after the damaged part are missing", path.string(),
@@ -215,7 +216,9 @@ public:
                 stream->at = stream->first_at = datagram->at;
                 stream->log_ns = datagram->stamp_ns;
             }
+            // Late fragments: a datagram that is complete later can start earlier.
             stream->at = std::min(stream->at, datagram->at);
+            // Datagrams of unknown products are only counted, by their size.
             if (stream->product) append_datagram(stream->run, *datagram);
             if (!stream->product && stream->n_of_bytes.size() < kMaxPending)
                 ++stream->n_of_bytes[payload_of(*datagram).size()];
@@ -241,6 +244,7 @@ public:
         IpReassembler fragments;
         std::string run;
         const auto late = stream->second.late_runs.find(place.at);
+        // Reading starts at `place.at`. The first complete datagram may start later.
         const std::uint64_t first_at = late == stream->second.late_runs.end() ? place.at : late->second;
         std::int64_t first_ns = 0;
         for (std::size_t n = 0; const auto datagram = read_datagram(fragments, nullptr);) {

@@ -91,6 +91,7 @@ std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep
         const double gap_s = sweep_times_s[i] - sweep_times_s[i - 1];
         if (gap_s < kMinGapSteps * sweep_period_s) continue;
         ++n;
+        // n - 1 sweeps are missing in a gap of n periods.
         missing += std::round(gap_s / sweep_period_s) - 1.0;
         if (gap_s > longest_s) {
             longest_s = gap_s;
@@ -115,6 +116,7 @@ std::string describe_jumps(const CloudTopic& cloud_topic) {
     for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
         const CloudEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
         n_falls += entry.stamp_ns <= before.stamp_ns;
+        // Difference between the steps of the time stamps and of the recorder's clock.
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));
         if (std::abs(jump_s) < kMinJump_s) continue;

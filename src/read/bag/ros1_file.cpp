@@ -21,6 +21,7 @@ enum Ros1Op : std::uint8_t { kRos1Message = 2, kRos1Chunk = 5, kRos1Connection =
 /// The named values in the header of a record.
 class Ros1Header {
 public:
+    /// A field is a string "name=value" with its length in front.
     explicit Ros1Header(std::string_view bytes) {
         codecs::ByteReader reader(bytes);
         while (reader.remaining() > 0) {
@@ -156,6 +157,7 @@ private:
         const auto op = record_header.number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
         const auto id = record_header.number_field<std::uint32_t>("conn");
+        // The data of a connection is a header with the message type.
         if (op == kRos1Connection) {
             const Ros1Header about(record_data);
             connections_[id] = topics.topic_index({std::string(record_header.text_field("topic")),

@@ -91,6 +91,7 @@ public:
 
     SharedBytes read_message(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
+        // Prepared once for all messages.
         if (!one_) one_ = prepare("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));

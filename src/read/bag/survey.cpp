@@ -308,6 +308,7 @@ BagIndex index_bag(BagRecording& bag, const Progress& progress) {
     bag.read_messages([](const BagTopic& topic) { return find_purpose(topic) != MessagePurpose::nothing; },
                       [&](const BagMessage& message) { surveyor.index_message(message); }, progress);
     survey.facts.resize(bag.topics().size());
+    // Packets that precede their metadata need a second pass.
     if (surveyor.needs_second_pass()) {
         surveyor.read_metadata();
         std::vector<bool> is_late;
@@ -324,6 +325,7 @@ BagIndex index_bag(BagRecording& bag, const Progress& progress) {
     for (CloudTopic& clouds : survey.clouds) {
         clouds.packets.finish();
         clouds.revolutions = clouds.packets.revolutions();
+        // Each revolution of packets is a cloud. Its number of points (0) is unknown.
         for (std::size_t t = 0; t < clouds.revolutions.size(); ++t) {
             const packets::PacketRevolution& revolution = clouds.revolutions[t];
             clouds.clouds.push_back({revolution.forward_ns, revolution.log_ns, 0,

@@ -133,9 +133,11 @@ std::optional<AzimuthArc> azimuth_arc(const CloudMessage& cloud) {
     std::array<bool, kAzimuthBins> is_bin_occupied{};
     const std::size_t n = std::min(kAzimuthSamples, cloud.size());
     for (std::size_t k = 0; k < n; ++k) {
+        // Samples are evenly spread over the cloud.
         const std::size_t point = k * cloud.size() / n;
         const double px = read_float(cloud, *x, point), py = read_float(cloud, *y, point);
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
+        // Bin 0 begins at azimuth -pi. The modulo moves +pi to bin 0.
         is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] =
             true;
     }

@@ -263,6 +263,7 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
         fail<UsageError>("frames {}:{} select no sweep of this log, expected numbers in [0, {}]", range.begin,
                          range.end, n_sweeps - 1);
     const std::vector<SweepFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
+    // Time 0 is the first sweep of the full log, not of the loaded range.
     const PoseTrack vehicle_track =
         read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Log sequence;

@@ -120,6 +120,7 @@ SweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lida
     }
     if (result.points.size() == 0) return result;
     undo_deskew(result.points, world_from_sensor, sweep_time_s);
+    // Azimuth step of the head from firing cycle to firing cycle.
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kFiringCycle_ns * 1e-9;
     result.sweep = arrange_firings(result.points, number_cycles(first_pair_ns), lidar.sensor, step_rad);
     return result;

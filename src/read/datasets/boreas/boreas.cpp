@@ -77,6 +77,7 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
         const std::vector<double>& v = row.values;
         const double *position = v.data(), *angle = v.data() + kFirstAngle;
         const double roll_rad = angle[0], pitch_rad = angle[1], yaw_rad = angle[2];
+        // make_rotation(): R_z R_y R_x. Conjugate, negated angles: R_x R_y R_z.
         const glm::dquat enu_from_lidar =
             angle_convention.yaw_first
                 ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))

@@ -220,6 +220,7 @@ std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& fram
            "the time of the first scan from the times of the poses";
 }
 
+/// Interpolates the poses at the frames, which may be slightly outside the track.
 std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogFrame>& frames,
                                   const std::string& name, bool is_plain_folder) {
     std::vector<Pose> poses;
@@ -269,6 +270,7 @@ Pose read_label_pose(const JsonField& label) {
     if (label.has_member("yaw_deg"))
         return {glm::angleAxis(label.at("yaw_deg").number_in(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
+    // in the order w, x, y, z
     const auto q = label.at("quaternion").numbers<4>();
     // check_sequence() checks the quaternion's length
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
@@ -335,6 +337,7 @@ std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<Lo
     root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");
     const double first_s = loaded_frames.front().time_s, last_s = loaded_frames.back().time_s;
+    // At the ends of the log, labels outside the times of the frames count too.
     const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < boxes.size(); ++i) {

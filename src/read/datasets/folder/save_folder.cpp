@@ -89,6 +89,7 @@ std::string poses_text(const Log& sequence) {
 std::string boxes_json(const Log& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {
+        // Moves the box back to the world of the dataset.
         const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},

@@ -306,6 +306,7 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
 }
 
 std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
+    // compute_ticks() has applied the beam offsets, so the shifts are 0.
     const auto pattern = flag_fired_ticks({compute_ticks(scan, firing_grid)}, std::vector<int>(kRings, 0),
                                           firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;

@@ -182,6 +182,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
             samples[scan->ring[i]].push_back({std::hypot(p.x, p.y), p.z});
         }
     }
+    // No scan is complete, because a complete scan has points in ring 0.
     if (samples[0].empty())
         fail(
             "{}: found {} rings in the order of the file, expected 64 rings of an HDL-64E, stored one after "
@@ -195,6 +196,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
 
 void correct_rings(RingScan& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
+    // After a wrong count of rings, each group gets the ring of the nearest cone.
     if (scan.n_rings != kRings && scan.n_rings != kRings + 1)
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
@@ -206,6 +208,7 @@ void correct_rings(RingScan& scan, const BeamCones& cones) {
         }
     for (std::size_t i = 1; i < n; ++i) {
         const glm::dvec4 p(scan.points[i]);
+        // Only a point at azimuth 0 can belong to the end of the previous ring.
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
         const ConeSample s{std::hypot(p.x, p.y), p.z};
         if (std::abs(height_residual_m(cones[scan.ring[i - 1]], s)) <

@@ -167,6 +167,7 @@ Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     add_kitti_360_frames(sequence, folder, drive, frames, options.poses_file);
     replace_poses(sequence, options.poses_file);
     centre_log(sequence);
+    // 10: number of digits in the names of the scan files
     read_hdl64_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }

@@ -119,6 +119,7 @@ void add_object_labels(const pugi::xml_node& object, const std::vector<Frame>& f
                        std::map<std::string, LabelsByFrame>& labels_by_track_id, const std::string& where) {
     const MovableClass* movable_class = find_movable(object, where);
     if (!movable_class || object.child("transform").empty()) return;
+    // A standing object has the timestamp -1 and a range of frames.
     const int at = read_int(object, "timestamp", -1, where);
     const int first = at < 0 ? read_int(object, "start_frame", {}, where) : at;
     const int last = at < 0 ? read_int(object, "end_frame", {}, where) : at;

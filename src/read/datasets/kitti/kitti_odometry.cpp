@@ -58,6 +58,7 @@ std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std
     if (!user_pose_file.empty()) return kitti::read_user_poses(user_pose_file, numbers, times_s, notes);
     const Pose cam_from_velo = kitti::read_transform(sequence_folder / "calib.txt", "Tr");
     std::vector<Pose> poses = kitti::read_matrices(find_pose_file(sequence_folder), numbers);
+    // Camera poses become LiDAR poses. The world becomes the LiDAR frame of frame 0.
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
 }
@@ -89,6 +90,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     centre_log(sequence);
+    // 6: number of digits in the names of the scan files
     kitti::read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
     return sequence;
 }

@@ -21,6 +21,7 @@ using namespace kitti;
 PoseTrack read_raw_poses(const fs::path& drive_folder, const std::vector<int>& numbers,
                          const fs::path& user_pose_file, Log& sequence) {
     PoseTrack track{read_frame_times(drive_folder / "velodyne_points/timestamps.txt", numbers, sequence),
+                    // These identity poses remain if the user selects no poses.
                     std::vector<Pose>(numbers.size())};
     if (user_pose_file != kNoPoses)
         track.pose = user_pose_file.empty()
@@ -79,6 +80,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     centre_log(sequence);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
+    // 10: number of digits in the names of the scan files
     read_hdl64_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;
 }

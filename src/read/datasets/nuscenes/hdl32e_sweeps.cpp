@@ -138,6 +138,7 @@ Lidar make_hdl32e(const Pose& ego_from_lidar) {
     for (std::size_t row = 0; row < kBeams; ++row)
         // Nominal elevations of the HDL-32E: +10.67 to -30.67 degrees.
         sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
+    // x (forward) in relidar is y in nuScenes, where x points to the right.
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
@@ -160,6 +161,7 @@ void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_file
     for (std::size_t at = 0; at < sweeps.size(); ++at) {
         SpinningSensor& sensor = sequence.lidars[std::size_t(sequence.frames[at].lidar)].sensor;
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
+        // Half a column from the rear, so that the columns are symmetric to the front.
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
     progress_for(sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
