@@ -335,6 +335,7 @@ std::string detect_kind(const fs::path& path) {
         supported_formats +=
             fmt::format("{}{} ({})", supported_formats.empty() ? "" : ", ", kind.describe, kind.marker);
     }
+    // The path is no known dataset. The checks below report the most helpful reason.
     require_sequence_json(path);
     if (const std::string other = describe_format(path); !other.empty()) fail("{}: {}", path.string(), other);
     if (const std::string other = find_unsupported(path); !other.empty())

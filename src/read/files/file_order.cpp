@@ -203,6 +203,7 @@ RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
 void RingOrderDetector::number_rings(LidarPoints& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
+    // A ring begins when the azimuth passes the start that the constructor found.
     points.ring = count_turns(unwrap_azimuths(points, turning_), first_azimuth_rad_);
     const std::vector<double> elevations = ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;

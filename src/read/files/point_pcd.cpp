@@ -175,6 +175,8 @@ PointTable parse_pcd(const SharedBytes& file, const std::string& where) {
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
     check_point_count(n, where);
+    // resolve_empty() gets the values per point of a text file (true), or the bytes per
+    // point of a binary file (false).
     if (header.data == "ascii") {
         resolve_empty(fields, split_words(data.substr(0, data.find('\n'))).size(), true, where);
         return parse_lines(data, fields, n, where);

@@ -12,6 +12,8 @@ namespace {
 
 constexpr std::size_t kMostPlyFields = 1024;
 
+/// Converts a property of a PLY header to a field. Each number type has two names, for
+/// example float and float32.
 PointField make_ply_field(const std::string& type_name, const std::string& name, const std::string& where) {
     struct PlyScalarType {
         const char *name, *other;

@@ -166,6 +166,7 @@ void add_columns(PointTable& table, NamedArray array, const std::vector<std::str
                 {type_row->type, first + c * type_row->size, column_names.size() * type_row->size}, where);
 }
 
+/// Makes a table from a 2D array with one row per point and one column per name.
 PointTable table_of_array(NamedArray array, const std::vector<std::string>& column_names,
                           const std::string& where) {
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
@@ -264,6 +265,7 @@ void PointTable::remove_fields(PointAttribute attribute) {
 PointTable table_of_records(const SharedBytes& data, const std::vector<PointField>& fields,
                             std::size_t n_points, PointMemoryLayout memory_layout, const std::string& where) {
     check_point_count(n_points, where);
+    // bytes per point
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
@@ -279,6 +281,8 @@ PointTable table_of_records(const SharedBytes& data, const std::vector<PointFiel
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_known_field(field.name)) {
+            // By point, the values of a field are `record` bytes apart. By field, they
+            // are contiguous and start after all values of the previous fields.
             const char* first = data.bytes.data() +
                                 (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
             table.add_value_field(field.name,
@@ -306,6 +310,7 @@ std::vector<std::string> split_words(std::string_view line) {
 PointTable parse_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n_points,
                        const std::string& where) {
     check_point_count(n_points, where);
+    // A point has at least one byte of text, so this limits the memory for its values.
     if (n_points > text.size())
         fail("{}: the file is truncated: found {} bytes of text, expected {} points", where, text.size(),
              n_points);
@@ -315,6 +320,7 @@ PointTable parse_lines(std::string_view text, const std::vector<PointField>& fie
         std::vector<double> values;
     };
     std::vector<Column> point_columns;
+    // number of values of the previous fields in a line
     std::size_t width = 0;
     for (const PointField& field : fields) {
         if (is_known_field(field.name))
@@ -370,6 +376,7 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
     } catch (const DataError&) {
         return false;  // the error is reported when the scan is read
     }
+    // Only scans that consist of rays have an array of ranges.
     if (arrays.empty() || find_array(arrays, "range")) return false;
     if (find_points(arrays)) return true;
     std::vector<std::string> names;

@@ -38,6 +38,8 @@ class NumpyFields {
 public:
     NumpyFields(std::string_view text, const std::string& location) : text_(text), where_(location) {}
 
+    /// Parses a list such as [('x', '<f4'), ('rgb', '|u1', (3,))]: name, type and, if a
+    /// field has several values, their shape.
     std::vector<PointField> parse_fields() {
         std::vector<PointField> fields;
         expect('[');
@@ -131,10 +133,12 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
     std::vector<PointField> fields;
+    // A first line with a single number is the number of points, not a point.
     if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
     if (const auto numbers = parse_numbers(first_line()); numbers) {
         fields = default_fields(numbers->size(), column_names, where);
     } else {
+        // The header may be marked as a comment.
         std::string_view names = trim(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
         for (std::string& name : split_words(names)) {
@@ -156,8 +160,11 @@ bool is_structured(std::string_view bytes) {
            trim(header.substr(at + 8)).starts_with('[');
 }
 
+/// Reads a .npy file with named fields. The file consists of a prefix, the length of
+/// the header, the header (a Python dictionary as text) and one record per point.
 PointTable parse_npy(const SharedBytes& file, const std::string& where) {
     const std::string_view bytes = file.bytes;
+    // Version 1 of the format stores the length in 2 bytes, later versions in 4 bytes.
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
     if (bytes.size() < kNpyPrefix + n_length) fail("{}: the npy header is truncated", where);
     std::uint32_t length = 0;

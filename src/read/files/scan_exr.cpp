@@ -83,6 +83,7 @@ Scan read_scan_exr(const std::filesystem::path& file, const ImageContext& image_
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
     std::vector<NamedArray> arrays = convert_channels(image, where);
+    // Without directions in the image, the sensor model defines the rays.
     if (find_array(arrays, "directions")) return scan_from_arrays(where, std::move(arrays), image_context);
     const Lidar lidar = fill_sensor(image_context.lidar, image);
     return scan_from_arrays(where, std::move(arrays),

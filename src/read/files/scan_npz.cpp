@@ -27,6 +27,7 @@ public:
                 "{}: the array range has the shape [{}], expected [rows, columns] or [rays] with at most {} "
                 "rays",
                 where_, fmt::join(shape, ", "), kMaxRays);
+        // Rays without an image form one row.
         rows = shape.size() == 2 ? shape[0] : 1;
         columns = shape.back();
     }
@@ -91,6 +92,7 @@ std::vector<float> read_ranges(const NpzArrays& arrays, const std::string& array
     return range_m;
 }
 
+/// Reads the intensities of one return per ray. Rays without this return get 0.
 std::vector<float> read_intensities(const NpzArrays& arrays, const std::string& array_name,
                                     const std::vector<float>& range_m, const PointFileUnits& units) {
     const std::vector<double> file_intensities = arrays.ray_values_or(array_name, 0.0);
@@ -281,10 +283,12 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
     std::vector<std::int32_t> classes;
     for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
     if (!classes.empty()) add("class", classes);
+    // Returns are numbered from 1, so the first additional return has the number 2.
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
         add(fmt::format("range_{}", k + 2), scan.second_returns[k].range_m);
         add(fmt::format("intensity_{}", k + 2), scan.second_returns[k].intensity);
     }
+    // The shape {} means a single number.
     arrays.push_back(make_array("divergence_rad", {}, &rays.divergence_rad, 1));
     const std::int32_t deskewed = motion_compensated ? 1 : 0;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));

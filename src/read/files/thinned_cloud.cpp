@@ -43,6 +43,7 @@ double regular_fraction(const LidarPoints& scan) {
 std::string why_thinned(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
+    // share of the rays of a full scan that have a point
     const double filled =
         double(fullest->size()) / (double(fitted_sensor.beams.size()) * fitted_sensor.columns);
     if (filled < kFewFilled)

@@ -125,6 +125,7 @@ Pose read_calibration(const fs::path& file) {
             "{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers and a line "
             "'T:' with 3 numbers",
             file.string(), r.empty() ? "R" : "T");
+    // dmat3 expects columns, but the file contains rows.
     return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]},
                      file.string());
 }
@@ -137,6 +138,7 @@ Pose read_transform(const fs::path& file, const std::string& key) {
 }
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
+    // read_imu_pose() sets the scale of all poses from the first file of the drive.
     std::optional<double> scale;
     const glm::dvec3 origin = read_imu_pose(oxts_path(drive, find_first_oxts(drive)), scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));

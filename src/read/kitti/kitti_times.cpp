@@ -41,6 +41,8 @@ std::int64_t parse_time_ns(const std::string& line, const std::string& where) {
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
+/// Reads one time per line, in nanoseconds since 1970. The line of a frame without a
+/// scan is empty.
 std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
     if (!does_path_exist(file))
         fail("{}: no such file, expected one time per frame; copy the file from the download of the dataset",
@@ -61,6 +63,7 @@ std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
 
 std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers, Log& log) {
     const std::vector<std::optional<std::int64_t>> time_ns = read_stamps_ns(time_file);
+    // read_stamps_ns() returns at least one time.
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
     set_log_start(log, first_ns,

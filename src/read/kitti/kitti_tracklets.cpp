@@ -37,6 +37,8 @@ Pose read_box_pose(const pugi::xml_node& pose_item, double box_height_m, const s
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * box_height_m)};
 }
 
+/// Reads the track of one object. Its poses belong to consecutive frames, beginning
+/// with first_frame. Skips frames that are not in `numbers` (sorted).
 BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<int>& numbers,
                        const PoseTrack& world_from_sensor, const std::string& where) {
     BoxTrack track;
@@ -54,6 +56,7 @@ BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<in
         ++frame;
         if (matching_frame == numbers.end() || *matching_frame != frame - 1) continue;
         const std::size_t at = std::size_t(matching_frame - numbers.begin());
+        // world from box = world from sensor * sensor from box
         track.world_from_box.append(world_from_sensor.time_s[at], world_from_sensor.pose[at] * in_sensor);
     }
     return track;
@@ -76,6 +79,7 @@ std::vector<BoxTrack> read_tracklets(const std::filesystem::path& tracklet_file,
     std::vector<BoxTrack> tracks;
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {
+        // KITTI's tracklets have no ids, so the position in the file is the id.
         const std::string id = std::to_string(number++);
         BoxTrack track = read_tracklet(item, numbers, world_from_sensor,
                                        fmt::format("{}: track {}", tracklet_file.string(), id));

@@ -42,12 +42,14 @@ std::string describe_mistake(const fs::path& folder, const std::string& expected
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
         return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
                "file calib.txt, or the KITTI raw drive from which the sequence was made";
+    // A folder above this one may be the dataset.
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
          up = up.parent_path()) {
         if (fs::exists(up / expected_subfolder, failed))
             return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
                                up.string());
     }
+    // Subfolders may be datasets. The message suggests the first of them by name.
     std::string first;
     std::size_t n = 0;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
@@ -63,6 +65,7 @@ std::string describe_mistake(const fs::path& folder, const std::string& expected
 
 std::string check_scan_files(const fs::path& folder, const std::vector<int>& numbers, bool allow_missing) {
     constexpr std::size_t kMaxShownNumbers = 5;
+    // number of missing scans; `numbers` is sorted
     const std::size_t n = std::size_t(numbers.back() - numbers.front() + 1) - numbers.size();
     if (n == 0) return "";
     std::vector<int> shown;
@@ -119,12 +122,14 @@ ScanPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+        // A ray without a return may have any values, because it is removed below.
         if (!is_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
              file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
     }
     if (!label_file.empty() && does_path_exist(label_file))
         scan.classes = read_classes(label_file, points.size());
+    // Removes rays without a return, together with their classes.
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (!is_return_point(points[i])) continue;

@@ -70,6 +70,7 @@ public:
         timing_.parts = int(layout.n_sequences());
         table_ = read_firings(layout.sensor);
         beams_ = list_beams(layout);
+        // Measured elevations can change the order of the rings (highest first).
         if (!angles_.empty()) {
             for (PacketBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
             std::ranges::stable_sort(beams_, std::greater(), &PacketBeam::elevation_deg);
@@ -259,6 +260,7 @@ private:
 }  // namespace
 
 std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
+    // earliest firing time of all lasers in all firing sequences
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
     for (const LaserFiringTimes& times : layout.loops)
         for (const std::int32_t time_ns : times)
@@ -266,10 +268,12 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     const std::vector<BeamFiring> table = read_firings(layout.sensor);
     std::vector<PacketBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
+        // laser, firing sequence, row of the table, elevation, delay
         PacketBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
                         table[line].offset_us};
         if (layout.loops.empty()) beams.push_back(beam);
         for (; beam.part < layout.loops.size(); ++beam.part) {
+            // A negative time means that the laser does not fire in this sequence.
             const std::int32_t time_ns = layout.loops[beam.part][beam.laser];
             beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(beam.part);
             if (time_ns >= 0) beams.push_back(beam);

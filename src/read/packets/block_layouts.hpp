@@ -165,7 +165,9 @@ constexpr PacketLayout velodyne_layout(const char* name, std::size_t block_laser
     return layout;
 }
 
+/// RoboSense: blocks like Velodyne's, but other byte order, clock and byte offsets.
 constexpr PacketLayout rs16_layout(const char* name, std::size_t firings, std::size_t block_returns) {
+    // 16 lasers, 1 bank, range unit 5 mm, 55.5 us per firing, no time shift
     PacketLayout layout = velodyne_layout("RS-LiDAR-16", 16, firings, 1, 0.005, 55.5, 0.0);
     layout.name = name;
     layout.blocks_at = 42;
@@ -222,6 +224,8 @@ constexpr PacketLayout qt128_layout() {
 }
 
 constexpr PacketLayout ot128_layout(bool is_fine) {
+    // 2 blocks from byte 12, each with 128 lasers of 3 bytes; time at byte 826, return
+    // mode at byte 817, time of a firing, time shift
     PacketLayout layout =
         hesai_layout("OT128", 12, 2, 128, 3, 826, 817, (is_fine ? 250.0 : 500.0) / 9.0, 43.346);
     layout.last_marker = 3;
@@ -231,6 +235,7 @@ constexpr PacketLayout ot128_layout(bool is_fine) {
         layout.part_rule = FiringSequenceRule::azimuth_state;
         layout.part_at = 814;
     } else {
+        // In this mode, the first laser fires 2.378 us after the start of its block.
         layout.shift_us = 43.346 + 2.378;
         layout.loops = kOt128Standard;
     }

@@ -76,6 +76,8 @@ AngleCorrection parse_angles(const std::string& csv_text, const std::string& whe
     AngleCorrection correction{where, false, {}};
     for (const auto& [laser, laser_angles] : angles) {
         correction.lasers.push_back(laser_angles);
+        // The map is sorted by laser number, from 1. After a missing laser, the number
+        // exceeds the size of the list.
         if (laser != correction.lasers.size())
             fail("{}: the angles of laser {} are missing, expected the angles of all lasers up to {}", where,
                  correction.lasers.size(), angles.rbegin()->first);
@@ -87,6 +89,7 @@ std::vector<AngleCorrection> find_angle_files(const std::vector<fs::path>& recor
     std::set<fs::path> named, folders;
     for (const fs::path& file : recording_files) {
         const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
+        // For a ROS 2 bag, the file FOLDER.csv next to the folder counts too.
         const fs::path of_file = fs::path(file).replace_extension(".csv"),
                        of_folder = fs::path(fs::absolute(folder)).concat(".csv");
         const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");

@@ -28,6 +28,7 @@ public:
             fail<UsageError>(
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
                 sensor.name, scan.rays.rows, sensor.beams.size());
+        // Inside a limited field of view, the image has only the columns that fire.
         if (sensor.azimuth_rad) {
             place_.resize(std::size_t(sensor.columns));
             const std::vector<int> fired = fired_columns(sensor);

@@ -84,8 +84,10 @@ class OusterWriter : public PacketFormat {
 public:
     OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
         : start_ns_(options.start_ns),
+          // Each sensor of a rig has two UDP ports, one after the other.
           port_(kOusterPort + 2 * options.unit),
           sensor_(sensor),
+          // Parses the metadata that it writes, so that encoder and decoder agree.
           format_(parse_metadata(
               write_metadata(sensor, choose_profile(options), {0, sensor.columns - 1}, port_), sensor.name)) {
         if (format_->profile->returns < options.returns)

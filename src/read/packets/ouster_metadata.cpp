@@ -225,11 +225,13 @@ public:
             if (!was_measured) continue;
             packet.firings.push_back({slot, 0.0, column_azimuth_deg(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
+            // Appends one entry per ring for this column.
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
         // The packet is sent after its last column.
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
+        // The times of firings are stored relative to the clock of the packet.
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);
         return packet;
@@ -239,6 +241,7 @@ private:
     const std::shared_ptr<const OusterMetadata> format_;
     FiringTiming timing_;
 
+    /// Reads the bytes that precede the pixels of a column.
     ColumnHeader read_header(codecs::ByteReader& reader) const {
         ColumnHeader column;
         const auto time_ns = reader.read_number<std::uint64_t>();
@@ -246,6 +249,7 @@ private:
         if (format_->profile->is_legacy)
             reader.read_bytes(6);  // skips the frame number and the encoder angle
         else column.was_measured = (reader.read_number<std::uint16_t>() & 1) != 0;
+        // A limit below the largest integer prevents overflows with damaged times.
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;
     }
@@ -320,6 +324,7 @@ std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_tex
     format->columns_per_packet = read_integer(json, place, "columns_per_packet", kUsualColumns, 65536);
     set_size(*format, json);
     format->port = read_integer(json, place, "udp_port_lidar", 0, 65535);
+    // The serial number is a text of digits. 0 means that it is unknown.
     const double serial = parse_number(read_text(json, place, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
     format->fires = mark_columns(json, place, spinning->columns);

@@ -80,6 +80,7 @@ void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
     constexpr std::int64_t kNsPerSecond = 1'000'000'000;
     for (const SensorPacket& packet : packets) {
         const std::string frame = wrap_ethernet(packet.bytes, port_, n_written_++);
+        // Header of a record: seconds, nanoseconds, stored length, original length.
         std::string head;
         for (const auto value : {packet.time_ns / kNsPerSecond, packet.time_ns % kNsPerSecond,
                                  std::int64_t(frame.size()), std::int64_t(frame.size())})
@@ -100,6 +101,7 @@ std::size_t save_packets(const Log& log, const fs::path& file, const Progress& p
                          file.string(), log.lidars.size());
     PacketOptions options;
     options.start_ns = time_shift_of(log);
+    // Firings are counted by azimuth, because times of a log can be arrival times.
     options.times_jitter = true;
     for (const Frame& frame : log.frames)
         if (!frame.scan.second_returns.empty()) options.returns = 2;
@@ -115,6 +117,7 @@ std::size_t save_packets(const Log& log, const fs::path& file, const Progress& p
             if (progress) progress("writing packets", double(f) / double(log.frames.size()));
             add(encoder.add_scan(log.frames[f].scan, log.frames[f].time_s));
         }
+        // The encoder keeps incomplete packets until flush().
         add(encoder.flush());
         capture.close_file();
     });

@@ -256,6 +256,7 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
     : impl_(std::make_unique<Impl>()) {
     impl_->sensor = sensor;
     impl_->options = options;
+    // A maker returns null if it does not produce the sensor.
     for (auto* make : {packets::make_velodyne, packets::make_hesai, packets::make_ouster})
         if (!impl_->format) impl_->format = make(sensor, options);
     if (!impl_->format)
@@ -263,6 +264,8 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
                          packet_sensors());
     impl_->offsets_us = impl_->format->beam_delays();
     impl_->fired.resize(std::size_t(impl_->n_fixed()));
+    // A product that fires at any azimuth has a fixed firing period, so the columns of
+    // the sensor must match it.
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
     const double expected_us = impl_->format->firing_period_us() / impl_->format->columns_per_firing();
     if (!impl_->has_fixed_columns() && !(std::abs(step_us / expected_us - 1.0) < kMostStepError))

@@ -378,8 +378,10 @@ double PacketIndex::mean_step_deg(const PacketRevolution& revolution) const {
 }
 
 SpinningSensor PacketIndex::make_sensor() const {
+    // deg_us_ is the mean rotation in degrees per microsecond.
     const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
     const FiringTiming& timing = decoder_->timing();
+    // A sensor that fires at fixed azimuths has a fixed number of columns.
     if (!timing.fires.empty()) return decoder_->make_sensor(int(timing.fires.size()), 1.0 / period_s);
     // All firings of the revolution with the most firings must fit into the scan.
     double most = 1e6 * period_s / timing.cycle_us;

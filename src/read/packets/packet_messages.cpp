@@ -81,6 +81,7 @@ std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string
         header = {recording_time_ns, topic.name};
         MessageReader reader(message_bytes, topic.encoding == "ros1");
         const std::string_view packet = reader.read_bytes(reader.read_length(1));
+        // Packets of the IMU have the same message type and are skipped.
         if (packet.size() != kImuBytes) packets.push_back({recording_time_ns, packet});
         return packets;
     }

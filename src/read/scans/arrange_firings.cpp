@@ -63,6 +63,7 @@ SweepFirings arrange_firings(LidarPoints& points, const std::vector<int>& firing
 SweepFirings sort_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
                           const std::map<int, double>& head_azimuth_by_firing) {
     std::vector<std::pair<double, int>> by_azimuth;
+    // The sign makes the ascending sort return decreasing azimuths.
     for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
     SweepFirings sweep{{kTicksPerTurn, 0.0}, {}};

@@ -31,6 +31,7 @@ void ScanErrorCollector::remove_broken(Log& sequence) const {
     report_broken(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
     std::vector<Frame> remaining_frames;
+    // times of the remaining frames; poses at other times are removed
     std::set<double> times_s;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         if (reasons_.contains(i)) continue;

@@ -157,6 +157,7 @@ PointCloudUnits estimate_cloud_units(const std::vector<read::PointTable>& clouds
     PointCloudUnits units;
     std::vector<read::PointTable> continuous_clouds = clouds;
     for (read::PointTable& cloud : continuous_clouds) read::unwrap_times(cloud, false);
+    // Large unsigned times may be negative offsets, so both are compared.
     std::vector<read::PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, read::restore_signs);
     set_time_unit(units, list_time_ranges(continuous_clouds, cloud_stamps_s),

@@ -60,6 +60,7 @@ void remove_drop_markers(Log& sequence) {
         if (!marks_dropped_rays) continue;
         for (Frame& frame : sequence.frames)
             if (frame.lidar == int(l))
+                // slightly below the largest range, so that equal ranges are dropped
                 limit_ranges(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(

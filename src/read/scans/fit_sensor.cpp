@@ -209,6 +209,7 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     if (n_rings > kMostRings)
         fail("cannot estimate the beams: found the ring number {}, expected one below {}", n_rings - 1,
              kMostRings);
+    // Columns are fitted to the scan with the most points, elevations to all scans.
     const RingPointLists rings = group_rings(*fullest, n_rings);
     const FiringColumnGrid lattice = fit_firing_grid(*fullest, rings);
     const std::vector<std::optional<double>> elevations = fit_elevations(scans, n_rings);
@@ -228,6 +229,7 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     }
     const std::optional<double> rate = fit_rotation_rate(*fullest, rings);
     sensor.columns = lattice.columns;
+    // The first column is centred half a column beside the backward direction.
     sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;
     sensor.clockwise = !rate || *rate < 0.0;

@@ -139,6 +139,8 @@ HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, con
         field.at("spins").reject("found false, but the key sensor defines the beams of a spinning LiDAR",
                                  "expected true, or a sensor without a list of beams");
     lidar.scans = read_text_or(field, "scans", "", kLongestPath);
+    // read_word_index() returns the position of the word in the list. Without the key,
+    // ring 0 is the highest.
     lidar.lowest_first =
         field.has_member("ring_0") && read_word_index(field.at("ring_0"), {"highest", "lowest"}) == 1;
     return lidar;
@@ -161,6 +163,7 @@ std::vector<HeaderLidar> read_lidars(const JsonField& root, const std::string& j
     return lidars;
 }
 
+/// Returns the index of a frame's LiDAR. A frame may omit its LiDAR if the log has one.
 int find_frame_lidar(const JsonField& frame_entry, const std::vector<HeaderLidar>& lidars) {
     if (!frame_entry.has_member("lidar") && lidars.size() == 1) return 0;
     const std::string name = frame_entry.at("lidar").text();

@@ -11,6 +11,7 @@
 namespace relidar {
 
 Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
+    // R^T R - I is zero for a rotation. A reflection has a negative determinant.
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {

@@ -79,6 +79,8 @@ std::string why_not_spinning(const std::vector<LidarPoints>& scans, const Spinni
             "clouds of several LiDARs, wrong rings, or another frame",
             spread * 180.0 / kPi);
     const double gap = widest_gap_rad(scans);
+    // A gap alone can be a limited field of view. It is an error only if the point
+    // times also show another period than one revolution per scan.
     if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||
         std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s)
         return "";

@@ -13,6 +13,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Reads the points of a few scans. Files of rays have no points and are left out.
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
                                       const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points = scan_files;
@@ -61,6 +62,7 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, 
     PointFieldSemantics meaning = interpret_fields(samples);
     drop_coarse_times(units, samples, notes);
     if (samples.empty()) {
+        // No file of points was read, so units are estimated from range images.
         const std::vector<PointTable> images = sample_images(scan_files);
         drop_coarse_times(units, images, notes);
         std::vector<double> intensities;

@@ -126,6 +126,7 @@ IntensityScale estimate_scale(std::vector<double>& intensities) {
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
     IntensityScale scale;
+    // Values up to 100 can be percentages or bytes, so their scale is not sure.
     scale.is_sure =
         lowest >= 0.0 && (highest <= 1.0 || (highest > kPercentScale && highest <= kTwoByteScale));
     if (highest <= 1.0) return scale;

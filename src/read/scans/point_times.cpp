@@ -81,6 +81,7 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
     if (times.empty()) return std::nullopt;
     std::ranges::sort(times);
     constexpr double kMaxSpanRatio = 10.0;  // points can be in a small part of the sweep
+    // Keeps times that are at most ten spans outside of the middle 80 % of the times.
     const auto [span, outer] = estimate_span(times);
     if (span == 0.0) return std::array{times.front(), times.back()};
     return std::array{
@@ -120,6 +121,7 @@ void restore_signs(PointTable& table) {
     });
     for (const double period : kCounterPeriods) {
         const bool is_counter = number_period == 0.0 ? period != kCounterPeriods[0] : period == number_period;
+        // Times are negative only if all of them are in the last part of the period.
         if (!is_counter || first < kLastPart * period || last >= period) continue;
         for (double& t : times) t -= period;
         return replace_times(table, std::move(times));
@@ -131,11 +133,13 @@ double time_resolution(const PointTable& table) {
     const std::vector<double> times = read_times(table);
     if (times.empty()) return 0.0;
     const auto [first, last] = value_range(times);
+    // A number that a 32-bit float can represent exactly was probably stored as one.
     const bool is_float = std::ranges::all_of(
                    times, [](double t) { return !std::isfinite(t) || double(float(t)) == t; }),
                is_whole = std::ranges::all_of(
                    times, [](double t) { return !std::isfinite(t) || std::round(t) == t; });
     const float largest = float(std::max(std::abs(first), std::abs(last)));
+    // distance between the largest absolute time and the next larger float
     double resolution = is_float ? double(std::nextafter(largest, INFINITY)) - double(largest) : 0.0;
     if (is_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
         resolution = std::max(resolution, 1.0);

@@ -205,7 +205,9 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
     for (std::size_t k : order) {
         if (is_done[k]) continue;
         std::size_t other = partner[k];
+        // Both returns have the same position, so one of them is removed.
         if (other != kNoPoint && points[other] == points[k]) is_done[std::exchange(other, kNoPoint)] = true;
+        // The stronger return is number 1.
         if (other != kNoPoint && intensity && (*intensity)[selected[other]] > (*intensity)[selected[k]])
             std::swap(k, other);
         add(k, 1);

@@ -81,6 +81,7 @@ TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double swee
 
 std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
     std::vector<double> steps;
+    // NaN makes the first comparison false, because the first frame has no step.
     double before_s = NAN;
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
@@ -104,12 +105,14 @@ ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double
     plan.sensor = std::move(sensor);
     plan.has_rings = samples.empty() || !samples[0].ring.empty();
     plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
+    // Motion compensation can be undone only with the poses and the times of points.
     plan.undo = motion_compensated && has_poses && plan.has_times;
     if (plan.sensor.period_s == 0.0 || !layout.has_beams) plan.sensor.period_s = sweep_s;
     if (layout.has_beams) {
         plan.is_ordered = true;
         const std::size_t n = plan.sensor.beams.size();
         for (std::size_t k = 0; k < n; ++k)
+            // Beams are sorted from the highest to the lowest.
             plan.beam_of_ring.push_back(std::uint16_t(layout.lowest_first ? n - 1 - k : k));
         if (!plan.has_rings) plan.rings = RingSource::elevation;
     } else if (layout.spins && !samples.empty()) {

@@ -230,6 +230,8 @@ std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor
     return measured;
 }
 
+/// Resizes all arrays of a scan. Every ray starts at the sensor origin without a
+/// return.
 void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     scan.rays.rows = rows;
@@ -350,11 +352,13 @@ Scan scan_of_points(const LidarPoints& points) {
         const std::size_t i = first[at];
         const float range = glm::length(points.position_m[i]);
         scan.rays.direction[at] = glm::vec3(glm::normalize(glm::dvec3(points.position_m[i])));
+        // Missing times and rings become 0.
         scan.rays.time_offset_s[at] = points.time_offset_s.empty() ? 0.0f : points.time_offset_s[i];
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
         if (!points.classes.empty()) scan.classes[at] = points.classes[i];
+        // Further returns of the ray directly follow its first return.
         for (std::size_t k = i + 1; k < points.size() && return_index_of(points, k) > 0; ++k)
             set_second(scan, at, points, k);
     }

@@ -84,6 +84,7 @@ public:
         if (format_.complete) format_.complete(table, frame_name(index));
         LidarPoints points =
             read::convert_table(table, format_.units, sequence_.frames[index].time_s, frame_name(index));
+        // Rotates the points about z, from the axes of the files to relidar's axes.
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
             const glm::dvec3 point_in_file_axes(p);
@@ -257,6 +258,7 @@ std::vector<fs::path> add_frames(Log& sequence, const StampedLog& log, const Dat
     for (const StampedScanFile& scan : log.scans) {
         if (!range.contains(scan.number)) continue;
         const double time_s = log.seconds_of(scan.stamp);
+        // The user's poses are set by replace_poses() below.
         const std::optional<Pose> pose = options.poses_file.empty() ? find_pose(log, time_s) : Pose{};
         if (!pose) {
             without.push_back(&scan);

@@ -64,6 +64,7 @@ double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
 
 std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose) {
     if (!sequence.rolling_shutter) return "";
+    // [frames] how far a point at kLeverArm_m moves; 0 if the frame is not changed
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
     parallel_for(int(sequence.frames.size()), [&](int index) {
         Frame& frame = sequence.frames[std::size_t(index)];

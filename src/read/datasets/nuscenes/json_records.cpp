@@ -62,6 +62,8 @@ private:
     std::size_t at_ = 0;
     bool opened_ = false, closed_ = false;
 
+    /// Reads the next character. Returns false at the end of the file. Keeps only one
+    /// block in memory, because tables can have a gigabyte.
     bool next_char(char& character) {
         if (at_ == block_.size()) {
             block_.resize(kBlockBytes);
@@ -140,6 +142,7 @@ void for_each_record(const std::filesystem::path& file, const std::function<void
     RecordSplitter splitter(file);
     simdjson::dom::parser parser;
     std::string record;
+    // The parser gets one record at a time, so that memory stays small.
     for (std::size_t n = 0; splitter.next_object(record); ++n) {
         const std::string where = fmt::format("{}, record {}", file.string(), n);
         simdjson::dom::object object;

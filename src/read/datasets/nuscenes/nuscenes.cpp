@@ -91,6 +91,8 @@ struct SceneLocation {
     std::string name;
     fs::path tables;
 };
+/// Lists the scenes of all table folders. A table folder is a subfolder that contains
+/// scene.json, for example v1.0-mini.
 std::vector<SceneLocation> list_dataset_scenes(const fs::path& dataset_folder) {
     std::vector<SceneLocation> scenes;
     for (const fs::path& tables : list_folder(dataset_folder)) {
@@ -149,6 +151,8 @@ struct FrameSweepRecord {
 
 class NuscenesLogLoader {
 public:
+    /// Reads the tables of the requested scene. The sweeps of its first LiDAR define
+    /// the times of all frames.
     NuscenesLogLoader(const fs::path& folder, const DatasetOptions& options)
         : folder_(folder),
           options_(options),
@@ -204,6 +208,8 @@ private:
     std::vector<FrameSweepRecord> frames_;
     Log sequence_;
 
+    /// Identifies the dataset by the ending of the LiDAR files. Files with nuScenes'
+    /// ending may come from another LiDAR, so their points are tested too.
     const NuscenesVariant& find_variant(const SweepRecord& sweep) const {
         const std::string& lidar_file = sweep.file;
         std::vector<std::string> endings;
@@ -227,6 +233,7 @@ private:
         return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
+    /// Adds the requested LiDARs to the log, or all LiDARs if none are requested.
     void select_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -247,6 +254,7 @@ private:
             lidar.vehicle_from_sensor = mounted;
             lidar.sensor.name = channels[l];
             if (format_.is_compensated) lidar = make_hdl32e(mounted);
+            // A LiDAR needs a name only if the log has several or the user selected it.
             if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
             lidar.sensor.max_range_m = options_.max_range_m;
             sequence_.lidars.push_back(std::move(lidar));
@@ -314,6 +322,8 @@ private:
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
+    /// Lists the files of points and of point labels, one pair per frame. Label files
+    /// are a separate download, so missing ones only cause a note.
     std::vector<SweepFiles> list_frame_files() {
         std::vector<SweepFiles> files;
         std::size_t n_missing = 0;

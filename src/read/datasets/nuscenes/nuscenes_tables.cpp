@@ -76,6 +76,7 @@ SweepsByChannel list_lidar_files(const fs::path& table_folder,
     for_each_record(table_folder / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
         file.calibration = record.read_text("calibrated_sensor_token");
+        // The table also lists files of cameras, radars and other scenes.
         const auto lidar = mounted_lidars.find(file.calibration);
         if (lidar == mounted_lidars.end()) return;
         file.sample = record.read_text("sample_token");
@@ -206,6 +207,7 @@ std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const Scen
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
             fail("{}, key 'size': found {} x {} x {}, expected all above 0", file.string(), size.x, size.y,
                  size.z);
+        // The category is set below. BoxLabel needs the order length, width, height.
         labels.push_back({record.read_text("instance_token"),
                           "",
                           {size.y, size.x, size.z},
@@ -272,6 +274,7 @@ SceneTables read_scene(const fs::path& table_folder, const std::string& scene_na
     for_each_record(table_folder / "scene.json", [&](const JsonRecord& record) {
         if (record.read_text("name") == scene_name) scene_token = record.read_text("token");
     });
+    // The keyframes select the LiDAR files and labels that belong to the scene.
     const TokenMap<std::int64_t> samples = read_keyframes(table_folder, scene_token);
     scene.lidars = read_scene_lidars(table_folder, samples);
     scene.world_from_ego = read_ego_poses(table_folder, scene.lidars[0].sweeps);

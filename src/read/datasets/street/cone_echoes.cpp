@@ -62,12 +62,15 @@ RayTable make_cone_rays(const RayTable& rays) {
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
+        // d, side and d x side are orthogonal. The helper axis is never parallel to d.
         const glm::dvec3 d(rays.direction[i]),
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
             // The square root spreads the rays evenly over the area of the cone.
             const double angle = 0.5 * rays.divergence_of_rad(i) * std::sqrt((k + 0.5) / kConeRays);
+            // Direction from the beam axis to thin ray k. Steps of the golden angle
+            // spread the rays evenly around the axis.
             const glm::dvec3 off = std::cos(1.0 + k * kGoldenAngle_rad) * side +
                                    std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
@@ -86,10 +89,12 @@ Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
         const std::vector<SubRayHit> returns = group_hits(scan_of_cone_rays, i, n_back);
+        // A beam has a return only if more than half of its thin rays hit a surface.
         if (2 * n_back <= kConeRays) continue;
         const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
         const SubRayHit second = choose_second(returns, strongest);
         scan.range_m[i] = strongest->range_m;
+        // mean light of all thin rays of the beam
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
         echo.range_m[i] = second.range_m;
         echo.intensity[i] = second.light / kConeRays;

@@ -217,6 +217,7 @@ double MovingStreetActor::walked_m(double time_s) const {
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     double walked = glm::dot(track.pose.front().translation - start_m, ahead);
     for (std::size_t i = 1; i < track.pose.size() && track.time_s[i - 1] < time_s; ++i) {
+        // share of the step from pose i - 1 to pose i that is walked until time_s
         const double share =
             std::min(1.0, (time_s - track.time_s[i - 1]) / (track.time_s[i] - track.time_s[i - 1]));
         walked += share * glm::distance(glm::dvec2(track.pose[i].translation),
@@ -276,6 +277,7 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
                                                       ActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
+    // Solids are sorted by cluster. A cluster is skipped if the ray misses its sphere.
     std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
@@ -288,11 +290,13 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
         const RayCastActor& car = cars_[i];
         if (search.can_skip_sphere({car_pose_cache.centre_m[i], car.reach_m}, ray.origin_m, ray.direction))
             continue;
+        // The solids of an actor are in the frame of its box. The ray is moved there.
         const Pose& box_from_world = car_pose_cache.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
         for (const RayCastShape& s : car.solids) search.hit_solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
+        // Each stride is one period, in which every limb swings forth and back.
         const double stride_rad = 2.0 * kPi * car.moving.walked_m(time_s) / car.moving.stride_m;
         for (const SwingingLimb& l : car.moving.limbs)
             search.hit_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);

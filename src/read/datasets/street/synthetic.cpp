@@ -47,6 +47,7 @@ void check_options(const StreetOptions& options) {
             "true");
 }
 
+/// Makes a LiDAR with beams at +3 to about -25 degrees. Column 0 faces backward.
 SpinningSensor make_default_sensor(const StreetOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";

@@ -125,6 +125,7 @@ void save_street(const StreetOptions& options, const fs::path& folder) {
     std::ofstream out(file);
     visit_street_options(options, [&]<class T>(const char* key, const T& option, const char*) {
         if constexpr (std::is_same_v<T, std::string>) {
+            // An absolute path does not depend on the working folder.
             if (!option.empty()) out << key << " = " << toml::value(fs::absolute(option).string()) << "\n";
         } else if constexpr (std::is_same_v<T, double>)
             out << fmt::format("{} = {}\n", key, number_text(option));

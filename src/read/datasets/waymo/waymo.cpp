@@ -279,6 +279,9 @@ private:
                        : std::tanh(std::max(stored_intensity, 0.0f));
     }
 
+    /// Copies channels 0 (range) and 1 (intensity) of each pixel. A pixel without a
+    /// return has a range of at most 0 in Waymo's files. It gets the range 0 and the
+    /// intensity 0.
     void copy_returns(const InflatedImage& range_image, std::span<float> range_m,
                       std::span<float> intensity) const {
         constexpr float kMaxPlausibleRange_m = 1e4f;
@@ -355,6 +358,7 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
     const std::size_t n_lidars = sequence.lidars.size();
     progress_for(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
+            // The LiDARs of a sweep have consecutive frames, which share one record.
             const int record = sequence.frames[sweep * n_lidars].index;
             const std::string data = records.read_record(std::size_t(record)),
                               where = record_location(records, record);
@@ -362,6 +366,7 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
                 Frame& frame = sequence.frames[sweep * n_lidars + lidar];
                 const std::string& name = sequence.lidars[lidar].name;
+                // position of the LiDAR in Waymo's list of LiDARs
                 const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
                                       std::begin(kLaserNames));
                 broken.guard(sweep * n_lidars + lidar, [&] {
@@ -399,6 +404,7 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.test_frames = segment.test_frames;
     add_segment_frames(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
+    // The scans need the poses of the dataset, so the user's poses replace them later.
     read_record_scans(sequence, records, options);
     kitti::replace_poses(sequence, options.poses_file);
     centre_log(sequence);

@@ -223,6 +223,8 @@ auto guard_parse(const std::string& where, const Parse& parse_function) {
 SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where) {
     SegmentFrame frame;
     bool has_pose = false;
+    // Field numbers of Waymo's message Frame: 1 context (calibrations), 2 time stamp, 3
+    // pose, 5 lasers (range images), 6 laser labels.
     guard_parse(where, [&] {
         for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
             const std::uint32_t tag = from.tag_and_type();
@@ -276,6 +278,7 @@ std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int 
                                        const std::string& where) {
     std::vector<double> elevations = calibration.inclination_rad;
     const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;
+    // Without a list, each row is at the centre of one of n_rows equal intervals.
     if (elevations.empty())
         for (int k = 0; k < n_rows; ++k) elevations.push_back(low + (k + 0.5) / n_rows * (high - low));
     if (elevations.size() != std::size_t(n_rows))
@@ -285,6 +288,7 @@ std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int 
         if (!(std::abs(elevation) <= kPi / 2))
             fail("{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2", where,
                  elevation, calibration.laser);
+    // Inclinations start with the lowest row, but image rows start with the highest.
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }
