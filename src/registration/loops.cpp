@@ -65,6 +65,7 @@ public:
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (k > 0) driven_m += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
             path_length_m_.push_back(driven_m);
+            // Keyframes are scans with points at a minimum distance along the path.
             if (!scans[k].empty() &&
                 (keyframes_.empty() || driven_m >= path_length_m_[keyframes_.back()] + kKeyframeDistance_m))
                 keyframes_.push_back(k);
@@ -279,11 +280,13 @@ private:
             Vector6 weights;
             weights << Eigen::Vector3d::Constant(weight / (sigma_m * sigma_m)),
                 Eigen::Vector3d::Constant(weight / (sigma_rad * sigma_rad));
+            // Jacobians of the residual: ja = -T for x_first, jb = I for x_second.
             const Matrix6 ja =
                 -twist_transfer(keyframe_pose(second).translation - keyframe_pose(first).translation);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
             const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
+            // Adds J^T W J to the matrix. Adds J^T W expected_difference to g.
             add_block(first, first, ja.transpose() * wa);
             add_block(first, second, ja.transpose() * wb);
             add_block(second, first, jb.transpose() * wa);

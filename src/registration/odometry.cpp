@@ -64,6 +64,8 @@ public:
           begin_(begin),
           first_motion_(first_motion),
           maps_(options.first, options.last) {
+        // The first pose is given. Points fired after it are interpolated to the second
+        // pose, so this pose needs a prediction.
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predict_poses(begin + 1).front();
     }
 

@@ -55,6 +55,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     std::size_t n = 0;
     for (const FrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
+    // starts above the limit, so that the loop runs at least once
     double step_m = 2.0 * kConvergedStep_m;
     for (int i = 0; i < kMaxAlignmentSteps && step_m > kConvergedStep_m; ++i) {
         SinglePoseEquations equations;
@@ -70,6 +71,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         }
         result.on_surfaces = double(equations.count_on_planes()) / double(n);
         if (equations.empty()) return result;
+        // The prior pulls the pose towards its value before the alignment.
         const Twist step =
             equations.solve_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
         track.pose[pose_index] = apply_twist(track.pose[pose_index], step);

@@ -86,6 +86,8 @@ std::vector<FitRound> PoseAdjustment::adjust_poses(
     constexpr int kRounds = kShrinkingRounds + kLastRounds;
     std::vector<FitRound> rounds;
     for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i)
+        // The settings stop changing in round kShrinkingRounds. The grid moves in each
+        // round, so that cell borders change.
         rounds.push_back(run_round(blend_rounds(first_round_settings, last_round_settings,
                                                 std::min(1.0, i / double(kShrinkingRounds - 1))),
                                    kGridShift_cells * i));
@@ -239,6 +241,7 @@ std::vector<std::size_t> PoseAdjustment::interpolate_lost(const PlaneMap& map,
                                                           const std::vector<bool>& pose_has_points,
                                                           double kernel_scale_m, double max_deviation_m) {
     std::vector<std::span<const SubsampledPoint>> scans(pose_has_points.size());
+    // Points are sorted by pose, so the points of each scan are contiguous.
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
         scans[k] = std::span(points_).subspan(begin, end - begin);
@@ -250,6 +253,8 @@ std::vector<std::size_t> PoseAdjustment::interpolate_lost(const PlaneMap& map,
     std::vector<std::size_t> lost;
     std::vector<bool> is_registered = pose_has_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
+        // A pose counts as registered if it has enough points on planes and a
+        // correction that agrees with its neighbours.
         if (!pose_has_points[k] || (has_enough_planes(shares[k], scans[k].size()) &&
                                     deviation_m(k, pose_has_points) <= max_deviation_m))
             continue;

@@ -68,11 +68,13 @@ std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& poi
     LocalPlane plane;
     double within = 0.0, spread2 = 0.0;
     for (int i = 0; i < kPlaneRefits; ++i) {
+        // y: middle eigenvalue, the variance along the narrower direction of the plane
         spread2 = fit_weighted_plane(points, point_indices, weight, plane).y;
         within = 0.0;
         for (std::size_t k = 0; k < point_indices.size(); ++k) {
             weight[k] = robust_weight(
                 glm::dot(plane.normal, points[point_indices[k]].point_m - plane.point_m), scale_m);
+            // At a distance of scale_m from the plane, a point has the weight 1/4.
             within += weight[k] > 0.25;
         }
         // Such a cell contains several surfaces or none, so more iterations do not help.
@@ -91,6 +93,8 @@ PointCellGrid::PointCellGrid(const std::vector<WorldPointWithOrigin>& points, do
     parallel_blocks(points.size(), [&](std::size_t index) {
         keyed[index] = {cell_key(points[index].point_m), static_cast<std::uint32_t>(index)};
     });
+    // After sorting, the points of a cell are contiguous in order_. first_ stores where
+    // each cell begins, and the total number at the end.
     parallel_sort(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {
         order_[i] = keyed[i].second;

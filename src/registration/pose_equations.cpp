@@ -62,6 +62,7 @@ SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& 
 }
 
 Twist SinglePoseEquations::solve_step(double prior_weight, const Twist& current_correction) const {
+    // Solves (H + P) x = -(g + P c). P is the diagonal prior, c the current correction.
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
     const double pulls[] = {prior_weight * stiffness_.diagonal().head<3>().mean(),
@@ -93,6 +94,8 @@ PoseEquations::PoseEquations(std::size_t n_poses)
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
+    // a and b are the two poses with their interpolation weights. The residual's
+    // derivative by the twist of a pose is its weight times j.
     const auto [a, b] = poses_of_point(point);
     const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
@@ -101,6 +104,7 @@ void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual&
             plane_residual.weight * plane_residual.residual_m * share * plane_residual.j;
         diagonal_[pose] += share * share * square;
     }
+    // The block below the diagonal is the transpose, so it is not stored.
     next_[a.first] += a.second * b.second * square;
     cost_ += plane_residual.weight * plane_residual.residual_m * plane_residual.residual_m;
     weight_ += plane_residual.weight;
@@ -156,6 +160,7 @@ void PoseEquations::add_equations(PoseEquations&& other) {
         next_[k] += other.next_[k];
     }
     gradient_ += other.gradient_;
+    // Ends of planes are positions in couplings_, so they shift by its current size.
     for (const std::size_t end : other.plane_end_) plane_end_.push_back(couplings_.size() + end);
     couplings_.insert(couplings_.end(), other.couplings_.begin(), other.couplings_.end());
     n_planes_ += other.n_planes_;
@@ -280,6 +285,7 @@ private:
             for (const auto& [column, b] : groups) find_block(row, column) -= a * b.transpose();
     }
 
+    /// Builds the sparse matrix from its 6x6 blocks and computes its Cholesky factor.
     void factorise_matrix() {
         std::vector<Eigen::Triplet<double>> entries;
         for (const auto& [at, m] : blocks_)

@@ -59,6 +59,7 @@ std::vector<BoxFramePoints> collect_in_boxes(const Log& sequence, const std::vec
                     inverse(box.world_from_box.pose_at(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
                 const TrackInterpolation at = box.world_from_box.find_segment(measured.time_s);
+                // interpolation weight, pose before the point, nearest pose
                 of_frame[std::size_t(index)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});

@@ -75,9 +75,11 @@ SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::siz
     const Frame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
     const TrackInterpolation at = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
+    // Position in the sensor frame. surface_return() corrects the range for the beam.
     const glm::vec3 in_sensor_m =
         rays.origin[ray_index] +
         surface_return(sequence, frame, ray_index).range_m * rays.direction[ray_index];
+    // position in the vehicle frame, interpolation weight, pose before the point, sweep
     return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
             static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
             static_cast<std::uint32_t>(pose_index)};
