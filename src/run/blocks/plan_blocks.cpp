@@ -46,6 +46,7 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, con
         cumulative_distances_m[i] =
             cumulative_distances_m[i - 1] + glm::distance(vehicle_positions[i - 1], vehicle_positions[i]);
     std::vector<TrajectoryBlock> blocks = divide_route(cumulative_distances_m, options.length_m);
+    // A block is trained on all training frames within halo_m of its recorded frames.
     for (TrajectoryBlock& block : blocks) {
         for (const int position : split.train)
             if (is_near_any(vehicle_positions[std::size_t(position)], vehicle_positions,

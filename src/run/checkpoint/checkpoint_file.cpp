@@ -129,6 +129,7 @@ Checkpoint read_checkpoint(const std::filesystem::path& path) {
 
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder) {
     std::vector<std::filesystem::path> paths;
+    // The error of a missing folder is ignored: it has no checkpoints.
     std::error_code failed;
     for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
         if (iteration_of_file(entry.path())) paths.push_back(entry.path());

@@ -20,6 +20,7 @@ void check_finite_values(const NamedArray& array) {
         T value;
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
         if (std::isfinite(value)) continue;
+        // i / (values per row) is the row of the value.
         const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
         fail("row {1} of array \"{0}\" contains {2}, expected finite numbers", array.name, i / (n / rows),
              value);

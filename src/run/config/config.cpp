@@ -110,6 +110,7 @@ void check_settings(const std::map<std::string, ParsedValue>& settings) {
                              kAdvice);
 }
 
+/// Writes a TOML string in quotes. Escapes quotes, backslashes and control characters.
 std::string quote_toml(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
@@ -155,6 +156,7 @@ std::string format_toml(const Config& config, const Shown& is_key_shown) {
                                const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
         if (!is_key_shown(key)) return;
+        // The part of a key before the dot is its TOML table.
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
@@ -204,6 +206,7 @@ std::string to_toml(const Config& config) {
 
 std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
+    // Both lists contain all settings in the same order.
     const std::vector<ConfigKey> keys = list_config_keys(config),
                                  preset = list_config_keys(make_preset(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)

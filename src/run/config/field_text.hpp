@@ -39,6 +39,7 @@ std::string describe_range(const SettingValueRange& accepted_values) {
         return fmt::format("one of {}", fmt::join(accepted_values.choices, ", "));
     if constexpr (is_text<T>) return "text";
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
+    // Without an upper limit, the text states only the lower limit.
     const bool open_end =
         accepted_values.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
     const char* above = accepted_values.above_low ? "above" : "of at least";
@@ -49,11 +50,13 @@ std::string describe_range(const SettingValueRange& accepted_values) {
     return fmt::format("{} from {:.15g} to {:.15g}", kind, accepted_values.low, accepted_values.high);
 }
 
+/// Parses a finite number within the accepted range. Returns nothing for other text.
 template <class T>
 std::optional<T> parse_in_range(const std::string& text, const SettingValueRange& accepted_values) {
     T parsed{};
     const char* begin = text.data();
     const char* end = begin + text.size();
+    // std::from_chars() does not accept a plus sign.
     if (begin != end && *begin == '+') ++begin;
     const auto [stop, error] = std::from_chars(begin, end, parsed);
     if (begin == end || error != std::errc() || stop != end) return std::nullopt;
@@ -67,6 +70,7 @@ std::optional<T> parse_in_range(const std::string& text, const SettingValueRange
     return parsed;
 }
 
+/// Parses the text of a setting. Returns nothing if the value is not accepted.
 template <class T>
 std::optional<T> parse_setting(const std::string& text, const SettingValueRange& accepted_values) {
     const auto find = [&](const std::string& word) {
@@ -79,6 +83,7 @@ std::optional<T> parse_setting(const std::string& text, const SettingValueRange&
     if (accepted_values.several ? !std::ranges::all_of(split_list(text), is_choice)
                                 : !accepted_values.choices.empty() && choice == accepted_values.choices.end())
         return std::nullopt;
+    // The choices are in the order of the enumerators.
     if constexpr (std::is_enum_v<T>) {
         return static_cast<T>(choice - accepted_values.choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {

@@ -107,6 +107,7 @@ void visit_dataset(C& config, Visitor&& visitor) {
             "the machine's memory");
 }
 
+/// Calls visitor(key, field, accepted values, help) for settings of the table [sensor].
 template <class C, class Visitor>
 void visit_sensor(C& config, Visitor&& visitor) {
     visitor("sensor.grid", config.sensor.grid, accept_one_of({"native", "kitti360"}),
@@ -183,6 +184,7 @@ void visit_init(C& config, Visitor&& visitor) {
                         "are ignored"));
 }
 
+/// Calls visitor(key, field, accepted values, help) for settings of the table [image].
 template <class C, class Visitor>
 void visit_image(C& config, Visitor&& visitor) {
     visitor("image.alpha_min", config.image.alpha_min, accept_between(1e-6, 0.5),
@@ -216,6 +218,7 @@ void visit_loss(C& config, Visitor&& visitor) {
                         "and W the sum of weights; false: it compares D (as in the paper)"));
 }
 
+/// Calls visitor(key, field, accepted values, help) for settings of the table [train].
 template <class C, class Visitor>
 void visit_train(C& config, Visitor&& visitor) {
     visitor("train.iterations", config.train.iterations, accept_between(0, kMaxCount),
@@ -245,6 +248,8 @@ void visit_train(C& config, Visitor&& visitor) {
             "train even if more than 5 % of the scans could not be registered; false: this is an error");
 }
 
+/// Calls visitor(key, field, accepted values, help) for more settings of the table
+/// [train].
 template <class C, class Visitor>
 void visit_logging(C& config, Visitor&& visitor) {
     visitor("train.frame_memory_mib", config.train.frame_memory_mib, accept_between(0, kMaxCount),
@@ -258,6 +263,7 @@ void visit_logging(C& config, Visitor&& visitor) {
             "random seed of the initialisation and of the order of frames and rays");
 }
 
+/// Calls visitor(key, field, accepted values, help) for settings of the table [refine].
 template <class C, class Visitor>
 void visit_refine(C& config, Visitor&& visitor) {
     visitor("refine.enabled", config.refine.enabled, accept_anything(),

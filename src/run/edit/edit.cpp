@@ -44,6 +44,8 @@ std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& 
                      fmt::join(actor_ids, ", "));
 }
 
+/// Returns the box of an actor for editing. Throws if the scene has no such actor, or
+/// if the log has no box for it.
 BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
     find_instance(scene_and_log, track_id);
     std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
@@ -125,6 +127,7 @@ PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) 
 void check_finite_poses(const PoseTrack& track, const std::string& track_id) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const auto& [rotation, p] = track.pose[i];
+        // The length of a quaternion is finite only if all its components are.
         for (const double x : {track.time_s[i], p.x, p.y, p.z, glm::length(rotation)})
             if (!(std::abs(x) <= kLargestNumber))
                 fail_trajectory(
@@ -225,6 +228,7 @@ PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
         const double span = track.time_s[i + 1] - track.time_s[i];
+        // The small number avoids an extra step because of a rounding error.
         const int n = std::max(1, static_cast<int>(std::ceil(span / max_step_s - 1e-9)));
         for (int k = 0; k < n; ++k) {
             fine.time_s.push_back(track.time_s[i] + span * k / n);
@@ -272,6 +276,7 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
             "cannot change the speed of track \"{}\": found the factor {}, expected a number above 0", track,
             factor);
     const double start_s = world_from_box.time_s.empty() ? 0.0 : world_from_box.time_s.front();
+    // A pose t seconds after the start is now reached after t / factor seconds.
     for (double& time_s : world_from_box.time_s) time_s = start_s + (time_s - start_s) / factor;
     check_finite_poses(world_from_box, track);
     return edited;
@@ -289,6 +294,7 @@ SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTr
         else box->world_from_box = before->world_from_box;  // removes the rounding errors of the moves
     }
     for (ModelInstance& instance : instances) {
+        // Actors that were not moved keep a shared model; moved actors then get a copy.
         const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {
             return other.model == instance.model && !moved.contains(other.track);
         });
@@ -322,6 +328,7 @@ SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const 
         fail_trajectory(track, fmt::format("times over {} s", span_s),
                         fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
+    // coordinates in the log = coordinates in the dataset - world_offset_m
     box.world_from_box =
         densify_track(shift_track(dataset_from_box, -edited.sequence.world_offset_m), step_s);
     return edited;

@@ -108,6 +108,7 @@ class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
         : sensor_track_(driving.sequence.lidar_track(0)) {
+        // The poses of an object that stands still are nearly equal.
         for (const BoxTrack& box : driving.sequence.boxes)
             if (!box.world_from_box.pose.empty() && !box.is_moving())
                 standing_.push_back(
@@ -121,6 +122,7 @@ public:
             };
             if (std::ranges::any_of(positions_xy, is_near_block)) add_surfels(load_block(block), block.count);
         }
+        // Searches use the points in this order.
         std::ranges::sort(points_, {}, &glm::dvec3::x);
     }
 
@@ -502,6 +504,7 @@ std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& 
     const std::vector<PathGround> ground = GroundFinder(scene, points).follow_path(points, size_m);
     for (std::size_t i = 0; i < ground.size(); ++i) {
         const Pose& pose = dataset_path.pose[i];
+        // centre of the bottom of the box, moved to the world frame of the log
         const glm::dvec3 bottom_m = pose * glm::dvec3(0.0, 0.0, -0.5 * size_m.z) - offset_m;
         if (ground[i].is_observed) heights_m[i] = ground[i].plane->height_above(bottom_m);
     }

@@ -43,8 +43,10 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
             path.time_s.push_back(time_s);
             path.pose.push_back(box.world_from_box.pose_at(time_s));
         }
+    // heights_above_ground() expects poses in the world frame of the dataset.
     const std::vector<std::optional<double>> gaps_m =
         heights_above_ground(edited, shift_track(path, edited.sequence.world_offset_m), box.size_m);
+    // A missing height compares below every number.
     const auto largest = std::ranges::max_element(gaps_m);
     if (largest == gaps_m.end() || largest->value_or(0.0) <= kMaxGap_m) return;
     notes.emplace_back(
@@ -70,6 +72,7 @@ void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const B
         most_m = std::max(most_m, shared_m);
     }
     if (first_s)
+        // -1: the note is not about a single LiDAR
         notes.emplace_back(
             "overlap", -1,
             fmt::format("the boxes of {} and {} overlap by up to {:.2f} m between {:.2f} and {:.2f} s",

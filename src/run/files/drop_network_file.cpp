@@ -25,6 +25,7 @@ void read_architecture(const JsonField& architecture, RayDropNetwork& network) {
     for (std::size_t i = 0; i < widths.size(); ++i)
         network.widths.push_back(std::uint32_t(widths.at(i).integer_in(2, 4096)));
     network.heads = std::uint32_t(architecture.at("heads").integer_in(0, network.widths.back()));
+    // Attention divides the channels of the last level evenly among its heads.
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         architecture.at("heads").reject(fmt::format("found {}", network.heads),
                                         fmt::format("expected a divisor of {}", network.widths.back()));

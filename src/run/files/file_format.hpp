@@ -23,6 +23,7 @@ struct ArrayFile {
     std::map<std::string, std::string> metadata;
     std::vector<NamedArray> arrays;
 
+    /// Reads a safetensors file. Throws if its metadata name another format or version.
     ArrayFile(const std::filesystem::path& file, const std::string& format, const std::string& version)
         : path(file.string()), arrays(read_safetensors(file, &metadata)) {
         if (metadata["format"] != format)

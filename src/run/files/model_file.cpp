@@ -174,6 +174,7 @@ std::string format_layout(const Scene& scene) {
     }
     for (const ModelInstance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});
+    // `replace` prevents an exception if a name is not valid UTF-8.
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 

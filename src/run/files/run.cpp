@@ -185,6 +185,8 @@ void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_f
         return staged.publish_folder();
     }
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
+    // The new files are complete before old files are removed. Old block files are kept
+    // if the caller removes no files.
     const TemporaryFolder staged(run.folder);
     stage_run(run, staged.path, !remove_earlier_files);
     move_files(staged.path, run.folder, remove_earlier_files);

@@ -13,6 +13,7 @@ constexpr const char* kScatterVersion = "1";
 
 using Node = IntensityScatterModel::DecisionTreeNode;
 
+/// Stores a decision tree as one array per member of a node, named INDEX.MEMBER.
 void append_scatter(std::vector<NamedArray>& arrays, std::size_t index, const IntensityScatterModel& model) {
     std::vector<std::int32_t> feature, child, first, count;
     std::vector<float> at;
@@ -47,6 +48,8 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
     for (std::size_t i = 0; i < n; ++i) {
         const bool is_leaf = feature[i] == -1.0;
         const bool has_feature = feature[i] >= 0.0 && feature[i] < n_features;
+        // Both children are stored one after the other, behind their parent. This makes
+        // cycles impossible.
         const bool has_children = child[i] > double(i) && child[i] + 1.0 < double(n);
         const bool has_values =
             first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());

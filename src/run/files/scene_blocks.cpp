@@ -9,6 +9,7 @@ namespace relidar {
 
 Surfels load_block(const SceneBlock& block) {
     const Scene scene = load_model(block.file);
+    // The background is the first model, so its surfels precede all others.
     const SurfelModel& background = scene.models.front();
     if (background.count != block.count)
         fail(

@@ -34,6 +34,7 @@ void save_azimuths(const std::filesystem::path& path, const Log& sequence) {
         if (shift_rad.empty()) continue;
         arrays.push_back(make_vector_array(fmt::format("{:06}", i), shift_rad));
     }
+    // Removes the file of an earlier save.
     if (arrays.empty()) return void(std::filesystem::remove(path));
     write_array_file(path, arrays, kSweepsFormat, kSweepsVersion);
 }
