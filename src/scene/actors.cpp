@@ -35,6 +35,8 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
             const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(hit.time_s));
             const glm::dvec3 local = box_from_world * hit.point_m;
             if (!is_on_object(local, boxes[b].size_m)) continue;
+            // position, intensity and direction in the box frame; walked distance;
+            // frame number
             samples[b].push_back({glm::vec3(local), hit.intensity,
                                   glm::vec3(box_from_world.rotation * hit.direction),
                                   static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
@@ -219,6 +221,7 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
     std::vector<const PoseTrack*> world_from_actor;
     for (const ModelInstance& instance : scene.instances) {
         const auto track = tracks.find(instance.track);
+        // null: the actor does not exist at this time
         world_from_actor.push_back(track == tracks.end() ? nullptr : track->second);
     }
     return pose_instances(scene, log, sweep, world_from_actor);

@@ -27,6 +27,8 @@ public:
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
         return (high * 67108864.0 + low) / 9007199254740992.0;
     }
+    /// Draws from the standard normal distribution by Marsaglia's polar method, which
+    /// yields two numbers at a time. The second one is kept for the next call.
     double draw_normal() {
         if (has_next_) {
             has_next_ = false;
@@ -117,6 +119,8 @@ RectangleIndices sample_rectangles(std::size_t n, const Rectangles& rectangles, 
     return index;
 }
 
+/// Places each surfel at random on its rectangle, with a normally distributed offset of
+/// 2 cm along the normal. Draws numbers in the order of the Python generator.
 void sample_positions(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
     std::vector<glm::dvec2> along(indices.size());
@@ -209,6 +213,7 @@ Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool sh
     NumpyRandomState random(seed);
     Surfels surfels;
     surfels.resize(n_surfels);
+    // The order of these calls determines the random numbers, so it must not change.
     const RectangleIndices index = sample_rectangles(n_surfels, rectangles, random);
     sample_positions(rectangles, index, random, surfels);
     sample_rotations(rectangles, index, random, surfels);
