@@ -232,6 +232,7 @@ RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_d
     table.time_offset_s.assign(n, 0.0f);
     table.direction.reserve(n);
     table.channel.reserve(n);
+    // Cell centres: rows from top to bottom, columns clockwise from azimuth pi.
     for (int row = 0; row < rows; ++row) {
         const double elevation = (top_deg + (row + 0.5) / rows * (bottom_deg - top_deg)) * (kPi / 180.0);
         for (int column = 0; column < columns; ++column) {

@@ -108,10 +108,12 @@ double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_sid
         if (only_side && BoxSide(s) != *only_side) continue;
         const BoxSideAxes& frame = kSideFrames[s];
         const auto [columns, rows] = n_[s];
+        // All patches of a side have the same area.
         const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
         double side_held_m2 = 0.0, side_m2 = 0.0;
         for (int row = 0; row < rows; ++row)
             for (int column = 0; column < columns; ++column) {
+                // Observed, or with only_mirrored: only the mirror patch was observed.
                 const BoxSurfacePatch patch{BoxSide(s), column, row};
                 if (!is_above_ground(patch)) continue;
                 const bool held = is_patch_set(patch) != only_mirrored &&
@@ -151,6 +153,7 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
         double sum_m = 0.0;
         int n = 0;
     };
+    // By patch (side, column, row): distance of its points from the centre plane.
     std::map<std::array<int, 3>, Mean> outward;
     for (const glm::vec3& point_m : points_m) {
         const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
@@ -163,6 +166,7 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
     for (const auto& [key, here] : outward) {
         const BoxSurfacePatch other = mirror_patch({BoxSide(key[0]), key[1], key[2]});
         const auto there = outward.find({int(other.side), other.column, other.row});
+        // The order of the keys counts each pair of patches once.
         if (there != outward.end() && key < there->first)
             apart_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
     }

@@ -51,6 +51,7 @@ struct InstanceGradientRows {
         for (std::size_t model = 0; model < scene.models.size(); ++model) {
             const std::uint32_t n_more = std::max(placed[model], 1u) - 1;
             first_more[model + 1] = first_more[model] + n_more;
+            // The rows of the second and later instances follow all surfels.
             next_row[model] = n_rows;
             n_rows += n_more * scene.models[model].count;
             for (std::uint32_t k = 0; k < n_more; ++k)
@@ -59,6 +60,7 @@ struct InstanceGradientRows {
         for (std::size_t i = 0; i < scene.instances.size(); ++i) {
             const std::uint32_t model = scene.instances[i].model;
             first_row[i] = scene.models[model].first;
+            // The first instance uses the rows of the surfels, others the next block.
             if (first_instance[model] < 0) first_instance[model] = static_cast<std::int64_t>(i);
             else first_row[i] = std::exchange(next_row[model], next_row[model] + scene.models[model].count);
         }
@@ -263,6 +265,7 @@ void DeviceScene::append_model(Device& device, const DeviceScene& added) {
     const std::uint32_t first = size(), n = first + added.size();
     if (n > s.parameters.capacity() || n > s.records.size())
         reserve_spare(n, [&](std::size_t capacity) { reserve(device, std::uint32_t(capacity)); });
+    // Allocates before it changes the layout, because memory may be exhausted.
     Scene layout = s.layout;
     layout.models.push_back(added.layout().models.front());
     layout.models.back().first = first;
@@ -287,6 +290,7 @@ void DeviceScene::append_instance(Device& device, const ModelInstance& instance)
             s.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
         });
     s.layout.instances.push_back(instance);
+    // The instance stays absent until its pose is set.
     s.poses.push_back({.present = false});
     s.placements = InstanceGradientRows(s.layout, size());
     s.models.upload(make_models(s.layout, s.placements));

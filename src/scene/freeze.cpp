@@ -115,8 +115,10 @@ Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& poses)
         Surfels surfels = scene.surfels.slice(model.first, model.count);
         if (model.stride_m > 0.0f && surfels.bends)
             for (std::size_t i = 0; i < surfels.size(); ++i) apply_gait(surfels, i, poses[k].phase);
+        // The motion is now part of the positions, so the result has no gaits.
         surfels.gait.clear();
         surfels.bends = false;
+        // Only the background has no track. Its surfels are already in the world frame.
         if (!scene.instances[k].track.empty()) surfels_to_world(surfels, poses[k].world_from_model);
         all.append_surfels(surfels);
     }

@@ -54,6 +54,7 @@ LidarSamples background_samples(const Log& log, const Frame& frame, const std::v
     return samples;
 }
 
+/// Returns the world position of each frame's LiDAR at the reference time of the frame.
 std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& indices) {
     std::vector<glm::vec3> sensor_positions;
     for (const int position : indices) {

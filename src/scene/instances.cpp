@@ -20,6 +20,7 @@ std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_
 Scene unshare_models(Scene scene) {
     std::vector<bool> owned(scene.models.size(), false);
     for (ModelInstance& instance : scene.instances) {
+        // The first instance keeps the model. Each further instance gets a copy.
         if (!owned[instance.model]) {
             owned[instance.model] = true;
             continue;
@@ -41,6 +42,7 @@ std::vector<bool> select_instances(const Scene& scene, const std::vector<std::st
                              did_you_mean(name, part_names, "\""), fmt::join(part_names, ", "));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
+            // Only the background has no track.
             if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;
         }
     }

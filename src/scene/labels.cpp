@@ -54,6 +54,7 @@ bool is_on_object(const glm::dvec3& point_m, const glm::dvec3& size_m) {
 std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm::dvec3& direction,
                                           const glm::dvec3& size_m) {
     const auto [low_m, high_m] = object_corners(size_m);
+    // Slab method: the line is inside while it is between the two planes of each axis.
     glm::dvec2 inside(0.0, std::numeric_limits<double>::infinity());
     for (int axis = 0; axis < 3; ++axis) {
         const double a = (low_m[axis] - origin_m[axis]) / direction[axis],

@@ -257,6 +257,7 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleI
     std::unordered_set<std::uint64_t> occupied_voxels;
     SampleIndices first;
     for (std::size_t i = 0; i < samples.size(); ++i) {
+        // Key of the voxel with 10 bits per axis; the box centre is at 512.
         const glm::ivec3 cell =
             glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kThinningVoxel_m)) + 512;
         const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
@@ -264,6 +265,7 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleI
         if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
     if (first.size() > most) {
+        // A random subset that depends only on positions, not on the sample order.
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),

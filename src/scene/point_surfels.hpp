@@ -29,6 +29,7 @@ void for_each_return(const Log& log, const Frame& frame, bool second_returns, co
         visit_return(locate_return(log, frame, ray));
         for (std::size_t k = 0; second_returns && k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f)
+                // number 0 is the first return of the ray
                 visit_return(locate_return(log, frame, ray, k + 1));
     }
 }

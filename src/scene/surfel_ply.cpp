@@ -49,17 +49,22 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
             list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
+    // {name, group, index, read back, kind}: normals are only written.
     for (std::uint32_t k = 0; k < 3; ++k)
         list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, PlyProperty::normal});
+    // Each colour channel repeats the intensity. Only the first is read back.
     for (std::uint32_t c = 0; c < kColourChannels; ++c)
         list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
+    // The SH functions of degree 1 and higher, sorted by channel.
     for (std::uint32_t k = 0; k < kColourChannels * kRestCoefficients; ++k)
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRestCoefficients + 1, k < kRestCoefficients});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
+    // A primitive without a third scale is flat. Viewers get a constant thickness.
     if (properties_of(parameters.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
+    // kSh stores the functions of intensity, then of hits, then of drops.
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
     if (parameters.bends) add("gait_", kGait.count_floats(), kGait, 0);
@@ -77,6 +82,7 @@ glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
             1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
+/// Returns the value of a PLY property for surfel i, which belongs to the given model.
 float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t i, std::size_t model) {
     switch (property.kind) {
         case PlyProperty::parameter:

@@ -133,6 +133,7 @@ Scene wrap_background(Surfels surfels) {
 std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points) {
     std::vector<std::uint32_t> order(points.size());
     std::iota(order.begin(), order.end(), 0u);
+    // Stack of ranges [first, last) that must still be split.
     std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
     while (!ranges.empty()) {
         const auto [first, last] = ranges.back();

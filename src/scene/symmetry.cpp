@@ -32,6 +32,7 @@ Surfels mirror_surfels(Surfels surfels) {
 }
 
 std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface) {
+    // surfels with an opacity above 0.5
     std::vector<glm::vec3> opaque_m;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
@@ -39,7 +40,9 @@ std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface) {
     std::vector<std::uint32_t> remaining, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
+        // A mirrored surfel replaces this one if only the mirror patch was observed.
         if (!surface.is_mirror_observed(here)) remaining.push_back(i);
+        // The mirror image of this surfel would fill an unobserved patch.
         if (surface.is_mirror_observed(there)) copied.push_back(i);
     }
     if (copied.empty()) return 0;

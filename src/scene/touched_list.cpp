@@ -28,7 +28,9 @@ void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::T
         stream.submit_and_wait();  // earlier submissions may still use the old array
         l.rows.reserve(l.device, n, "rows with a gradient");
     }
+    // resets the counter to 0
     stream.fill(l.count);
+    // Each thread checks RELIDAR_LIST_STRETCH rows.
     run(stream, l.kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
         {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n});
 }

@@ -87,6 +87,7 @@ BeamGrid::BeamGrid(const Scan& scan) {
     // Joins beams that are closer than this to one row, because some scans have hundreds.
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
+        // e < *first: a group is never empty, even if all elevations are equal.
         const auto end = std::find_if(first, elevations.end(),
                                       [&](double e) { return *first - e >= least_height && e < *first; });
         row_rad_.push_back(std::accumulate(first, end, 0.0) / double(end - first));
@@ -101,12 +102,15 @@ std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3&
     BeamGridCell cell;
     cell.is_beyond =
         elevation > row_rad_.front() + kBeamMargin_rad || elevation < row_rad_.back() - kBeamMargin_rad;
+    // The rows descend, so this is the first row below the point.
     cell.row_below = static_cast<int>(
         std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
+    // Rows outside the grid are never the nearest.
     const auto off = [&](int row) {
         return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation);
     };
     cell.row = off(cell.row_below) < off(cell.row_below - 1) ? cell.row_below : cell.row_below - 1;
+    // Column 0 is at azimuth pi. The azimuth decreases with the column.
     cell.column = static_cast<int>(
         std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
     return cell;
@@ -120,6 +124,7 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
         const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
         if (!at) continue;
         float& here = nearest[cell_index(at->row, at->column)];
+        // From the sensor's origin, because rays can start elsewhere.
         const float range = glm::length(point);
         here = here > 0.0f ? std::min(here, range) : range;
     }
@@ -236,6 +241,7 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     // The margin, metres, allows errors of poses, of oblique surfaces and of wide beams.
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
+    // All returns around the point are clearly behind it, so the space is empty.
     if (*nearest > range + kMinBehindMargins * margin) return PointVisibility::empty;
     return range > *nearest - margin && range < *farthest + margin ? PointVisibility::occupied
                                                                    : PointVisibility::unknown;

@@ -213,9 +213,11 @@ BoxTrack fit_box(const MoverTrack& track) {
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     KinematicPath path = smooth_path(times, positions_m);
+    // Each round replaces the means of the returns by estimated object positions.
     for (int round = 0; round < kPathCorrections; ++round)
         path = smooth_path(times, place_object(track, compute_ground_poses(path, track)));
     const auto [low, high] = bounding_corners(track, compute_ground_poses(path, track));
+    // true: at the reference times of the frames, not at the times of the returns
     const GroundPath at_frames = compute_ground_poses(path, track, true);
     BoxTrack box;
     box.category = kDiscoveredCategory;

@@ -241,6 +241,7 @@ ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame
         std::uint64_t n_points;
         std::int64_t label;
     };
+    // The group exchanges flat arrays. The counts restore the lists per frame.
     std::vector<std::uint64_t> n_clusters;  // [frames]
     std::vector<ClusterRecord> heads;
     std::vector<glm::dvec3> points;
@@ -279,6 +280,7 @@ void MoverCluster::merge_cluster(const MoverCluster& other) {
 
 ClustersByFrame find_clusters(const Log& log, const std::vector<int>& frames, VisibilityChecker& view,
                               const Progress& progress, const ProcessGroup& group) {
+    // The borders of the stretches do not depend on the number of processes.
     const std::size_t n_stretches = std::max<std::size_t>(1, frames.size() / kFramesPerGroup);
     const auto first_of = [&](std::size_t stretch) { return frames.size() * stretch / n_stretches; };
     const ProcessGroup::PartRange share = group.part_range(n_stretches);

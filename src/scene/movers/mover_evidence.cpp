@@ -61,6 +61,7 @@ TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& c
         if (!evidence.is_static()) remaining_m.push_back(p);
     }
     sum.n_returns = cluster.points_m.size();
+    // One cluster is the observation of one frame.
     sum.n_frames = 1;
     sum.n_moved_frames = sum.frame_evidence.is_moving();
     cluster.points_m = std::move(remaining_m);

@@ -105,6 +105,8 @@ glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t sta
 KinematicPath smooth_path(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m) {
     std::vector<double> weights(times_s.size(), 1.0);
     KinematicPath path;
+    // Iteratively reweighted least squares with w = 1 / (1 + (d / kFarFromPath_m)^2),
+    // where d is the horizontal distance from the path of this round.
     for (int round = 0; round < kPathRounds; ++round) {
         path = run_smoother(times_s, positions_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
@@ -120,6 +122,7 @@ std::vector<double> path_headings_rad(const std::vector<glm::dvec3>& path_m) {
     for (std::size_t k = 0; k < path_m.size(); ++k) {
         const glm::dvec2 from = find_chord_end(path_m, k, -1), here(path_m[k]);
         glm::dvec2 to = find_chord_end(path_m, k, 1);
+        // If the path turns back here, the short chord gives no direction.
         if (glm::distance(from, to) <
             kMinChordRatio * std::max(glm::distance(from, here), glm::distance(here, to)))
             to = here;

@@ -257,6 +257,7 @@ MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<dou
 bool is_moving_track(const MoverTrack& track) {
     if (track.observations.size() < kMinObservations) return false;
     std::vector<glm::dvec3> centres;
+    // Ignores motion in z.
     for (const MoverObservation& o : track.observations)
         centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
     const KinematicPath path = smooth_path(track.times_s(), centres);
@@ -264,10 +265,12 @@ bool is_moving_track(const MoverTrack& track) {
     for (std::size_t i = 1; i < path.size(); ++i)
         length += glm::distance(path[i - 1].position_m, path[i].position_m);
     const double net = glm::distance(path.front().position_m, path.back().position_m);
+    // A path that wanders around one position is long but ends near its start.
     return net > kMinPath_m && net > kMinStraightness * length;
 }
 
 bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+    // In the vehicle frame. More than 3/4 must be near the middle observation.
     std::vector<glm::dvec3> in_vehicle_m;
     for (const MoverObservation& o : track.observations)
         in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) * o.cluster.centre_m);
@@ -280,6 +283,7 @@ bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
 }
 
 void merge_tracks(MoverTracks& tracks) {
+    // Longest first, so that a track absorbs only shorter tracks.
     std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
         return first.observations.size() > second.observations.size();
     });

@@ -13,6 +13,7 @@ constexpr double kMaxStandingSpeed_mps = 0.2;
 
 WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
+        // The window shrinks near the ends of the track, so that it stays symmetric.
         const double half = std::min({0.5 * kAveraging_s, t_s - time_s_.front(), time_s_.back() - t_s});
         constexpr int kStepsPerSide = 5;  // number of steps in each direction
         glm::dvec3 sum(0.0);
@@ -25,6 +26,7 @@ WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track
     for (std::size_t i = 0; i < time_s_.size(); ++i) {
         const glm::dvec3 at = average(time_s_[i]);
         const double step = i == 0 ? 0.0 : glm::distance(before, at);
+        // Slower steps are jitter of the labels or standing, so they add no distance.
         if (i > 0 && step > kMaxStandingSpeed_mps * (time_s_[i] - time_s_[i - 1])) sum += step;
         walked_m_.push_back(sum);
         before = at;
