@@ -89,6 +89,7 @@ struct BoxGroupErrors {
     void add_box(const MovingBoxPoints& points) {
         range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
         both += double(points.n_both);
+        // F1 = n_both / (n_both + (n_missed + n_false) / 2)
         either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
@@ -133,8 +134,10 @@ std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
     return swept;
 }
 
+/// Returns true if the box contains a point at any time, except near the ground.
 bool is_in_volume(const SweptBoxVolume& swept_volume, const glm::dvec3& world_point_m) {
     const glm::dvec3 half = 0.5 * swept_volume.box->size_m;
+    // Bounds of the centres, enlarged by half the diagonal, reject most points.
     const double reach = glm::length(half);
     if (glm::any(glm::lessThan(world_point_m, swept_volume.low - reach)) ||
         glm::any(glm::greaterThan(world_point_m, swept_volume.high + reach)))
@@ -175,11 +178,13 @@ CometTailPointCounts count_by_box(const RangeImage& image, const std::vector<flo
             if (!is_ray_returned(image.drop_prob[i], point_ranges_m[i])) continue;
             ++part.n_points;
             const glm::dvec3 in_sensor(image.origin[i] + point_ranges_m[i] * image.direction[i]);
+            // Places the point with the poses at the time when the head faces it.
             const double t_s = facing_time_s(sequence, in_sensor, sweep);
             const glm::dvec3 point_m = sequence.world_from_vehicle.mounted_pose_at(t_s, mounted) * in_sensor;
             boxes.clear();
             for (std::size_t k = 0; k < swept_volumes.size(); ++k)
                 if (is_in_volume(swept_volumes[k], point_m)) boxes.push_back(k);
+            // Not a tail if any moving box contains the point at its own time.
             if (boxes.empty() || std::ranges::any_of(swept_volumes, [&](const SweptBoxVolume& actor) {
                     return actor.box->is_observed(t_s) &&
                            actor.box->contains_point(point_m, t_s, kLabelMargin_m);
@@ -224,6 +229,7 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
     const BoxInScan in_scan(sequence, sweep, box);
     MovingBoxPoints result;
     for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
+        // End points of ray i in the box frame; empty without a return or far away.
         std::optional<glm::dvec3> measured, simulated;
         const bool returns = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
         if (real.range_m[i] > 0.0f) measured = in_scan.to_box(ray_end_point(real, i, real.range_m[i]));
@@ -233,6 +239,7 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
             if (returns) result.range_error_m.push_back(double(point_ranges_m[i]) - double(real.range_m[i]));
         }
         if (in_scan.is_point_in_box(simulated, kBoxMargin_m)) result.simulated_m.push_back(*simulated);
+        // F1 counts the rays that hit the box, with a wider margin.
         const bool in_real = in_scan.is_point_in_box(measured, kSilhouetteMargin_m),
                    in_simulated = in_scan.is_point_in_box(simulated, kSilhouetteMargin_m);
         result.n_both += in_real && in_simulated;
@@ -258,11 +265,13 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
             p = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
         MetricValues row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
         add_range_errors(row, "range_", p.range_error_m);
+        // F1 = n_both / (n_both + (n_missed + n_false) / 2)
         const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
         if (either > 0.0) row["f1"] = double(p.n_both) / either;
         row["tail"] = double(tails.n_of_box.at(box.id));
         row["tail_real"] = double(real_tails.n_of_box.at(box.id));
         scores.actors.push_back({box.id, box.category, row});
+        // The groups contain only labelled boxes with enough real points.
         if (p.real_m.size() < kMinPersonPoints || box.category == kDiscoveredCategory) continue;
         const ObjectKind kind = parse_kind(box.category);
         const bool is_person_or_cyclist = kind == ObjectKind::person || kind == ObjectKind::cyclist;

@@ -259,6 +259,7 @@ Evaluation evaluate_baseline(const std::string& baseline_name, const Config& con
         RenderedFrame result = make_real_frame(config, sequence, frame, {});
         Scan points = predict_scan(sequence, position, split.train, boxes);
         limit_ranges(points, make_sensor(config, sequence, frame.lidar).limits);
+        // Native grid: each point goes to a ray that the LiDAR fired in this frame.
         result.frame.rendered.image = measured_image(
             config, config.sensor.grid == "native" ? assign_points(frame.scan.rays, points) : points);
         return result;
@@ -297,6 +298,7 @@ Evaluation summarise(std::vector<ScoredFrame> scored_frames, const KernelTimes& 
     evaluation.mean = mean_metrics(rows);
     evaluation.actors = average_scores(actors);
     evaluation.kernel_ms = mean_kernel_ms(kernel_times);
+    // Mean rays per scan over mean milliseconds per scan, in millions per second.
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
     evaluation.frames = std::move(scored_frames);
     return evaluation;

@@ -205,6 +205,7 @@ std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& 
         const RangeImageComparison& c = images[static_cast<std::size_t>(index)];
         MetricValues& row = rows[static_cast<std::size_t>(index)];
         row = evaluate(*c.rendered, *c.real, options);
+        // Regions are scored with the points' ranges if these differ from the image's.
         RangeImage points = *c.rendered;
         if (!c.point_range_m.empty()) points.range_m = c.point_range_m;
         row.merge(evaluate_regions(points, *c.real, c.regions, options));

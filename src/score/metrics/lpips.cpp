@@ -163,6 +163,7 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
     FeatureMap fa = normalise(first_image, rows, columns), fb = normalise(second_image, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
+        // Both images pass the same layers. Each layer gives one distance.
         const ConvLayerShape& layer = kAlexNet[l];
         for (FeatureMap* f : {&fa, &fb})
             *f = convolve_relu(layer.pooled ? max_pool(*f) : *f, layer, impl_->weights.weight[l],
@@ -174,6 +175,7 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
 
 double Lpips::compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
                                int columns) const {
+    // Grey to three equal colours, and values from [0, 1] to [-1, 1].
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());

@@ -49,6 +49,7 @@ glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m,
     return inverse(sequence.world_from_vehicle.mounted_pose_at(facing_s, mounted)) * world_point_m;
 }
 
+/// Adds a return at a point. The ray starts at the origin, with time and row 0.
 void append_point(Scan& scan, const glm::dvec3& sensor_point_m, float intensity) {
     const double range = glm::length(sensor_point_m);
     if (!(range > 0.0)) return;

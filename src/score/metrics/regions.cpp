@@ -55,11 +55,13 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
         if (region.pixels.size() != real_returns.size())
             fail("cannot compute scores of region {}: its mask has {} pixels, expected {}", region.name,
                  region.pixels.size(), real_returns.size());
+        // Real returns in the region, also if the rendering drops them.
         const PixelMask mask = intersect_masks(region.pixels, real_returns);
         const auto n = std::count(mask.begin(), mask.end(), true);
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
+        // share of the real returns that the rendering also returns
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
         row[name + "returned"] =
             double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
@@ -77,6 +79,7 @@ std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<
     return {{"all", PixelMask(moving_pixels.size(), true)},
             {"moving_boxes", moving_pixels},
             {"static", resting},
+            // bands of the measured range in metres
             range_band(real, 0.0, 20.0),
             range_band(real, 20.0, 40.0),
             range_band(real, 40.0, 80.0)};

@@ -79,12 +79,14 @@ void check_ssim_inputs(std::size_t n_first, std::size_t n_second, int rows, int 
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range) {
     check_ssim_inputs(first_image.size(), second_image.size(), rows, columns, data_range);
+    // C1 = (K1 L)^2 and C2 = (K2 L)^2 avoid a division by zero.
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
     const std::vector<SsimWindowSums> sums = row_window_sums(first_image, second_image, rows, columns);
     const int width = columns - kWindowPixels + 1, height = rows - kWindowPixels + 1;
     double total = 0.0;
     for (int row = 0; row < height; ++row)
         for (int column = 0; column < width; ++column) {
+            // The sums over 7 rows of sums over 7 columns.
             SsimWindowSums window;
             for (int k = 0; k < kWindowPixels; ++k)
                 window.add_moments(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);

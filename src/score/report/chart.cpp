@@ -166,12 +166,14 @@ std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const 
     bool connected = false;
     const std::vector<std::size_t> point_indices = thin_out(curve);
     for (std::size_t i : point_indices) {
+        // After a gap, the path starts again with M (move) instead of L (line).
         if (!is_drawable(curve, i)) {
             connected = false;
             continue;
         }
         const double px = x_axis.to_svg(curve.x[i]), py = y_axis.to_svg(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
+        // Few points also get dots.
         if (point_indices.size() <= 30)
             dots +=
                 fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
@@ -188,6 +190,7 @@ std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
             "class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
             x_axis.at_low, x_axis.at_high, y_axis.to_svg(tick), x_axis.at_low - 8, y_axis.to_svg(tick) + 4,
             format_tick(tick));
+    // A wide chart has space for ten labels.
     for (double tick : linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/><text "
@@ -217,6 +220,7 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
                 y_extent.extend(curve->y[i]);
             }
     }
+    // SVG's y points down, so the lowest value is at the bottom margin.
     const ChartAxis x = make_x_axis(x_extent, kLeftMargin, width - kRightMargin),
                     y = make_y_axis(y_extent, height - kBottomMargin, kTopMargin);
     std::string names;
@@ -225,6 +229,7 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
                                   width, height, escape_html(names), draw_axes(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
+        // A long curve is drawn faintly behind its running mean.
         const bool many = curves[i]->y.size() > kMaxSmoothPoints;
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
         svg += draw_curve(*curves[i], x, y, many ? colour + " faint" : colour);

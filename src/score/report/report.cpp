@@ -47,6 +47,7 @@ std::string make_table_html(const std::string& header_cells, const std::string& 
         header_cells, rows);
 }
 
+/// Returns a table with the first row as header, or nothing without further rows.
 std::string table_html(const ReportTable& table) {
     if (table.rows.size() < 2) return "";
     std::string head, rows;
@@ -127,6 +128,7 @@ std::optional<double> find_best_value(const Report& report, const std::string& m
     return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
 }
 
+/// Returns the cells of a metric, one for each column. The best value is highlighted.
 std::string cells_html(const Report& report, const std::string& metric_name) {
     const std::optional<double> best = find_best_value(report, metric_name);
     std::string cells;
@@ -183,6 +185,7 @@ std::string key_metrics_html(const Report& report) {
 std::string make_chart_html(const std::string& title, const std::vector<const ReportCurve*>& lines,
                             int width) {
     std::string legend;
+    // The chart uses the same order of colours for the curves.
     for (std::size_t i = 0; i < lines.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report::kChartColours,
                               escape_html(split_metric(lines[i]->name).second));

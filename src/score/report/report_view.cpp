@@ -72,6 +72,7 @@ std::string strip_module(std::string_view module_source) {
 }  // namespace
 
 std::string view_html(const ReportView& view, std::size_t n_views) {
+    // All clouds of all views of the page share kMaxPoints.
     const std::size_t max_points = kMaxPoints / std::max<std::size_t>(1, view.clouds.size() * n_views) + 1;
     std::string figures;
     for (const ReportCloud& cloud : view.clouds) {
