@@ -11,6 +11,7 @@ namespace {
 // Replaces a LiDAR of the log whose rays change from scan to scan.
 constexpr const char* kStandIn = "HDL-64E";
 
+/// Returns one sensor for each LiDAR of the log.
 std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
     std::vector<SimulatedSensor> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
@@ -22,6 +23,7 @@ std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
     return sensors;
 }
 
+/// Returns the training frames in which the log has a box of at least one instance.
 std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxTrack*>& box_per_instance) {
     std::vector<int> positions;
     for (const int i : run.split.train) {

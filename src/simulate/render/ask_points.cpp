@@ -152,10 +152,12 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     const SimulatedSweep sweep = s.sweeps.of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.pose_at(points_time_s);
     const ScanRenderPlan plan = s.plan_sweep(sweep, seed.has_value());
+    // The device computes the points after this call, which does not wait.
     if (plan.points_on_device) {
         s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing, memory));
         return;
     }
+    // Otherwise the host computes them now.
     const RenderedScan scan = s.render_sweep(sweep, seed);
     RenderedPoints points{place_points(scan, s.config, dataset_from_points), scan.image.range_m.size(),
                           scan.unseen_share};

@@ -10,12 +10,16 @@ namespace {
 // Assumption: dark paint, as most returns from the own vehicle have a low intensity.
 constexpr float kBodyIntensity = 0.1f;
 
+/// Sets an optional channel of a ray that hits the vehicle's own body.
+/// @param is_kept true if the sensor reports such returns
 template <class T>
 void fill_value(const ChannelInfo& channel, std::vector<T>& values, std::size_t ray, const BodyHit& hit,
                 const glm::vec3& direction, bool is_kept) {
     if constexpr (std::is_same_v<T, glm::vec3>) {
+        // Vector channels are 0 on the body, except the normal.
         values[ray] = channel.name == "normal" ? glm::vec3(hit.normal) : glm::vec3(0.0f);
     } else {
+        // Channels that the body does not define get the value for unknown.
         values[ray] = T(channel.none);
         if (channel.name == "incidence") values[ray] = T(-glm::dot(glm::vec3(hit.normal), direction));
         if (channel.name == "class") values[ray] = T(SurfaceClass::ego);

@@ -54,6 +54,7 @@ RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::st
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
     image.channels.resize(inputs.size() * n);
+    // One plane of n values per channel.
     std::size_t first = 0;
     for (const std::uint32_t number : channel_numbers(inputs)) {
         const auto channel = drop_input(scan, number, origin_m);

@@ -218,6 +218,7 @@ RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, con
 RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = spread_sub_rays(config.sub_rays);
     RayIndices edges;
+    // The sub-rays of a beam are consecutive. More than one group: they hit an edge.
     for (std::size_t ray = 0; ray < beams.size(); ++ray)
         if (group_sub_rays(parts, ray * offsets.size(), offsets,
                            static_cast<float>(config.return_separation_m))
@@ -227,6 +228,7 @@ RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, con
 }
 
 void replace_rays(RenderedScan& scan, const RayIndices& rays, const RenderedScan& replacement) {
+    // Ray i of the replacement has the index rays[i] in the scan.
     const auto replace = [&](const auto& from, auto& to) {
         for (std::size_t i = 0; i < rays.size(); ++i) to[rays[i]] = from[i];
     };

@@ -76,16 +76,19 @@ LidarPoints place_points(const RenderedScan& scan, const Config& config,
                        .time_s = scan.time_s};
     if (selection == PointSelection::returns && !scan.second_returns.empty()) points.return_number.resize(n);
     const auto fill_point = [&](std::size_t index) {
+        // number 1 is the first return, 2 and higher are entries of second_returns
         const auto [ray, number] = returns[index];
         const AdditionalReturns* second = number > 1 ? &scan.second_returns[number - 2u] : nullptr;
         const float time_offset_s = scan.time_offset_s[ray];
         const glm::vec3 end = shared::compute_ray_end(scan.image.origin[ray], scan.image.direction[ray],
                                                       second ? second->range_m[ray] : range_m[ray]);
+        // Without poses, the point stays in the sensor frame at its firing time.
         points.position_m[index] =
             poses.empty() ? end : shared::place_point(find_pose(poses, time_offset_s), time_offset_s, end);
         points.intensity[index] = second ? second->intensity[ray] : scan.image.intensity[ray];
         points.ring[index] = scan.ring[ray];
         points.time_offset_s[index] = time_offset_s;
+        // The instance of a second return is unknown.
         points.instance[index] = second ? -1 : scan.instance[ray];
         if (!points.return_number.empty()) points.return_number[index] = number;
     };

@@ -19,6 +19,7 @@ DevicePointComputer::DevicePointComputer(Device& device)
 
 void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
+    // Pending commands may still use the old arrays.
     stream.submit_and_wait();
     marks_ = {};
     point_indices_ = {};

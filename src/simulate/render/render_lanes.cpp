@@ -27,6 +27,7 @@ ParallelScanResources& ParallelScanResourcePool::next_lane() {
         batch_.emplace(scene_.renderer().stream(), 1 + others_.size());
         n_batch_ = 0;
     }
+    // The scans use the lanes in turn. Lane 0 has the scene itself, others have copies.
     const std::size_t lane = n_batch_++ % (1 + others_.size());
     batch_->select_lane(lane);
     return lane == 0 ? first_ : others_[lane - 1];

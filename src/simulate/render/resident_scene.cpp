@@ -20,6 +20,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       memory_bytes_(config.render.memory_mib * kMiB),
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
+    // A scene with blocks is loaded by load_near().
     if (scene.blocks.empty()) renderer_.emplace(device, scene, model_, options_);
 }
 
@@ -66,8 +67,10 @@ void ResidentScene::load_near(const glm::vec3& sensor_position_m, double max_ran
             scene_.blocks[i].distance_m(sensor_position_m) > max_range_m + kMaxSweepMotion_m)
             continue;
         needed.push_back(i);
+        // Number of the last scan that needed the block.
         last_needed_[i] = scans_;
     }
+    // Loads only if a needed block is missing. Both lists are ascending.
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
         load_blocks(add_recent_blocks(std::move(needed)));
 }
@@ -97,12 +100,14 @@ std::uint32_t ResidentScene::add_model(const Scene& added) {
         try {
             load(scene);
         } catch (const OutOfDeviceMemory&) {
+            // Loads the old scene again, so that the renderer stays usable.
             load(before);
             throw;
         }
     } else {
         model = renderer_->append_model(added);
     }
+    // A scene with blocks needs the model again when other blocks are loaded.
     if (!scene_.models.empty()) append_model(scene_, added, 0);
     return model;
 }
@@ -114,6 +119,7 @@ void ResidentScene::add_instance(const ModelInstance& instance) {
 
 Scene ResidentScene::copy_model(std::uint32_t model) {
     Scene copy;
+    // instance of model 0 with a placeholder as track
     copy.instances = {{0, "copy"}};
     if (!renderer_) {
         append_model(copy, scene_, model);
@@ -123,6 +129,7 @@ Scene ResidentScene::copy_model(std::uint32_t model) {
     copy.models = {scene.layout().models[model]};
     SurfelModel& copied = copy.models.front();
     copy.surfels = scene.surfel_parameters().download_range(copied.first, copied.count);
+    // The copied surfels begin at 0 in the new scene.
     copied.first = 0;
     return copy;
 }

@@ -22,6 +22,7 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     const RangeImageRays rays{image.rows,          image.columns,
                               image.origin,        image.direction,
                               scan.median_range_m, is_full_turn(image.rows, image.columns, image.direction)};
+    // {}: cosine and elevation, computed below
     RenderedIntensityImage result{
         image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
     result.circular = rays.circular;
@@ -45,8 +46,10 @@ void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const Inte
     parallel_blocks(ranges_m.size(), [&](std::size_t i) {
         Random random(hash_pair(of_scan, i));
         bool returns = likely_m[i] > 0.0f && random.sample_uniform() >= double(scan.image.drop_prob[i]);
+        // A negative cosine is unknown, and counts as perpendicular incidence.
         const double cosine = double(likely.cosine[i]),
                      sigma_m = noise.lookup_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+        // At least 1 mm, because 0 means no return.
         for (AdditionalReturns& echo : scan.second_returns)
             if (returns && echo.range_m[i] > 0.0f)
                 echo.range_m[i] = std::max(
@@ -56,6 +59,7 @@ void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const Inte
         const float noisy_m =
             returns ? std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_normal()), 1e-3f)
                     : 0.0f;
+        // Noise can move a return out of the sensor's limits. It is then lost.
         returns = returns && limits.contains(double(noisy_m));
         if (returns) ranges_m[i] = noisy_m;
         returning[i] = returns;

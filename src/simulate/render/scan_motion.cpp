@@ -11,6 +11,7 @@ RayMotion MotionDuringScan::motion_of_ray(const RenderedScan& scan, std::size_t 
     const glm::dvec3 origin_m(scan.image.origin[ray]);
     RayMotion motion{world_from_firing * origin_m,
                      world_from_firing.rotation * glm::dvec3(scan.image.direction[ray]), 0.0};
+    // With a single pose the sensor rests, and its speed stays 0.
     if (world_from_sensor.pose.size() > 1)
         motion.sensor_away_mps =
             glm::dot(motion.direction, world_from_sensor.pose_at(time_s + kVelocityStep_s) * origin_m -

@@ -58,6 +58,7 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
                          const ScanRenderSettings& settings, const RayDropNetwork* network, bool sampled) {
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
+    // A beam needs several sub-rays to have returns from two surfaces.
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
     check_sub_rays(rays, plan.beams, sensor);
     if (rays.size() == 0)

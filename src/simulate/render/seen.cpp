@@ -52,6 +52,7 @@ void set_unseen_share(RenderedScan& scan, const LogObservedSpace& space) {
     const auto ray_at = [&](std::size_t index) {
         return surface_ray(scan, DevicePointComputer::sample_ray(index, n));
     };
+    // Without the channel `seen`, a sample of the rays gives an estimate.
     if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
         scan.unseen_share = double(std::ranges::count_if(*shares, is_unobserved)) / double(shares->size());
     else scan.unseen_share = unobserved_share(DevicePointComputer::sample_count(n), ray_at, space);

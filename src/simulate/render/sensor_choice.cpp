@@ -116,6 +116,7 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
     };
     const auto sweep = std::ranges::find_if(frames, is_now);
     const SpinningSensor& head = lidars[std::size_t(sensor.lidar)].sensor;
+    // One shift per firing. The rays must belong to the same number of firings.
     if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
         return sensor;
     SimulatedSensor result = sensor;
@@ -185,6 +186,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
 
 RangeImage measured_image(const Config& config, const Scan& scan) {
     RangeImage image;
+    // {}: drop probabilities, set below
     if (config.sensor.grid == "native") {
         image = {scan.rays.rows,
                  scan.rays.columns,
@@ -203,6 +205,7 @@ RangeImage measured_image(const Config& config, const Scan& scan) {
             intensity.push_back(scan.intensity[i]);
         }
         const ProjectedRangeImage binned = project_points(grid, points, intensity);
+        // The rays of the grid's pixels replace the rays of the scan.
         const RayTable cells = make_rays(grid);
         image = {grid.rows,
                  grid.columns,

@@ -159,6 +159,7 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch
         beams.push_back({.range_offset_m = float(beam.range_offset_m),
                          .intensity_gain = float(beam.intensity_gain),
                          .intensity_offset = float(beam.intensity_offset)});
+    // range (x) and factor (y) of each point of the response curve
     std::vector<glm::vec2> response;
     for (std::size_t k = 0; k < options.response.factor.size(); ++k)
         response.emplace_back(options.response.range_m[k], options.response.factor[k]);
@@ -179,6 +180,7 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch
          .min_weight = options.min_weight,
          .min_range_m = float(options.limits.min_m),
          .max_range_m = float(options.limits.max_m)});
+    // The drop probabilities of an earlier scan are no longer valid.
     refined_ = nullptr;
 }
 
@@ -198,6 +200,7 @@ void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, co
          .origin = sensor_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
+    // is_full_turn: the first column then follows the last column.
     refined_ = &network.record_drops(stream, table_.rows, table_.columns,
                                      is_full_turn(table_.rows, table_.columns, table_.direction), samples_);
 }
@@ -209,6 +212,7 @@ std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
 std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
     const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
                                std::size_t n_bytes, const char* text) {
+        // As large as rays_, which can have space for more rays than this sensor.
         if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), text);
         readback->record_copy(stream, source, n_bytes);
     };

@@ -75,6 +75,7 @@ ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& nam
     s.check_new_name(name);
     const std::uint32_t instance = s.sweeps.find_actor(actor);
     s.finish_pending();
+    // If `actor` was itself spawned, the new actor has the same source model.
     const auto slot = std::ranges::find(s.slots, actor, [](const SpawnSlot& one) { return one.actor.name; });
     if (slot != s.slots.end())
         return s.fill_slot(slot->source, {{}, name, slot->actor.category, slot->actor.size_m});
@@ -93,12 +94,14 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     const std::string track = only_track(asset);
     const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
     Scene model;
+    // model 0, which is the only model of the scene
     model.instances = {{0, track}};
     append_model(model, asset.scene, instance->model);
     const BoxTrack* logged = find_box(asset.sequence, track);
     BoxTrack box = logged ? *logged : BoxTrack{};
     const SpawnedActor actor{{}, name, box.category, box.size_m};
     s.finish_pending();
+    // Equal models are added only once.
     const std::uint64_t hash = hash_model(model);
     auto known = s.asset_models.find(hash);
     if (known == s.asset_models.end()) {

@@ -79,6 +79,7 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
     log_.boxes = log.boxes;
     log_.world_offset_m = log.world_offset_m;
     log_.intensity_response = log.intensity_response;
+    // Links each instance of the log to its labelled box by the name of the track.
     std::unordered_map<std::string_view, std::size_t> boxes;
     for (std::size_t i = 0; i < log_.boxes.size(); ++i) boxes.emplace(log_.boxes[i].id, i);
     for (std::size_t i = 0; i < n_logged_; ++i) {
@@ -177,6 +178,7 @@ SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& se
 }
 
 SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, const ScanRequest& request) {
+    // Requests are in the dataset's frame. The scene is in relidar's world frame.
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
         check_track(dataset_from_thing, thing);
         return shift_track(dataset_from_thing, -log_.world_offset_m);
@@ -186,13 +188,16 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
              request.time_s, kMaxCoordinate);
     }
     PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
+    // The actors of a request replace all logged motions. All others are absent.
     InstanceTracks tracks = request.dataset_from_actor ? InstanceTracks(layout_.instances.size(), nullptr)
                                                        : logged_tracks(request.time_s);
     std::deque<PoseTrack> world_from_actor;  // keeps its elements where they are
     if (request.dataset_from_actor)
         for (const auto& [name, track] : *request.dataset_from_actor) {
+            // throws for an unknown name
             static_cast<void>(find_actor(name));
             const PoseTrack& moved = world_from_actor.emplace_back(in_world(track, "actor " + name));
+            // Several instances can have the same name.
             const auto [first, last] = instance_of_.equal_range(name);
             for (auto match = first; match != last; ++match) tracks[match->second] = &moved;
         }

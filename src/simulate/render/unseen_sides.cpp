@@ -94,6 +94,7 @@ std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Sce
 
 UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& scene, const Log& log) {
     std::vector<PartlyObservedActor> boxes = partly_seen(scan, scene, log);
+    // This pose converts firing poses from the dataset's frame to the world frame.
     FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -log.world_offset_m});
     for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
         const Pose& world_from_firing = firing.pose_of(i);
@@ -101,6 +102,7 @@ UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& sc
                          direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
         for (PartlyObservedActor& box : boxes) {
             if (!box.is_ray_near_box(origin, direction)) continue;
+            // Each ray meets the box at the pose that the box has at the firing time.
             const Pose box_from_world =
                 inverse(box.world_from_box->pose_at(scan.time_s + double(scan.time_offset_s[i])));
             box.count_ray(box_from_world * origin, box_from_world.rotation * direction,
@@ -112,6 +114,7 @@ UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& sc
     for (const PartlyObservedActor& box : boxes)
         for (std::size_t s = 0; s < kBoxSides; ++s) {
             if (box.n_through[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_through[s]});
+            // true: the side is completed with mirrored surfels
             if (box.n_completed[s] >= kFewestRays)
                 sides.push_back({*box.track, BoxSide(s), box.n_completed[s], true});
         }

@@ -144,9 +144,11 @@ std::string describe_message(const ProtobufMessageType& message) {
     });
 }
 
+/// Returns an EnumDescriptorProto. The numbers are field numbers of descriptor.proto.
 std::string describe_enum(const ProtobufEnumType& type) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, type.name);
+        // The values of an enum count from 0.
         int number = 0;
         for (const char* name : type.values)
             writer.add_message(2, encode([&](pbf_writer& of_value) {
@@ -156,6 +158,8 @@ std::string describe_enum(const ProtobufEnumType& type) {
     });
 }
 
+/// Returns a FileDescriptorProto. The numbers are field numbers of descriptor.proto.
+/// @param imported file that defines further types, empty if none
 std::string describe_file(const char* file, const char* package, const char* imported,
                           std::initializer_list<ProtobufMessageType> messages,
                           std::initializer_list<ProtobufEnumType> enums) {
@@ -218,6 +222,7 @@ std::vector<FoxglovePointField> point_fields(const LidarPoints& cloud) {
     return fields;
 }
 
+/// Packs points in the layout of point_fields().
 std::string pack_points(const LidarPoints& cloud) {
     std::string bytes;
     bytes.reserve(cloud.size() * kBytesPerPoint);
@@ -243,6 +248,7 @@ std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame
         writer.add_string(2, frame_id);
         writer.add_message(3, encode_pose({}));
         const std::vector<FoxglovePointField> fields = point_fields(cloud);
+        // Bytes per point. Optional channels have 4 bytes each.
         writer.add_fixed32(
             4, fields.size() == std::size(kPointFields) ? kBytesPerPoint : fields.back().offset + 4);
         for (const FoxglovePointField& field : fields)
@@ -294,6 +300,7 @@ std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<Record
                                deletion.add_enum(2, kDeleteAll);
                            }));
         for (const RecordedActor& actor : actors) {
+            // The state when the sensor faces the actor, which fits its points.
             const auto& [time_ns, world_from_box, velocity] = actor.faced;
             std::vector<std::pair<const char*, std::string>> metadata = {
                 {"category", actor.category},
@@ -355,6 +362,7 @@ std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
     writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
     writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, kMessageTypes, kEnumTypes));
     const std::string transforms = "foxglove.FrameTransforms";
+    // {name, message type, definition, metadata, messages of a sweep}
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,

@@ -97,9 +97,11 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
              scans[0].time_s);
     last_scan_s_ = scans[0].time_s;
     RecordedSweep moment{to_stamp_ns(all.first_s), to_stamp_ns(all.last_s), {}, {}, {}};
+    // Times of the vehicle's poses, including the stamps of all clouds.
     std::vector<double> times_s;
     add_pose_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
+        // With one sensor, its interval is the interval of the rig.
         const auto [first_s, last_s] = scans.size() == 1 ? all : sweep_interval(scans.subspan(s, 1));
         times_s.push_back(first_s);
         times_s.push_back(last_s);
@@ -148,6 +150,7 @@ std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& sc
                             object_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
+        // Two states: when the sensor faces the actor, and at the stamp of the sweep.
         actors.push_back({box.id, label_of(box), box.size_m, !box.is_moving(), actor.is_static, actor.note,
                           state(actor.faced_s), state(time_s), actor.n_points, actor.visible_share});
     }

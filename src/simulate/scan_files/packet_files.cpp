@@ -40,6 +40,7 @@ void PacketFileWriter::finish_writing() {
     for (std::size_t s = 0; s < files_.size(); ++s) {
         OpenPacketFile& file = files_[s];
         file.capture.close_file();
+        // A file gets its final name only when it is complete.
         write_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
         const PacketCalibrationFile calibration = packets_.encoder(s).calibration_file();
         if (calibration.ending.empty()) continue;

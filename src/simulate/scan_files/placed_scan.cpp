@@ -20,11 +20,13 @@ ScanInOutputFrame::ScanInOutputFrame(const RenderedScan& rendered, const ScanOut
 
 const PlacedRays& ScanInOutputFrame::rays() {
     if (rays_) return *rays_;
+    // One end per ray, also without a return.
     LidarPoints ends = place_points(scan, format.config, dataset_from_points_, PointSelection::rays);
     rays_ = {scan.image.origin, scan.image.direction, std::move(ends.position_m), scan.channels};
     if (!dataset_from_points_) return *rays_;
     for (std::size_t k = 0; k < rays_->channels.size(); ++k)
         rays_->channels[k].values = std::move(ends.channels[k].values);
+    // Converts each ray from the sensor frame at its firing time to the common frame.
     FiringPoseInterpolator target(scan, inverse(*dataset_from_points_));
     for (std::size_t i = 0; i < rays_->origin.size(); ++i) {
         const Pose& target_from_firing = target.pose_of(i);

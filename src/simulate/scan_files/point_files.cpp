@@ -41,6 +41,7 @@ std::vector<PointFileField> list_fields(const LidarPoints& points) {
 }
 
 void check_lengths(const LidarPoints& points) {
+    // Unknown (empty) arrays are allowed, except the intensity.
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
             fail("cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
@@ -54,8 +55,10 @@ void check_lengths(const LidarPoints& points) {
     check_channels(points.channels, points.size(), "a point cloud");
 }
 
+/// Packs points without gaps, in the order of list_fields().
 std::string pack_records(const LidarPoints& points) {
     std::string bytes;
+    // 12 + 4 + 2 + 4 + 4 bytes with ring, time and instance
     bytes.reserve(points.size() * 26);
     const auto append_if_present = [&](const auto& values, std::size_t index) {
         if (!values.empty()) append_raw(bytes, values[index]);
@@ -100,6 +103,7 @@ void write_pcd(const fs::path& path, const LidarPoints& points, const FileMetada
     }
     const std::size_t n = points.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
+    // Sensor pose of the points: translation, then quaternion (w x y z).
     const glm::dvec3& t = points.world_from_points.translation;
     const glm::dquat& q = points.world_from_points.rotation;
     std::vector<std::string> viewpoint;

@@ -73,10 +73,12 @@ std::string ros_definition(const std::string& message_type) {
     constexpr std::string_view kMessageFolder = "/msg/";
     const std::size_t middle = message_type.find(kMessageFolder);
     const bool is_short = middle == std::string::npos;
+    // Definitions name types package/Type instead of package/msg/Type.
     std::vector<std::string> types{is_short ? message_type
                                             : message_type.substr(0, middle) +
                                                   message_type.substr(middle + kMessageFolder.size() - 1)};
     std::string definition;
+    // `types` grows while the loop finds further message types in the fields.
     for (std::size_t i = 0; i < types.size(); ++i) {
         const std::string& fields = message_texts().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";

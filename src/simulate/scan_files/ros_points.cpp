@@ -49,6 +49,7 @@ std::string pack_autoware(const LidarPoints& cloud) {
     return bytes;
 }
 
+/// Packs points as x, y, z, intensity, time, ring and optional channels.
 std::string pack_velodyne(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {

@@ -72,6 +72,7 @@ std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
         static_tf_topic(rig),
         pose_topic("/tf", "tf2_msgs/msg/TFMessage",
                    [](codecs::CdrWriter& cdr, const RecordedPose& pose) {
+                       // number of transforms in the message
                        cdr.add_number(std::uint32_t(1));
                        add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
                    }),

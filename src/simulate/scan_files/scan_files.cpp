@@ -93,6 +93,7 @@ void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
+            // A vector becomes three channels: name.x, name.y, name.z.
             for (const glm::vec3& v : values)
                 for (int axis = 0; axis < 3; ++axis)
                     channels[fmt::format("{}.{}", name, "xyz"[axis])].push_back(v[axis]);
@@ -153,6 +154,7 @@ std::vector<std::string> scan_formats() {
 std::string make_scan_format_help() {
     std::vector<std::pair<std::string, std::string>> rows;
     for (const ScanFileFormat& format : kScanFormats) {
+        // Formats with the same description share a line.
         if (!rows.empty() && rows.back().second == format.help)
             rows.back().first += fmt::format(", {}", format.name);
         else rows.emplace_back(format.name, format.help);
@@ -183,6 +185,7 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
             format.instance_names.end())
             format.actors.push_back(box);
     const Scene& scene = run.scene;
+    // Standing objects are visible only if the scene has a background.
     if (scene.models.front().count > 0 || !scene.blocks.empty())
         format.standing = list_standing(scene, run.sequence, run.config.init);
     format.world_offset_m = run.sequence.world_offset_m;

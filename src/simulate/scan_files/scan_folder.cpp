@@ -210,6 +210,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, const Sc
         n_points += is_ray_returned(scan.image.drop_prob[i], range_m[i]);
     Json sides = Json::array(), completed = Json::array();
     for (const UnobservedActorSide& unseen : scan.unseen_sides)
+        // Sides filled with mirrored surfels are listed separately.
         (unseen.is_completed ? completed : sides)
             .push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
     const Json entry = {{"frame_number", frame},
@@ -223,6 +224,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, const Sc
                         {"completed_sides", completed},
                         {"boxes", boxes_json(actor_boxes_of(scan, format))},
                         {"files", files}};
+    // One line. Invalid UTF-8 in names is replaced.
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 

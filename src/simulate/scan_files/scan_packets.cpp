@@ -9,6 +9,7 @@
 
 namespace relidar {
 
+/// Converts a rendered scan to a measured scan: rays without a return have range 0.
 Scan to_measured(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;
@@ -36,6 +37,7 @@ struct ScanPacketEncoder::Impl {
 };
 
 ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> rig) : impl_(std::make_unique<Impl>()) {
+    // Sensors of one maker get consecutive units, because each needs other UDP ports.
     std::map<std::string, int> n_units;  // by maker
     for (const ScanOutputOptions& format : rig) {
         if (!format.packets.sensor)

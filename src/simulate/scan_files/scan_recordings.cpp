@@ -139,6 +139,7 @@ std::string format_seconds(std::int64_t time_ns) {
     return time_ns % kSecond_ns == 0 ? seconds : fmt::format("{}.{:09}", seconds, time_ns % kSecond_ns);
 }
 
+/// Returns the metadata of a recording. All sensors share the run and the trajectory.
 FileMetadata recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
     std::vector<std::string> names;

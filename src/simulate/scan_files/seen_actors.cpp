@@ -208,6 +208,7 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
     if (scan.actor_views.empty()) return boxes;
     for (const scan_files::ActorInScan& actor : scan_files::find_actors(scan, format)) {
         if (!actor.visible_share) continue;
+        // The box fits the points only at the time when the sensor faces the actor.
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =
             pose.rotation * scan_files::object_velocity(actor.world_from_box, actor.faced_s).linear_mps;

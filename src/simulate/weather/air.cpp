@@ -86,6 +86,7 @@ void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSens
     if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
     echo.reflectivity *= transmission;
     const double power = echo.reflectivity / (echo.range_m * echo.range_m);
+    // Stray light around a reflector has its own limit.
     const double weakest = echo.source == ReturnCause::blooming
                                ? std::max(sensor.floor_power(), sensor.min_stray_power)
                                : sensor.min_power_at(echo.range_m);
@@ -97,6 +98,7 @@ EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t s
     EchoCandidates candidates;
     for (const auto& effect : effects_) effect->modify_surface(ray);
     append_surface(candidates, ray.strongest, ray.through_water, random);
+    // 1.0: not darkened by water
     append_surface(candidates, ray.second, 1.0, random);
     for (const auto& effect : effects_) effect->append_returns(candidates, ray, random);
     if (candidates.empty()) return {};

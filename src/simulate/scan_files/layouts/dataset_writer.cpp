@@ -193,6 +193,7 @@ void check_dataset_folder(const fs::path& folder, const std::string& layout) {
             "new folder",
             layout, folder.string(), index->layout);
     if (index) return;
+    // Hidden files do not matter. A missing folder has no files and gives no error.
     for (const auto& entry : fs::directory_iterator(folder, failed))
         if (const std::string name = entry.path().filename().string(); !name.starts_with('.'))
             fail<UsageError>("--layout {}: found {} in {}, expected a new folder or a data set of relidar",
@@ -209,8 +210,10 @@ DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string&
     else write_index(impl_->folder, index);
     const Json settings = describe_sequence(impl_->sensors, times_s);
     DatasetIndex::Sequence sequence{make_token(settings.dump()), int(times_s.size()), settings};
+    // A new sequence follows after all others.
     SequencePlace place{impl_->folder, index.sequences.size(), index.count_frames(), sequence.n_frames,
                         sequence.key};
+    // The same settings give the same key. Such a sequence is replaced in place.
     const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
     if (same == index.sequences.end()) {
         index.sequences.push_back(std::move(sequence));

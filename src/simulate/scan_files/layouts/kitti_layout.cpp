@@ -59,10 +59,12 @@ public:
     }
 
     void write_frame(const LabelledFrame& frame) override {
+        // Numbers of object frames count all sequences. Tracking frames start at 0.
         const std::string name = frame_name(place_.first_frame + int(frame.index));
         const fs::path object = place_.folder / "training", points = object / "velodyne" / (name + ".bin"),
                        tracked_points = tracked("velodyne") / (frame_name(int(frame.index)) + ".bin");
         write_rig_points(points, frame, sensors_);
+        // Both benchmarks share the points: a hard link, or a copy if links fail.
         std::error_code failed;
         fs::create_directories(tracked_points.parent_path(), failed);
         fs::create_hard_link(points, tracked_points, failed);

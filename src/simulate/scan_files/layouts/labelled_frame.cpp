@@ -25,6 +25,7 @@ public:
             interval.highest_sine = std::max(interval.highest_sine, double(direction.z));
         }
         std::ranges::sort(azimuths_);
+        // Closes the circle, so that every azimuth is between two neighbours.
         if (!azimuths_.empty()) azimuths_.push_back(azimuths_.front() + 2.0 * kPi);
     }
     bool contains_point(const glm::dvec3& point_m) const {
@@ -124,6 +125,7 @@ LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector
                           std::size_t index) {
     LabelledFrame frame{.index = index, .time_s = scans[0].time_s};
     frame.stamp_ns = scan_files::to_stamp_ns(frame.time_s, sensors[0].options.time_shift_ns);
+    // The rig's pose at the reference time of the first sensor's scan.
     frame.world_from_rig = scans[0].world_from_sensor * inverse(sensors[0].rig_from_sensor);
     std::vector<FieldOfView> views;
     for (std::size_t s = 0; s < scans.size(); ++s) {

@@ -89,6 +89,7 @@ public:
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
             Json mount = {{"token", token("mount", channels_[s])},
                           {"sensor_token", shared("sensor", channels_[s])}};
+            // The file's axes are rotated against the sensor's axes (kSensorFromFile).
             add_pose(mount, ego_from_sensor(s) * kSensorFromFile);
             mount["camera_intrinsic"] = Json::array();
             records_["calibrated_sensor"].push_back(mount);
@@ -101,6 +102,7 @@ public:
         const std::int64_t time_us = frame.stamp_ns / 1000;
         if (i == 0) first_stamp_ns_ = frame.stamp_ns;
         add_linked("sample", "sample", i, {{"timestamp", time_us}, {"scene_token", token("scene")}});
+        // The rig and the vehicle can differ. The first sensor links both.
         const Pose world_from_ego =
             frame.world_from_rig * sensors_[0].rig_from_sensor * inverse(ego_from_sensor(0));
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
@@ -209,6 +211,7 @@ private:
                        {"attribute_tokens", Json::array()},
                        {"visibility_token", visibility_of(object)}};
         add_pose(record, object.world_from_box);
+        // nuScenes orders sizes as width, length, height.
         record["size"] = {object.size_m.y, object.size_m.x, object.size_m.z};
         record["num_lidar_pts"] = object.n_points;
         record["num_radar_pts"] = 0;
@@ -223,6 +226,7 @@ private:
                                             {"category_token", shared("category", category)},
                                             {"first_annotation_token", record["token"]}});
         } else {
+            // The annotations of a track form a linked list.
             record["prev"] = all[of_track.last_annotation]["token"];
             all[of_track.last_annotation]["next"] = record["token"];
         }

@@ -55,8 +55,10 @@ public:
         }
     }
     std::uint32_t find_label(std::size_t point) const {
+        // A cause other than a surface, for example rain.
         if (sources_ && (*sources_)[point] > 0) return kOutlier;
         const std::int32_t instance = cloud_.instance[point];
+        // Instance 0 is the background.
         if (instance > 0) return label_of_instance_[std::size_t(instance)];
         const glm::dvec3 position = world_from_cloud_ * glm::dvec3(cloud_.position_m[point]);
         for (const LabelledObject& object : frame_.objects)  // standing objects are background
@@ -94,6 +96,7 @@ public:
         const std::string name = fmt::format("{:06}", frame.index), points = "velodyne/" + name + ".bin";
         write_rig_points(folder_ / points, frame, sensors_);
         std::string labels;
+        // The labels have the order of the points in write_rig_points().
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
             const PointLabeller labeller(frame, frame.clouds[s], sensors_[s]);
             for (std::size_t i = 0; i < frame.clouds[s].size(); ++i)
@@ -103,6 +106,7 @@ public:
         if (frame.index == 0) world_from_first_ = frame.world_from_rig;
         // Poses of the camera, relative to its first pose.
         const Pose camera_from_rig{glm::dquat(0.5, 0.5, -0.5, 0.5), glm::dvec3(0.0)};
+        // camera_i in camera_0 = C (rig_0^-1 rig_i) C^-1, with C = camera_from_rig
         poses_ += matrix_line(camera_from_rig * inverse(world_from_first_) * frame.world_from_rig *
                               inverse(camera_from_rig));
         times_ += fmt::format("{}\n", frame.time_s);
