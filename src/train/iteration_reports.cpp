@@ -23,9 +23,11 @@ IterationReports::IterationReports(Device& device)
 void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& from,
                                    const std::optional<TrainLogLine>& line) {
     if (iterations_.empty()) return;
+    // Each buffer is used again after kReadbackLag iterations.
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
         readback.record_copy(stream, source, n_bytes);
+        // The counters start again at 0.
         stream.fill(source);
     };
     record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
@@ -42,6 +44,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::take_old
     const ClosedIterationGroup report = std::move(closed_.front());
     closed_.pop_front();
     const int first_step = report.iterations.front().step, last_step = report.iterations.back().step;
+    // record_copy() selected the buffer by the last step of the report.
     ReportReadbackSlot& slot = slots_[std::size_t(last_step) % kReadbackLag];
     const auto count = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));

@@ -37,6 +37,7 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
             const RenderedScan scan =
                 renderer.render(nominal_sensor(config, run.sequence, frame), frame.time_s);
             std::vector<float> measured;
+            // 0: returned. Drops and rays that may have hit moving objects are ignored.
             const std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
             for (std::size_t i = 0; i < dropped.size(); ++i)
                 measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);

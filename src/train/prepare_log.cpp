@@ -310,6 +310,7 @@ RegistrationOptions registration_options(const Log& sequence, const Config& conf
 }
 
 void prepare_log(Log& log, const Split& split, const Config& config, LogPreparationCallbacks callbacks) {
+    // Only the first process of a group reports.
     if (!callbacks.report_line || !callbacks.group.is_first())
         callbacks.report_line = [](const std::string&) {};
     if (!has_usable_poses(log, config) && !registers_sensors(config.train))

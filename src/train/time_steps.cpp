@@ -25,6 +25,7 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
         fail<UsageError>("cannot measure the training speed: found {} steps, expected 1 to {}", n_steps,
                          kMostTimedSteps);
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
+    // Times the last iterations of the configured training.
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.finish_steps();
@@ -33,10 +34,12 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
         loop.run_iteration(first + kWarmUp + result.n_steps);
+    // The device must be finished before the clock stops.
     loop.finish_steps();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
                      result.n_steps;
+    // Subtracts the launches of the warm-up.
     for (const auto& [kernel, sum] : loop.training_times().totals) {
         const auto earlier = before.find(kernel);
         const KernelTimes::LaunchTotals had =

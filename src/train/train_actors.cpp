@@ -169,6 +169,7 @@ Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWith
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
+        // A sphere around the surfel with its larger scale.
         const double reach_m =
             kReach_sigmas *
             std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));

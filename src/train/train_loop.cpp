@@ -183,6 +183,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
       extent_m_(extent_m ? *extent_m : scene_extent_m(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
     for (const std::unique_ptr<Loss>& loss : losses_) active_losses_.push_back(loss.get());
+    // Poses and motions of the actors during the sweep of each frame.
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             pose_instances(initial, sequence, timing_of(sequence.frames[std::size_t(frames_[i].position)]));

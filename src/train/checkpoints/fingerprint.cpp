@@ -58,6 +58,7 @@ std::string hash_frames(const Log& sequence, const std::vector<int>& frame_indic
                        indices.empty() ? -1 : indices.back(), hash.hex_digest());
 }
 
+/// Returns a hash of the measurements of these frames.
 std::string hash_scans(const Log& sequence, const std::vector<int>& frame_indices) {
     RunningHash hash;
     for (const int position : frame_indices) {
@@ -69,6 +70,7 @@ std::string hash_scans(const Log& sequence, const std::vector<int>& frame_indice
     return hash.hex_digest();
 }
 
+/// Returns a hash of all labelled boxes with their poses.
 std::string hash_boxes(const Log& sequence) {
     RunningHash hash;
     for (const BoxTrack& box : sequence.boxes) {

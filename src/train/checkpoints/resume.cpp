@@ -81,6 +81,7 @@ std::string find_fixed_setting(const Config& config, const Config& other_config)
 void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& split, const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(config);
+    // Settings that do not change the result of an iteration may differ.
     std::erase_if(settings, [](const ConfigKey& key) { return is_resume_free(key.key); });
     check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
@@ -124,6 +125,7 @@ std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const
     LogColumns log;
     log.visit_state(CheckpointReader(checkpoint));
     const std::size_t n = log.iteration.size();
+    // All columns need one value per line.
     const auto as_long = [n](const auto& column) { return column.size() == n; };
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
                       std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);

@@ -126,6 +126,7 @@ std::vector<RayDropImage> render_images(Device& device, const Run& run, const Co
 RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session) {
     if (session.start) check_drop_resume(*session.start, run);
     Config config = run.config;
+    // The network learns the drops of single rays.
     config.sensor.sub_rays = config.sensor.returns = 1;
     begin_stage(session.stages, "network's images");
     const std::vector<RayDropImage> images = render_images(device, run, config, session);
@@ -135,6 +136,7 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     const std::optional<RayDropTrainState> start =
         session.start ? std::optional(read_drop_state(*session.start)) : std::nullopt;
     bool stopped = false;
+    // Called after each step. Training stops if it returns false.
     const auto after_step = [&](const RayDropTrainProgress& progress,
                                 const std::function<RayDropTrainState()>& state) {
         if (session.step) session.step(progress);

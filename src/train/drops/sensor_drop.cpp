@@ -115,6 +115,8 @@ double RayDropCounts::local_rate(int channel, int bin) const {
     return drops / rays;
 }
 
+/// Returns rates that are pulled towards the neighbours where a bin has few rays:
+/// (drops + kPriorRays * local rate) / (rays + kPriorRays).
 RayDropTable RayDropCounts::smoothed_rates() const {
     RayDropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)

@@ -51,6 +51,7 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
         const PosedBox posed_box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
                                  box.half_size_m};
         const glm::dvec2 inside = posed_box.intersect_m(ray);
+        // Entry and exit. A ray without a return counts if it crosses the box.
         return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
     });
 }

@@ -187,6 +187,7 @@ TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched(std::size_t fram
 TrainingFrameData& TrainingFrames::ensure_resident(Stream& stream, std::size_t frame_index) {
     TrainingFrameData& frame = frames_[frame_index];
     if (frame_index < n_staying_) return frame;
+    // The other frames share their arrays, so this replaces the frame that was there.
     const HostFrameArrays host = take_prefetched(frame_index);
     upload_values(stream, frame.arrays->rays, host.rays);
     upload_values(stream, frame.arrays->targets, host.targets);

@@ -69,6 +69,7 @@ PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layou
                 {i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
+    // 6 values per instance: rotation and translation
     floats_of_instances_ = 6 * layout_.instances.size();
     allocate_readbacks(of_instances_, device, floats_of_instances_, "pose gradients of instances");
 }
@@ -121,6 +122,7 @@ std::span<float> PoseRefiner::wait_for_gradient(Stream& stream, std::size_t pend
     const std::size_t n = floats_of_rays_ + floats_of_instances_,
                       slot = pending_iterations_.step[pending_index] % kReadbackLag;
     const std::span<float> gradient(pending_iterations_.gradient.data() + pending_index * n, n);
+    // If no copy is pending, an earlier call or a checkpoint has filled the row.
     if (rays_ && of_rays_[slot].is_pending())
         std::memcpy(gradient.data(), of_rays_[slot].wait_for_bytes(stream), floats_of_rays_ * sizeof(float));
     if (!actors_.empty() && of_instances_[slot].is_pending())

@@ -55,6 +55,7 @@ public:
         if (sensor_) sensor_->visit_state("poses/sensor", visit);
         for (RefinedActor& actor : actors_)
             actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
+        // iterations whose gradients were not yet applied
         visit("poses/coming/step", pending_iterations_.step);
         visit("poses/coming/frame", pending_iterations_.frame);
         visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
