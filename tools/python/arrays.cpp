@@ -78,6 +78,7 @@ void check_array(const py::handle& object, const std::string& where, const py::d
     check_dtype(object, where, dtype, shape);
     const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     const auto array = py::reinterpret_borrow<py::array>(object);
+    // C order and aligned, so that the data can be read as a plain C array.
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
     if (!ordered || !aligned)

@@ -26,6 +26,7 @@ std::string setting_text(const std::string& key, const py::handle& value) {
                     std::string(py::str(py::type::handle_of(value).attr("__name__")))));
 }
 
+/// Returns a setting. For an unknown name, the error suggests similar names.
 ConfigKey existing_key(const Config& config, const std::string& key) {
     const std::vector<ConfigKey> keys = list_config_keys(config);
     const auto it = std::find_if(keys.begin(), keys.end(), [&](const ConfigKey& k) { return k.key == key; });

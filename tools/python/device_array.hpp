@@ -49,6 +49,7 @@ DeviceArray wrap_array(const SharedDevice& device, const Array<T, Meaning>& arra
 template <class Number, class T, class Meaning>
 DeviceArray wrap_member(const SharedDevice& device, const Array<T, Meaning>& array, std::size_t member_bytes,
                         std::size_t n_rows, py::ssize_t width = 0) {
+    // Strides count Numbers, not bytes.
     constexpr py::ssize_t kStride = sizeof(T) / sizeof(Number);
     NumpyShape shape{static_cast<py::ssize_t>(n_rows)}, strides{kStride};
     if (width > 0) {

@@ -32,12 +32,15 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
                                               bool for_poses, bool for_rays, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
+    // The scene has a fixed primitive, whatever the settings say.
     image.primitive = scene.surfels.primitive;
+    // {acceleration structure, tracing, rays to allocate for, hits to keep}
     const RendererOptions options{
         {}, common_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{backward_options(settings), {.rays = for_rays, .poses = for_poses}};
     device = device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
+    // Holds the lock only while the renderer uses the device.
     {
         const DeviceLock use(*device);
         made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
