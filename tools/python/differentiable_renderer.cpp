@@ -101,6 +101,7 @@ void place_frame(PythonRenderer& renderer, const LoadedRun& run,
     renderer.placed = std::move(placed);
 }
 
+/// Renders rays from numpy arrays. Returns the values of each ray as numpy arrays.
 py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const py::object& directions) {
     const WorldRays rays{copy_array<float, glm::vec3>(origins, "origins", {kAnyLength, 3}),
                          copy_array<float, glm::vec3>(directions, "directions", {kAnyLength, 3})};
@@ -113,9 +114,11 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
         const DeviceLock use(renderer.differentiable.opened());
         r = renderer.differentiable->renderer().render_rays(rays);
     }
+    // backward() needs this number for the shape of its gradients.
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
+    // One array [n] for each value of the image, for example dict["depth"].
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
     dict[#name] = move_to_numpy<float>(std::move(r.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
@@ -155,6 +158,7 @@ RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     return d;
 }
 
+/// Computes the gradients of the last forward pass from dL/d(value) of each ray.
 py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values) {
     const RenderedGradients d = read_gradients(gradients_of_values, renderer.n_rays);
     HostGradients gradients;
@@ -166,6 +170,8 @@ py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values)
     const std::size_t n = gradients.surfels.size();
     py::dict dict = to_array_dict(std::move(gradients.surfels));
     dict["touched"] = move_to_numpy<std::uint32_t>(std::move(gradients.touched), {rows(n)});
+    // Gradients that were not enabled are empty. The six numbers of a row belong to
+    // shift and rotation, or to origin and direction of a ray.
     if (!gradients.poses.empty())
         dict["poses"] = move_to_numpy<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
     if (!gradients.sensor.empty()) dict["sensor"] = move_to_numpy<float>(std::move(gradients.sensor), {6});
@@ -209,13 +215,16 @@ py::dict device_parameters(PythonRenderer& renderer) {
                         renderer.differentiable->renderer().scene().surfel_parameters());
 }
 
+/// Returns device memory for the rays of forward_device(). The memory never shrinks.
 DeviceArray device_rays(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
     if (renderer.rays.size() < n) {
+        // Without firing times, no instance moves during the sweep.
         const std::vector<DeviceRay> unset(n, DeviceRay{{}, {}, RELIDAR_NO_TIME});
         const DeviceLock use(renderer.differentiable.opened());
         renderer.differentiable->renderer().stream().submit_and_wait();
         renderer.rays = {renderer.differentiable.opened().device, unset, "rays"};
     }
+    // Each row has origin, direction and firing time.
     return wrap_array<float>(renderer.differentiable.device(), renderer.rays,
                              {py::ssize_t(n.value), sizeof(DeviceRay) / 4});
 }
@@ -229,6 +238,7 @@ void check_truncation(Renderer& renderer) {
         renderer.check_truncation();
 }
 
+/// Renders the first n rays of device_rays(). The results stay in device memory.
 py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n,
                         IntegerArgument<std::uint32_t, "columns"> columns) {
     if (n == 0 || n > renderer.rays.size())
@@ -240,6 +250,7 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     RenderedBatch batch;
     {
         const DeviceLock use(renderer.differentiable.opened());
+        // 0, 1: the first ray is ray 0, and the stride between rays is 1.
         renderer.differentiable->renderer().record_forward({&renderer.rays, 0, 1, n, columns});
         renderer.differentiable->renderer().stream().submit_and_wait();
         check_truncation(renderer.differentiable->renderer());
@@ -259,11 +270,14 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
         wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, median_depth), n);
     dict["hits"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, n_hits), n);
     dict["instance"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, instance), n);
+    // The caller writes dL/d(value) here before it calls backward_device().
     dict["d_rendered"] =
         wrap_array<float>(device, *batch.upstream, {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});
     return dict;
 }
 
+/// Computes gradients of the last forward pass from `d_rendered`. The results stay in
+/// device memory.
 py::dict backward_device(PythonRenderer& renderer) {
     if (renderer.n_rays == 0)
         throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
@@ -275,6 +289,7 @@ py::dict backward_device(PythonRenderer& renderer) {
     const DeviceGradients& g = renderer.differentiable->gradients();
     const SharedDevice& device = renderer.differentiable.device();
     py::dict dict = wrap_surfels(device, g.surfels);
+    // PyTorch has no uint32.
     dict["touched"] = wrap_array<std::int32_t>(device, g.touched, {py::ssize_t(g.surfels.n)});
     if (g.poses.size())
         dict["poses"] = wrap_array<float>(device, g.poses, {py::ssize_t(renderer.placed.size()), 6});

@@ -22,6 +22,8 @@ PythonErrorTypes& exception_types() {
     return *all;
 }
 
+/// Creates the exception class relidar.TYPE_NAME. Its attribute `code` is the exit code
+/// of the command line tool.
 py::object add_type(py::module_& module, const char* type_name, const char* doc, const py::tuple& bases,
                     ExitCode exit_code) {
     py::dict members;

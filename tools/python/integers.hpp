@@ -25,11 +25,13 @@ Integer read_integer(const pybind11::handle& object, const std::string& where) {
         return fmt::format("{}: found {}, expected a whole number from {} to {}", where,
                            std::string(pybind11::repr(object)), Limits::min(), Limits::max());
     };
+    // PyNumber_Index() accepts integers of Python and numpy, but rejects floats.
     const auto integer = pybind11::reinterpret_steal<pybind11::object>(PyNumber_Index(object.ptr()));
     if (!integer) {
         PyErr_Clear();
         throw pybind11::type_error(describe_problem());
     }
+    // Compares as Python integers, which cannot overflow.
     if (integer < pybind11::int_(Limits::min()) || integer > pybind11::int_(Limits::max()))
         throw UsageError(describe_problem());
     return integer.cast<Integer>();

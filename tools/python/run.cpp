@@ -89,6 +89,7 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
     return request;
 }
 
+/// Returns the boxes of a scan as arrays with one row per box.
 py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& options) {
     const std::vector<ActorBox> boxes = actor_boxes_of(scan, options);
     std::vector<std::string> tracks, categories, kinds, notes;
@@ -108,6 +109,7 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
         times_s.push_back(box.time_s);
         shares.push_back(box.visible_share);
         points.push_back(std::int32_t(box.n_points));
+        // glm stores a matrix by columns, numpy by rows.
         const glm::dmat4 columns = to_matrix(box.dataset_from_box);
         for (int row = 0; row < 4; ++row)
             for (int column = 0; column < 4; ++column) poses.push_back(columns[column][row]);
@@ -204,6 +206,7 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     return arrays;
 }
 
+/// Returns the rays of a frame and their measured values, as training uses them.
 py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
                             IntegerArgument<std::uint32_t, "position"> position) {
     const Run& run = loaded.run;
@@ -214,6 +217,7 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
             fmt::format("cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
                         "same frames in both",
                         position.value, scans.size(), frames.size()));
+    // Pose of the run, scan of the log.
     Frame frame = frames[position];
     frame.scan = scans[position].scan;
     TrainingRays made = make_training_rays(run, frame);
@@ -223,6 +227,7 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
     dict["measured"] =
         move_to_numpy<float>(std::move(made.targets), {n, sizeof(shared::DeviceTarget) / sizeof(float)});
     const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    // Position of the sensor in the frame of the scene at the time of the frame.
     const glm::dvec3 view =
         run.sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
     dict["view_origin"] = move_to_numpy<double>(std::vector{view.x, view.y, view.z}, {3});
@@ -244,10 +249,12 @@ void despawn_actor(LoadedRun& run, const std::string& name) {
     renderer->despawn(name);
 }
 
+/// Returns a copy of a run with other surfels of the same number and kind.
 std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
     Surfels surfels = read_surfels(arrays);
     Scene& scene = changed->run.scene;
+    // The new surfels replace those of all blocks.
     scene = with_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(
@@ -344,6 +351,7 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar,
                std::optional<IntegerArgument<std::uint64_t, "sample">> sample) {
+                // Empty or false: only, frame, deskew, weather and boxes.
                 return render_points(run, {sensor,
                                            pose,
                                            time,
@@ -450,11 +458,13 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
 
 }  // namespace
 
+/// Returns the renderer of the run, which is created at the first call.
 DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
     device = device_or_default(device);
     std::unique_ptr<ScanRenderer> made;
     {
+        // Other Python threads can run while this lock exists.
         const DeviceLock use(*device);
         made = std::make_unique<ScanRenderer>(device->device, run);
     }

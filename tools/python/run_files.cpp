@@ -47,6 +47,7 @@ std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict&
     return loaded;
 }
 
+/// Saves a run. After an error, the run keeps its previous folder.
 void save_run_in(LoadedRun& loaded, const fs::path& folder, bool overwrite) {
     Run& run = loaded.run;
     if (!overwrite && is_run_folder(folder))
@@ -68,8 +69,11 @@ py::tuple pickle_run(const LoadedRun& loaded) {
     const py::object settings = py::cast(loaded.run.config).attr("values")();
     const fs::path& folder = loaded.run.folder;
     const std::string absolute = folder.empty() ? "" : fs::absolute(folder).lexically_normal().string();
+    // The folder still contains this run, so the pickle needs only its path.
     if (!loaded.files_on_disk.empty() && loaded.files_on_disk == list_run_files(folder))
         return py::make_tuple(absolute, settings, loaded.files_on_disk, py::none());
+    // Otherwise the pickle contains the files. They are first saved to a temporary
+    // folder, with the surfels of all blocks.
     const py::object temporary = make_temp_folder();
     Run copy = loaded.run;
     copy.scene = with_all_blocks(copy.scene);
@@ -83,6 +87,8 @@ py::tuple pickle_run(const LoadedRun& loaded) {
 }
 
 std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
+    // The state has the folder, the settings, the list of files, and their content or
+    // None.
     const fs::path folder = state[0].cast<std::string>();
     const auto settings = py::dict(state[1]);
     if (state[3].is_none()) {

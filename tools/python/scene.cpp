@@ -39,6 +39,7 @@ NumpyShape array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
     return shape;
 }
 
+/// Returns the surfel arrays without a copy. Each array keeps the Python scene alive.
 py::dict surfel_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;

@@ -18,12 +18,15 @@ namespace {
 constexpr float kMaxLengthError =
     1e-3f;  // Largest accepted difference between the length of a direction and 1.
 
+/// Rejects directions of another length than 1, and values that are not finite.
 void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
+        // The negated comparison also rejects NaN.
         if (!(std::abs(length - 1.0f) <= kMaxLengthError))
             throw DataError(
                 fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
+        // The sum is not finite if any of its numbers is not finite.
         if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
             throw DataError(fmt::format("sensor: the origin or time of ray {} is not finite", i));
     }
@@ -73,6 +76,7 @@ SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const 
             "file, or a dict with \"directions\"");
     SimulatedSensor choice;
     choice.rays = read_rays(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
+    // The rays have no range limits, so only the limits of the dataset apply.
     choice.limits = intersect({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
     choice.name = "rays";
     choice.lidar = lidar;

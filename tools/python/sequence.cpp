@@ -23,7 +23,9 @@ LoadedLog load_dataset(const std::string& path, const std::optional<Config>& con
                        const PythonProgressCallback& progress) {
     LoadedLog log{{}, config.value_or(make_preset("default"))};
     log.config.dataset.path = absolute_dataset(path);
+    // Releases the interpreter. The progress callback locks it again for each call.
     const py::gil_scoped_release others_run;
+    // MiB to bytes
     limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << 20);
     log.sequence = load_log(log.config, wrap_progress(progress));
     log.config = with_max_range(std::move(log.config), log.sequence);

@@ -24,6 +24,8 @@ pybind11::object world_offset(const Log& sequence);
 pybind11::object mounting_dict(const Log& sequence);
 pybind11::object track_dict(const Log& sequence, const std::vector<std::string>& track_names);
 
+/// Binds the properties that a log and a run have in common.
+/// @param get returns the Log of an Owner
 template <class Owner, class Get>
 void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
     type.def_property_readonly(

@@ -49,6 +49,8 @@ std::optional<Checkpoint> load_checkpoint(const TrainArguments& arguments,
     return load_newest(*arguments.checkpoints, print_note);
 }
 
+/// Trains the scene of a run. Python functions can add losses, receive progress, and
+/// stop the training.
 TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArguments& arguments,
                         PythonCallGuard& python_calls) {
     std::vector<std::unique_ptr<PythonLoss>> owned_losses;
@@ -64,9 +66,12 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
     const DeviceLock use(*device);
+    // The progress of this step only checks for Ctrl-C and earlier exceptions.
     prepare_log(run.sequence, run.split, run.config,
                 {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
     if (start) check_resume(*start, run.sequence, run.split, run.config);
+    // Returns false, which stops the training, after an exception or if the callback
+    // returned False.
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
         return python_calls([&] {
