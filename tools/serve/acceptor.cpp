@@ -142,6 +142,7 @@ void Acceptor::stop() {
 }
 
 void Acceptor::run_accept_loop() {
+    // Entry 0 is the pipe through which stop() wakes this thread.
     std::vector<pollfd> waits{{wake_[0], POLLIN, 0}};
     for (const int listener : listeners_) waits.push_back({listener, POLLIN, 0});
     while (true) {

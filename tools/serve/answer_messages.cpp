@@ -24,6 +24,7 @@ void copy_bytes(std::string& output_bytes, const std::vector<T>& array) {
     output_bytes.assign(reinterpret_cast<const char*>(array.data()), array.size() * sizeof(T));
 }
 
+/// Writes channels as descriptions and raw bytes. A vector has three components.
 template <class Messages>
 void add_channels(const std::vector<ScanChannel>& channels, Messages& channel_messages) {
     for (const auto& [info, values, second] : channels) {
@@ -44,6 +45,7 @@ void write_points(const LidarPoints& points, v1::Points& message) {
     copy_bytes(*message.mutable_ring(), points.ring);
     copy_bytes(*message.mutable_time_s(), points.time_offset_s);
     copy_bytes(*message.mutable_instance(), points.instance);
+    // Without numbers, all points are first returns.
     if (points.return_number.empty()) message.mutable_return_number()->assign(points.size(), 1);
     else copy_bytes(*message.mutable_return_number(), points.return_number);
     add_channels(points.channels, *message.mutable_channels());
@@ -62,6 +64,7 @@ void write_actor(const Run& run, const std::string& actor_name, v1::Actor& messa
     message.set_category(label_of(*box));
     write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
+    // Length of the path through all poses.
     double length_m = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         length_m += glm::distance(track.pose[i].translation, track.pose[i - 1].translation);
@@ -86,6 +89,7 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
 
 void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
                 v1::LidarScan& message) {
+    // Points are in the sensor frame at the time points_at_s.
     const Pose dataset_from_points = request.request.dataset_from_sensor.pose_at(request.points_at_s);
     write_scan(
         {place_points(scan, config, dataset_from_points), scan.image.range_m.size(), scan.unseen_share},

@@ -87,6 +87,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
             clients.emplace_back([&] {
                 try {
                     ScanClient client(options.address);
+                    // All clients share one counter, so faster clients send more calls.
                     for (int number = next++; number < options.calls; number = next++) {
                         const LatencySample sample =
                             measure_render(client, sweep_request(options, result.scene, tracks, number));

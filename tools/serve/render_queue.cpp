@@ -46,6 +46,7 @@ void RenderQueue::drain(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     std::unique_lock lock(mutex_);
     while (n_reserved_ > 0 && std::chrono::steady_clock::now() < end) {
+        // Other threads need the lock to release their slots.
         lock.unlock();
         std::this_thread::sleep_for(kPollInterval);
         lock.lock();

@@ -28,6 +28,7 @@ bool is_expired(const ServerContext& context) {
 
 }  // namespace
 
+/// Reserves a slot. Rejects the call without waiting if all slots are occupied.
 QueueSlot reserve_slot(RenderQueue& queue) {
     if (queue.is_draining())
         refuse(Code::UNAVAILABLE, "cannot queue the request: the server is shutting down");

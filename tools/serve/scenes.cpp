@@ -92,6 +92,7 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
                                      .name = "one ray"};
         const PoseTrack track = run.sequence.lidar_track(0);
         Pose pose = track.pose.front();
+        // From the frame of the scene to the world frame of the dataset.
         pose.translation += run.sequence.world_offset_m;
         loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
     });

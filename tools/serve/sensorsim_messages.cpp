@@ -48,6 +48,7 @@ void write_pose(const Pose& pose, PoseTransformOrder order, sensorsim::Pose& mes
     message.mutable_rotation()->set_z(float(pose.rotation.z));
 }
 
+/// Writes a track with times in microseconds, which cannot be negative.
 void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
@@ -94,6 +95,7 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
         reject_field(field,
                      message.has_translation() ? "a pose without rotation" : "a pose without translation",
                      "both");
+    // Converts to doubles, so that serve::read_pose() can check the numbers.
     v1::Pose wide;
     wide.mutable_translation()->set_x(double(message.translation().x()));
     wide.mutable_translation()->set_y(double(message.translation().y()));
@@ -103,6 +105,7 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
     wide.mutable_rotation()->set_y(double(message.rotation().y()));
     wide.mutable_rotation()->set_z(double(message.rotation().z()));
     Pose pose = serve::read_pose(wide, field);
+    // R (p + t) = R p + R t
     if (order_ == PoseTransformOrder::translation_first) pose.translation = pose.rotation * pose.translation;
     return pose;
 }

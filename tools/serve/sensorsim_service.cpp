@@ -45,6 +45,7 @@ public:
             "get_available_trajectories", [&](Context, const auto& request, auto& answer) {
                 calls.get_available_trajectories(request, answer);
             });
+        // relidar has no cameras, so this answer and the next one stay empty.
         register_method<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
             "get_available_cameras",
             [&](Context, const auto& request, auto&) { calls.reader_->find_scene(request.scene_id()); });
@@ -117,6 +118,7 @@ void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) 
 }
 
 void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
+    // Only the render thread may use the scenes, so the queue runs this function.
     reserve_slot(queue_).run_function([&] {
         for (std::size_t i = 0; i < scenes_.sources().size(); ++i) {
             if (!scenes_.is_scene_on_gpu(i)) continue;

@@ -107,6 +107,7 @@ Status RenderService::RenderLidar(ServerContext* context, const v1::RenderLidarR
     return call_handler([&] {
         QueueSlot slot = reserve_slot(queue_);
         const RenderRequest render_request = reader_.read_request(*request);
+        // Points without an image can be rendered together with other requests.
         if (!has_range_image(render_request))
             return render_points(slot, {&render_request, 1}, *context, {&answer, 1});
         render_scan(slot, render_request, *context, *answer);

@@ -69,8 +69,10 @@ std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
     return occupied_slots;
 }
 
+/// Frees the slots of actors, which remain for later actors with the same model.
 void SpawnedActorRegistry::remove_actors(std::size_t scene, const std::vector<std::string>& names) {
     const std::lock_guard lock(mutex_);
+    // Changes a copy, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene];
     for (const std::string& name : names) {
         const auto slot = find_slot(slots, name);
