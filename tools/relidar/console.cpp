@@ -85,6 +85,7 @@ std::string make_one_line(std::string text) {
     return text;
 }
 
+/// Encloses a word in single quotes unless all its characters are harmless.
 std::string quote_for_shell(const std::string& word) {
     const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char character) {
         return std::isalnum(character) ||
@@ -92,6 +93,8 @@ std::string quote_for_shell(const std::string& word) {
     });
     if (plain) return word;
     std::string quoted = "'";
+    // The shell has no escape inside single quotes: ends the quoted text, adds \' and
+    // begins a new quoted text.
     for (const char c : word) quoted += c == '\'' ? "'\\''" : std::string(1, c);
     return quoted + "'";
 }

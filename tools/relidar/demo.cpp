@@ -54,6 +54,7 @@ Config demo_config(const DemoOptions& options, const fs::path& street_folder) {
     return config;
 }
 
+/// Scores the held-out frames. Keeps their scans, which the demo writes to files.
 Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
@@ -108,6 +109,7 @@ std::string format_demo_table(const Evaluation& held_out_evaluation, const Evalu
     return format_table(rows);
 }
 
+/// Scores the log's sensor and a shifted sensor. Writes scores, scans and a report.
 void write_demo_report(Device& device, const Run& run, const StreetOptions& exact_street_options,
                        Report report, const fs::path& output_folder, bool quiet) {
     const Evaluation held_out = score_held_out(device, run, quiet);

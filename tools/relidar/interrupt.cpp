@@ -23,9 +23,12 @@ extern "C" void handle_signal(int signal_number) {
     timespec now{};
     ::clock_gettime(CLOCK_MONOTONIC, &now);
     const long long now_ms = now.tv_sec * 1000LL + now.tv_nsec / 1'000'000;
+    // Stores the time of the first signal. For a later signal, the exchange fails and
+    // reads that time instead.
     long long first_ms = 0;
     if (first_signal_ms.compare_exchange_strong(first_ms, now_ms) || now_ms - first_ms < kSameSignal_ms)
         return;
+    // The default action ends the program.
     std::signal(signal_number, SIG_DFL);
     std::raise(signal_number);
 }

@@ -140,6 +140,7 @@ std::vector<std::string> render_settings() {
 void check_settings_used(const std::vector<std::string>& setting_texts,
                          const std::vector<std::string>& names_and_prefixes_with_effect,
                          const std::string& command_name) {
+    // Only reports unknown names and invalid values.
     Config scratch;
     for (const std::string& set : setting_texts) {
         apply_settings(scratch, {set});
@@ -180,6 +181,7 @@ FrameRange parse_frames(const std::string& text) {
     const std::size_t colon = text.find(':');
     const std::string begin = text.substr(0, colon),
                       end = colon == std::string::npos ? "" : text.substr(colon + 1);
+    // A missing start is 0. A missing end is -1, and so is a text without a number.
     const int first = begin.empty() ? 0 : parse_number<int>(begin).value_or(-1),
               last = end.empty() ? -1 : parse_number<int>(end).value_or(-1);
     if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {

@@ -55,6 +55,7 @@ bool is_free_folder(const fs::path& folder) {
     return true;
 }
 
+/// Rejects a folder whose files a new run must not replace.
 void check_folder(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
     if (is_free_folder(folder)) return;
     if (is_dataset(folder))
@@ -159,6 +160,7 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
         fail("cannot write {}: another relidar process is writing this {}", folder.string(),
              contains_run(folder) ? "run" : "folder");
     descriptor_ = lock->descriptor;
+    // Without a lock, the temporary files may belong to a running process.
     if (lock->exclusive) remove_temporary(folder);
 }
 
@@ -200,6 +202,7 @@ RunOutputFolder::~RunOutputFolder() {
     std::vector<fs::path> started;  // settings and logs of the run and of its blocks
     for (fs::recursive_directory_iterator entry(path(), failed), end; !failed && entry != end;
          entry.increment(failed)) {
+        // Removes nothing if there is any other file, because it may be a result.
         const std::string name = entry->path().filename().string();
         if (name == "config.toml" || name == "log.jsonl") started.push_back(entry->path());
         else if (!entry->is_directory(failed) && !is_leftover(entry->path())) return;
@@ -211,6 +214,7 @@ RunOutputFolder::~RunOutputFolder() {
 
 namespace {
 
+/// Returns false if the folder has files that do not belong to a run.
 bool has_only_run_files(const fs::path& folder) {
     static const std::vector<std::string> kRunFileNames = split_text(
         "config.toml,scene.json,model.safetensors,drop_network.safetensors,blocks,checkpoints,log.jsonl,"

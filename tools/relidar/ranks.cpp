@@ -80,6 +80,7 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
     group_.all_gather = [size = group_.size](const std::string& text) { return gather_text(text, size); };
+    // The processes of this machine share its memory and its GPUs.
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
@@ -88,6 +89,7 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_free(&on_this_machine);
     share_scan_memory(n_here);
     check_same_build(group_.rank);
+    // true, true: hides notes and warnings of all processes except the first.
     if (group_.rank > 0) set_quiet(true, true);
 }
 
@@ -106,6 +108,7 @@ void MpiProcessGroup::barrier() const {
 
 std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) const {
     if (size() == 1) return {text};
+    // The sizes show where each text begins in the joined text.
     const std::vector<std::size_t> sizes = group_.gather(std::vector{text.size()});
     const std::string all = group_.all_gather(text);
     if (!is_first()) return {};

@@ -85,9 +85,11 @@ BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
             step.differentiable.record_backward();
             step.record_optimizer();
         });
+        // true: builds the trees again, instead of refitting their boxes.
         time(build, [&] { renderer.accel().record_refit(stream, renderer.scene(), true); });
         time(refit, [&] { renderer.accel().record_refit(stream, renderer.scene()); });
         time(forward, [&] { renderer.record_forward(batch); });
+        // Not timed: the backward pass needs the gradients of the losses.
         step.record_losses(batch);
         stream.submit_and_wait();
         time(backward, [&] { step.differentiable.record_backward(); });
@@ -135,12 +137,15 @@ double scans_per_second(ScanRenderer& renderer, const Run& run,
     return 1e3 * double(sensors.size()) * kTimedScans / ms_since(start);
 }
 
+/// Measures the scans per second of a sensor, or of all sensors of a rig together. For
+/// a rig, also measures its sensors one after the other.
 void measure_rates(Device& device, const Run& run, const std::string& sensor, BenchTimes& times) {
     ScanRenderer renderer(device, run);
     const std::vector<MountedSimulatedSensor> sensors =
         list_sensors(sensor.empty() ? "native" : sensor, read_sensor_rig(sensor), run, 0);
     times.scans_per_s = scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
+    // Sum of the times per scan, 1 / rate, of all sensors.
     double seconds = 0.0;
     for (const MountedSimulatedSensor& target : sensors)
         seconds += 1.0 / scans_per_second(renderer, run, {&target, 1});
@@ -152,6 +157,7 @@ const char* backend_name(const Device& device) {
 }
 
 std::string format_report(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
+    // krays / ms = Mrays / s
     const double krays = double(bench_case.rays.size()) / 1000.0;
     std::string text = fmt::format(
         "device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
@@ -172,6 +178,7 @@ std::string format_report(const BenchCase& bench_case, const BenchTimes& bench_t
 }
 
 std::string report_json(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
+    // krays / ms = Mrays / s
     const double krays = double(bench_case.rays.size()) / 1000.0;
     nlohmann::ordered_json json = {{"format", "relidar check --speed"},
                                    {"version", 2},
@@ -201,6 +208,7 @@ void run_bench(const BenchOptions& options) {
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
     Device device(to_device_options(options.device));
+    // Without a run: 100,000 surfels, 64 x 1024 rays from 2.0 to -24.9 degrees.
     const BenchCase bench =
         run ? case_of_run(*run) : street_case(100000, false, make_street_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure_times(device, bench);

@@ -22,6 +22,7 @@ BenchCase street_case(std::uint32_t n_surfels, bool smaller_scales_for_more_surf
     const Surfels surfels = make_street_surfels(n_surfels, 20261120, smaller_scales_for_more_surfels);
     bench.scene = wrap_background(surfels.reorder(kd_tree_order(surfels.mean)));
     bench.config = make_preset("paper");
+    // The background is the only instance.
     bench.placed.resize(1);
     return bench;
 }
@@ -34,6 +35,7 @@ BenchCase case_of_run(const Run& run) {
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
+    // Without a table, the rays are those of the LiDAR at the time of the frame.
     if (table.size() == 0) table = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
     if (table.size() == 0)
         fail("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
@@ -49,6 +51,7 @@ BenchCase case_of_run(const Run& run) {
         const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
+        // Without a rolling shutter, all rays fire at the reference time.
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
     bench.placed = pose_instances(run.scene, run.sequence, timing_of(frame));

@@ -86,6 +86,8 @@ std::string report_json(const DeviceInfo& device_info, const std::vector<NamedCh
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
+/// Returns the built-in checks. A run adds a check of its images for each ray tracing
+/// method.
 std::vector<DeviceCheck> list_checks(const std::string& run_folder_or_empty) {
     std::vector<DeviceCheck> checks(builtin_checks().begin(), builtin_checks().end());
     if (run_folder_or_empty.empty()) return checks;
@@ -130,6 +132,7 @@ void run_check(const CheckOptions& options) {
     if (!options.sensor.empty() && (options.run.empty() || !options.speed))
         throw UsageError(
             "--sensor requires both --speed and --run, because only both together measure scans");
+    // Creates the folder of the report before the long work starts.
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");

@@ -39,6 +39,7 @@ bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 
 }  // namespace
 
+/// Fills the largest buffer that the driver and the free memory allow. Reads both ends.
 CheckResult check_buffer(CheckedDevice& tested) {
     Device& device = tested.default_device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,

@@ -54,8 +54,10 @@ CheckResult check_prefix_sum(CheckedDevice& tested) {
     Device& device = tested.default_device();
     PrefixSum prefix_sum(device);
     Stream stream(device);
+    // Arrays within one tile of 4096 numbers, just larger, and with many tiles.
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
         Words counts = random_words(n);
+        // Small numbers, so that the total fits into 32 bits.
         for (std::uint32_t& x : counts) x %= 1000u;
         const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
                                                           "counts");
@@ -75,6 +77,7 @@ CheckResult check_radix_sort(CheckedDevice& tested) {
     if (!device.info().can_require_subgroup_size)
         return unsupported_check("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
+    // The sort must ignore the memory behind the last key.
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
         if (!is_sorted_right(device, n_keys, capacity))

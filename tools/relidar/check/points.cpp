@@ -12,6 +12,8 @@
 
 namespace relidar::cli {
 
+/// Compares points that the device places with points that the CPU places from a
+/// rendered image of the same scan.
 CheckResult check_points(CheckedDevice& tested) {
     const DeviceInfo& info = tested.default_device().info();
     if (!info.software && !info.ray_query)
@@ -33,6 +35,7 @@ CheckResult check_points(CheckedDevice& tested) {
     double error_m = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {
         const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);
+        // Stays infinite after the first point that is not finite.
         error_m = std::isfinite(distance_m) ? std::max(error_m, distance_m) : HUGE_VAL;
     }
     return compare_error(error_m, 1e-4);

@@ -69,9 +69,12 @@ std::vector<double> to_doubles(const Vector& vector, int n_values) {
     return row;
 }
 
+/// Returns the largest relative error of the surfel gradients, compared with the
+/// gradients of the reference renderer.
 double gradient_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
     reference::Gradients expected(pass.scene.world);
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i)
+        // 16: the reference fetches the hits of a ray in groups of this size.
         reference::backward(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16,
                             pass.upstream[i], expected);
     test::GradientTable rows;
@@ -134,8 +137,10 @@ CheckResult check_gradients(CheckedDevice& tested, RayTracingBackend backend) {
     const RenderAndGradients pass = run_passes(tested.device_with(backend));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
+    // kKernelNmse limits the squared error, so its root limits image_error().
     const CheckResult image = compare_error(image_error(pass, brute), std::sqrt(test::kKernelNmse)),
                       gradient = compare_error(gradient_error(pass, brute), test::kKernelGradient);
+    // The worse of both outcomes: `right` is less than `wrong`.
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};
 }

@@ -111,8 +111,10 @@ CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, co
     for (std::size_t i = 0; i < rays.size(); ++i)
         differences.push_back(ray_difference(
             rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
+    // The negated comparison also counts NaN.
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);
+    // A few rays may differ, because rounding decides at edges of surfels.
     return {double(n_wrong) <= kEdgeShare * double(rays.size()) ? CheckResult::CheckOutcome::right
                                                                 : CheckResult::CheckOutcome::wrong,
             fmt::format("{} of {} rays differ from the reference by more than {:.0e}, expected at most "

@@ -31,12 +31,14 @@ CheckResult check_compare_swap(CheckedDevice& tested) {
     return exact_result(test_atomic_adds(tested.default_device(), true));
 }
 
+/// Tests the subgroup operations for each subgroup size of the device.
 CheckResult check_subgroups(CheckedDevice& tested) {
     const DeviceInfo& info = tested.default_device().info();
     if (!info.can_require_subgroup_size)
         return unsupported_check("the device does not report its subgroup size");
     const std::vector<int> sizes = subgroup_sizes(tested.default_device());
     for (const int lanes : sizes) {
+        // Opens the device with this subgroup size, without the test at first use.
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
         Device device(tested.device_options());
         const std::string text = test_subgroups(device);

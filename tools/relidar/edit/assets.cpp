@@ -165,6 +165,7 @@ struct AssetOptions {
     bool quiet = false;
 };
 
+/// Returns why an actor was observed too little to be saved, or an empty text.
 std::string why_not_saved(const AssetDescription& asset, const ActorObservations& seen, double min_covered) {
     if (seen.points_m.empty()) return "no ray of the training frames hits this actor";
     if (asset.covered_share() >= min_covered) return "";
@@ -180,6 +181,7 @@ std::string why_not_saved(const AssetDescription& asset, const ActorObservations
             : "");
 }
 
+/// Returns one track for each model of an actor.
 std::vector<std::string> list_track_ids(const Run& run) {
     std::vector<std::string> tracks;
     // A copy of an actor has the same model, so it is skipped.

@@ -84,6 +84,7 @@ void run_edit(const EditOptions& options) {
     if (!ply_note.empty()) text += fmt::format("note: {}: {}\n", options.ply, ply_note);
     const std::string origin = absolute_path(options.run);
     SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
+    // The boxes before all edits show later which actors have changed.
     const Log before = strip_frames(driving.sequence);
     for (const EditArgument& edit : options.edits) {
         EditResult applied = apply_edit(std::move(driving), edit);
@@ -93,6 +94,8 @@ void run_edit(const EditOptions& options) {
     }
     driving = complete_actors(std::move(driving), before.boxes);
     text += placement_notes(driving, before);
+    // set_driving_scene() completes actors whose boxes differ from these. All actors
+    // are complete already, so none may differ.
     run.sequence.boxes = driving.sequence.boxes;
     run.set_driving_scene(std::move(driving));
     edited.save_run_in(run);
@@ -130,6 +133,7 @@ void add_edit(CLI::App& app, ParsedCommand& call) {
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
     for (const EditOption& edit : edit_options()) {
+        // Each option appends an edit when it is parsed, so edits keep their order.
         const auto append_edit = [options, option = std::string(edit.option)](const std::string& value) {
             options->edits.push_back({option, value});
         };

@@ -187,26 +187,27 @@ std::optional<ReportFigure> draw_walker(Device& device, const Run& run) {
     if (!walking_actor.box) return std::nullopt;
     const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
+    // From the right side of the actor, the view is along y of its box.
     const glm::dvec2 to_the_left(0.0, 1.0);
     std::vector<std::vector<PictureDot>> real, simulated;
-    std::size_t n = 0;
+    std::size_t n_real_points = 0;
     for (const Frame* frame : walking_actor.frames) {
         const MovingBoxPoints points = box_points(renderer, run, config, *frame, *walking_actor.box);
-        n += points.real_m.size();
+        n_real_points += points.real_m.size();
         real.push_back(project_dots(points.real_m, to_the_left));
         simulated.push_back(project_dots(points.simulated_m, to_the_left));
     }
-    if (n < kStripFrames * kMinPointsPerFrame) return std::nullopt;
+    if (n_real_points < kStripFrames * kMinPointsPerFrame) return std::nullopt;
     const glm::dvec2 half_m(0.5 * walking_actor.box->size_m.x, 0.5 * walking_actor.box->size_m.z);
-    const float half = float(0.5 * walking_actor.box->size_m.y);
+    const float half_width_m = float(0.5 * walking_actor.box->size_m.y);
     return ReportFigure{
         fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
                     "right side of the actor; colour: depth, from blue (right side) to red (left side)",
                     walking_actor.box->category, walking_actor.box->id,
                     parse_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walking_actor.distance_m),
-        {{"real", draw_panels(real, half_m, -half, half, "turbo")},
-         {"simulated", draw_panels(simulated, half_m, -half, half, "turbo")}}};
+        {{"real", draw_panels(real, half_m, -half_width_m, half_width_m, "turbo")},
+         {"simulated", draw_panels(simulated, half_m, -half_width_m, half_width_m, "turbo")}}};
 }
 
 std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, const Evaluation& result) {
@@ -214,6 +215,7 @@ std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, cons
     const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     std::vector<ReportFigure> figures;
+    // The worst actor is first.
     for (const ActorScore& actor : result.actors) {
         if (figures.size() == kMost) break;
         if (std::optional<ReportFigure> figure = draw_actor(renderer, run, config, actor))
@@ -233,6 +235,7 @@ void write_worst_actors(const std::filesystem::path& folder, Device& device, con
         std::vector<Image> images;
         for (const auto& [caption, image] : figure->images) images.push_back(image);
         std::string name = result.actors[i].track;
+        // File names cannot contain a slash.
         std::ranges::replace(name, '/', '-');
         write_png(folder / fmt::format("actor_{}.png", name), stack_images(images));
     }

@@ -231,6 +231,7 @@ void run_eval(const EvalOptions& command_options, const std::string& command_lin
     eval_run(options, ranks, command_line);
 }
 
+/// Rejects all options except --table and --quiet, because no scan is rendered.
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

@@ -84,7 +84,9 @@ bool is_frame_metric(const std::string& metric_name) {
            metric_name.starts_with("classes/");
 }
 
+/// Returns the range of a metric over the frames that have a value.
 std::pair<double, double> metric_min_max(const Evaluation& result, const std::string& metric_name) {
+    // The mean lies within this range.
     double low = result.mean.at(metric_name), high = low;
     for (const ScoredFrame& frame : result.frames) {
         const auto it = frame.metrics.find(metric_name);
@@ -106,6 +108,7 @@ std::string format_metric(const MetricValues& metrics, const std::string& metric
     return metrics.contains(metric_name) ? format_number(metrics.at(metric_name)) : "-";
 }
 
+/// Makes a table of metrics: mean and range over all frames, and mean of the baseline.
 TextTableRows metric_rows(const Evaluation& result, const Evaluation* baseline) {
     const bool spread = result.frames.size() > 1;
     TextTableRows rows{{"metric", spread ? "mean" : "value"}};
@@ -121,6 +124,7 @@ TextTableRows metric_rows(const Evaluation& result, const Evaluation* baseline) 
     return rows;
 }
 
+/// Makes a table with one row per region. Metrics of a region are named REGION/METRIC.
 TextTableRows region_rows(const Evaluation& result) {
     TextTableRows rows{{result.title + ", metrics by region"}};
     for (const char* column : kRegionColumns) rows.back().emplace_back(column);
@@ -135,6 +139,7 @@ TextTableRows region_rows(const Evaluation& result) {
     return rows;
 }
 
+/// Parses the output of frames_json(). The frames have no images.
 void append_frames(std::vector<ScoredFrame>& frames, const std::string& json_text) {
     for (const Json& json : Json::parse(json_text)) {
         ScoredFrame& frame = frames.emplace_back();
@@ -161,6 +166,7 @@ std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result)
     TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median error, m", "bias, m",
                         "errors above 0.3 m", "F1", "trail points", "real trail points"}};
     for (const ActorScore& actor : result.actors) {
+        // The first row has the titles.
         if (rows.size() > kMaxActorRows) break;
         const MetricValues& m = actor.metrics;
         rows.push_back({actor.track, actor.category, number_in(m, "points", 0),
@@ -202,6 +208,7 @@ std::string format_metrics(const Evaluation& result, const Evaluation* baseline)
     TextTableRows rows = metric_rows(result, baseline);
     const bool lpips = std::any_of(result.mean.begin(), result.mean.end(),
                                    [](const auto& metric) { return metric.first.ends_with("_lpips"); });
+    // Reports missing LPIPS weights, instead of leaving out both metrics.
     if (!lpips)
         for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
             rows.push_back({name, "no weights"});

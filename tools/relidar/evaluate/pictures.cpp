@@ -71,6 +71,7 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 
 void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
     std::vector<const char*> names = {"range", "intensity", "drop"};
+    // comparison_figures() then has no figure for intensity.
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {

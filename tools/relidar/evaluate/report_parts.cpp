@@ -15,12 +15,14 @@ ReportView make_3d_view(const ScoredFrame& frame, const Config& config, const st
                         const std::string& label_of_real_points_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = point_ranges(frame.rendered, config);
+    // Pose of the sensor at each firing, relative to its pose at the frame time.
     FiringPoseInterpolator sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
     ReportCloud measured{label_of_real_points_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f,
                    has_simulated = is_ray_returned(rendered.drop_prob[i], range_m[i]);
         const Pose& sensor_from_firing = sensor.pose_of(i);
+        // The error is unknown unless the ray returns in both scans.
         const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i]
                                                         : std::numeric_limits<float>::quiet_NaN();
         const auto add = [&](ReportCloud& cloud, const RangeImage& image, float range) {

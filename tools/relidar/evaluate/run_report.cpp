@@ -17,12 +17,15 @@ std::string count_frames(std::size_t count) {
     return fmt::format("{} frame{}", count, count == 1 ? "" : "s");
 }
 
+/// Returns the total loss and its terms over the iterations, without terms that are
+/// always 0.
 std::vector<ReportCurve> loss_curves(const TrainResult& result) {
     std::vector<ReportCurve> curves{{"loss/total", {}, {}}};
     for (const char* name : kLossTermNames) curves.push_back({std::string("loss/") + name, {}, {}});
     std::vector<bool> used(curves.size(), false);
     for (const TrainProgress& p : result.log) {
         for (std::size_t k = 0; k < curves.size(); ++k) {
+            // Curve 0 is the total, curve k is term k - 1.
             const double value = k == 0 ? p.loss : p.terms[k - 1];
             used[k] = used[k] || value != 0.0;
             curves[k].x.push_back(p.iteration);
@@ -92,6 +95,7 @@ Report evaluation_report(const Run& run, const Evaluation& result, const Device&
 void add_evaluation(Report& report, const Evaluation& result, const Run& run,
                     const EvaluationLabels& labels) {
     if (result.frames.empty()) return;
+    // True only in the first call: the report has no metrics yet.
     if (const std::string good = quality_sentence(result.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
@@ -106,6 +110,7 @@ void add_evaluation(Report& report, const Evaluation& result, const Run& run,
     if (!result.kernel_ms.empty())
         report.timings_ms.emplace_back(
             fmt::format("Rendering, {}: mean time of one kernel launch", labels.column), result.kernel_ms);
+    // The middle frame is shown as an example.
     const ScoredFrame& shown = result.frames[result.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, labels.column);
     report.views.push_back(make_3d_view(shown, run.config, name + ": points", labels.real));

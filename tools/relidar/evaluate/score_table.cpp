@@ -32,11 +32,13 @@ struct ScoredRun {
     nlohmann::json protocol;
 };
 
+/// Reads training time and scores of a run. Without valid scores, `mean` is empty.
 ScoredRun read_run_scores(const std::string& run_path) {
     const fs::path folder = run_path;
     if (!contains_run(folder))
         fail("{} is not a run folder; expected a folder that `relidar train` has written", run_path);
     ScoredRun run;
+    // The path without slashes at its end.
     run.name = run_path.substr(0, run_path.find_last_not_of('/') + 1);
     if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
         run.training_s = log.back().seconds;
@@ -91,6 +93,7 @@ std::string markdown_row(const TextCells& cells) {
     return line + "\n";
 }
 
+/// Makes a table with a column for each key metric and a row for each run.
 std::string markdown_table(const std::vector<ScoredRun>& runs) {
     const std::vector<MetricValues> rows = mean_metrics_of(runs);
     const MetricValues mean_row = mean_metrics(rows);
@@ -102,6 +105,7 @@ std::string markdown_table(const std::vector<ScoredRun>& runs) {
             cells.push_back(values.contains(name) ? format_number(values.at(name)) : "-");
         return markdown_row(cells);
     };
+    // Columns of text are aligned to the left, columns of numbers to the right.
     TextCells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
     head.insert(head.end(), metrics.begin(), metrics.end());
     rule.resize(head.size(), "--:");
@@ -124,6 +128,7 @@ std::string quote_csv_text(const std::string& text) {
 }
 
 std::string csv_table(const std::vector<ScoredRun>& runs) {
+    // The columns are all metrics for which at least one run has a value.
     const MetricValues metrics = mean_metrics(mean_metrics_of(runs));
     std::string text = "run,log,frames,training_s";
     for (const auto& [name, value] : metrics) text += "," + name;
@@ -155,6 +160,7 @@ void write_html(const fs::path& file, const std::vector<ScoredRun>& runs) {
         logs.insert(fmt::format("{} {}", run.log, run.n_frames));
         report.metrics.emplace_back(run.name, run.mean);
     }
+    // Scores are comparable only with equal logs, frame counts and protocols.
     report.same_scans = logs.size() < 2 && differing_keys(runs).empty();
     if (rows.size() > 1) report.metrics.emplace_back("mean", mean_metrics(rows));
     write_report(file, report);
@@ -173,6 +179,7 @@ void check_scores(const std::vector<ScoredRun>& runs) {
 }  // namespace
 
 void write_tables(const std::vector<std::string>& run_folders, const std::vector<std::string>& output_files) {
+    // Checks all names before a file is written.
     for (const fs::path file : output_files)
         if (file.extension() != ".md" && file.extension() != ".csv" && file.extension() != ".html")
             fail<UsageError>("--table: found {}; expected a file name that ends in .md, .csv or .html",

@@ -74,6 +74,7 @@ void add_info(CLI::App& app, ParsedCommand& call) {
         "  relidar info run --json");
     command->callback([&call, options] {
         call.run = [options] {
+            // Also true for a run that has no saved scene yet.
             const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
             check_settings_used(options->settings.sets,
                                 is_of_run

@@ -157,6 +157,7 @@ BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
     summary.moves = box.is_moving();
+    // The yaw angle is the direction of the x axis in the first pose.
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
     summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
@@ -166,41 +167,42 @@ BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
 LidarSummary summarise(const Log& sequence, int lidar_index) {
     const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
-    LidarSummary l{lidar.name,
-                   sensor.name,
-                   sensor.beams.size(),
-                   sensor.columns,
-                   0.0,
-                   0.0,
-                   sensor.period_s,
-                   sensor.max_range_m,
-                   0,
-                   0};
+    // Angles and counts start at 0 and are computed below.
+    LidarSummary summary{lidar.name,
+                         sensor.name,
+                         sensor.beams.size(),
+                         sensor.columns,
+                         0.0,
+                         0.0,
+                         sensor.period_s,
+                         sensor.max_range_m,
+                         0,
+                         0};
     const auto lower = [](const Beam& first, const Beam& second) {
         return first.elevation_rad < second.elevation_rad;
     };
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end()) {
-        l.bottom_deg = low->elevation_rad * 180.0 / kPi;
-        l.top_deg = high->elevation_rad * 180.0 / kPi;
+        summary.bottom_deg = low->elevation_rad * 180.0 / kPi;
+        summary.top_deg = high->elevation_rad * 180.0 / kPi;
     }
     if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
         const RayTable rays = make_lidar_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
-        l.n_beams = std::size_t(rays.rows);
-        l.columns = rays.columns;
-        l.period_s = lidar.sweep_period_s();
-        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi;
-        l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
+        summary.n_beams = std::size_t(rays.rows);
+        summary.columns = rays.columns;
+        summary.period_s = lidar.sweep_period_s();
+        summary.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi;
+        summary.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
-        ++l.n_frames;
+        ++summary.n_frames;
         for (const AdditionalReturns& f : frame.scan.second_returns)
-            l.n_second_returns += std::size_t(
+            summary.n_second_returns += std::size_t(
                 std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
     }
-    return l;
+    return summary;
 }
 
 std::string summary_text(const LidarSummary& summary) {

@@ -29,17 +29,19 @@ struct SensorFieldOfView {
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;
 };
 
+/// Returns the smallest and largest angles of the rays. Left and up are positive.
 SensorFieldOfView angular_extent(const RayTable& rays) {
-    SensorFieldOfView e{rays.size(), -180.0, 180.0, -90.0, 90.0};
+    // Each maximum starts at the lowest possible angle, each minimum at the highest.
+    SensorFieldOfView fov{rays.size(), -180.0, 180.0, -90.0, 90.0};
     for (const glm::vec3& d : rays.direction) {
         const double azimuth = std::atan2(double(d.y), double(d.x)) * 180.0 / kPi,
                      elevation = std::asin(std::clamp(double(d.z), -1.0, 1.0)) * 180.0 / kPi;
-        e.left_deg = std::max(e.left_deg, azimuth);
-        e.right_deg = std::min(e.right_deg, azimuth);
-        e.top_deg = std::max(e.top_deg, elevation);
-        e.bottom_deg = std::min(e.bottom_deg, elevation);
+        fov.left_deg = std::max(fov.left_deg, azimuth);
+        fov.right_deg = std::min(fov.right_deg, azimuth);
+        fov.top_deg = std::max(fov.top_deg, elevation);
+        fov.bottom_deg = std::min(fov.bottom_deg, elevation);
     }
-    return e;
+    return fov;
 }
 
 double scan_period_s(const SensorModel& sensor, const RayTable& rays) {
@@ -54,13 +56,14 @@ void print_sensors() {
     for (const std::string& name : list_sensors()) {
         const SensorModel sensor = *find_built_in(name);
         const RayTable rays = make_rays(sensor);
-        const SensorFieldOfView e = angular_extent(rays);
-        const bool round = e.left_deg - e.right_deg > 350.0;
+        const SensorFieldOfView fov = angular_extent(rays);
+        // A gap of less than 10 degrees is a step between columns.
+        const bool round = fov.left_deg - fov.right_deg > 350.0;
         rows.push_back(
             {name,
              rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
-             round ? "full turn" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
-             fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
+             round ? "full turn" : fmt::format("{:+.1f} to {:+.1f}", fov.left_deg, fov.right_deg),
+             fmt::format("{:+.2f} to {:+.2f}", fov.top_deg, fov.bottom_deg),
              fmt::format("{:.0f} ms", 1e3 * scan_period_s(sensor, rays)),
              fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
@@ -74,7 +77,7 @@ void print_sensors() {
 void print_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
-    const SensorFieldOfView e = angular_extent(rays);
+    const SensorFieldOfView fov = angular_extent(rays);
     const double max_divergence_rad = rays.max_divergence_rad();
     const double min_divergence_rad = rays.ray_divergence_rad.empty()
                                           ? max_divergence_rad
@@ -87,9 +90,9 @@ void print_sensor(const SensorsOptions& options) {
         "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
         "elevation   {:+.2f} to {:+.2f} degrees\nscan time   {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
-        sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
-        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, scan_period_s(sensor, rays), sensor.limits.min_m,
-        sensor.limits.max_m, divergence));
+        sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, fov.rays, rays.rows, rays.columns,
+        fov.left_deg, fov.right_deg, fov.top_deg, fov.bottom_deg, scan_period_s(sensor, rays),
+        sensor.limits.min_m, sensor.limits.max_m, divergence));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{
             {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};

@@ -28,6 +28,7 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
         return all_frames(run);
     }
     const std::string which = frames_text.value_or("test");
+    // Empty for a range of frame numbers.
     const std::string name = find_name(which, {"test", "train", "all"}).value_or("");
     std::vector<int> positions;
     if (name == "all") positions = all_frames(run);

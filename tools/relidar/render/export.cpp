@@ -96,6 +96,7 @@ void run_export(const ExportOptions& options) {
     } else {
         const PoseTrack sensor_path = run.sequence.lidar_track(0);
         const PoseTrack& path = path_of(run.sequence, sensor_path, options.track);
+        // From the frame of the scene to the world frame of the dataset.
         write_trajectory(out, shift_track(path, run.sequence.world_offset_m));
         written = fmt::format("{} poses", path.pose.size());
     }

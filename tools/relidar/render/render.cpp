@@ -140,6 +140,7 @@ struct NumberedScanTime {
     double time_s;
 };
 
+/// Returns the times of the selected frames of a LiDAR, with their frame numbers.
 std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options, int lidar) {
     std::vector<NumberedScanTime> sweeps;
     for (const int position : select_frames(run, options.frames, options.quiet)) {
@@ -153,6 +154,7 @@ std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptio
     return sweeps;
 }
 
+/// Returns the times of the scans on a trajectory, numbered from 0.
 std::vector<NumberedScanTime> sweeps_on_path(const Run& run, const RenderOptions& options,
                                              const PoseTrack& sensor_track, int lidar_index) {
     const std::vector<double> times_s =
@@ -164,6 +166,7 @@ std::vector<NumberedScanTime> sweeps_on_path(const Run& run, const RenderOptions
     return sweeps;
 }
 
+/// Returns the file format of each sensor. Its offset includes its mounting on the rig.
 std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, const Run& run,
                                                  const std::vector<MountedSimulatedSensor>& targets,
                                                  const Pose& sensor_offset) {
@@ -305,6 +308,7 @@ public:
         if (output.recordings) output.recordings->write_scans(scans);
     }
     std::string format_summary(std::size_t n_local, std::size_t n_total, int n_processes) const {
+        // All means are over the scans of this process. 1000 rays/ms are 1 Mrays/s.
         const double n = double(n_local);
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "

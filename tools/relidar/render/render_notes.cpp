@@ -69,6 +69,9 @@ void note_weather(const Weather& weather) {
 
 namespace {
 
+/// Prints one note with the scans and rays of each side, summed over all scans.
+/// @param sides_json_key list of sides in scans.json
+/// @param effect_text what the rays to such a side do
 void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
                        const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {
@@ -104,6 +107,7 @@ void note_unobserved(const std::vector<std::string>& scan_json_entries, const st
     double worst = 0.0;
     int worst_number = 0;
     for (const nlohmann::json& scan : scans) {
+        // Null if the run does not store the observed space.
         if (!scan["unseen"].is_number()) continue;
         ++n_scans_with_value;
         const double unseen = scan["unseen"];

@@ -71,6 +71,7 @@ serve::ServerOptions server_options(const ServeCommandOptions& options) {
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = parse_pose_order(options);
+    // Checks only the form of the address. 0: port 0 may select a free port.
     (void)parse_host_port(server.listen, "--listen", 0);
     server.weather = parse_weather(options.weather);
     server.device = to_device_options(options.device);

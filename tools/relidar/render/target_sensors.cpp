@@ -16,6 +16,8 @@ std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const 
     return as_spinning(find_sensor(name));
 }
 
+/// Returns the sensors to simulate: all of a rig, or one. An empty name selects the
+/// sensor of the settings.
 std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar) {
     if (name.empty()) return {{"", make_sensor(run.config, run.sequence, lidar), {}}};
@@ -33,10 +35,12 @@ std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const 
 void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
     if (visible.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, visible);
+    // The first instance is the background, which contains all standing objects.
     if (!shown.front()) output.standing.clear();
     std::erase_if(output.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
+        // No instance has this track, so the actor is not rendered.
         return true;
     });
 }

@@ -62,6 +62,7 @@ view::WebServerOptions server_options(const ViewOptions& options) {
     server.port = options.port;
     server.assets = view::web_page_files();
     view::check_address(options.address);
+    // Other machines can connect, so clients must present a token.
     if (!is_loopback(options.address)) server.token = view::make_token();
     return server;
 }

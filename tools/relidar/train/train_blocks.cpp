@@ -67,6 +67,7 @@ public:
         if (!block_progress.empty()) seconds_ += block_progress.back().seconds;
         for (std::size_t i = 0; i < block_progress.size(); ++i) {
             if (i == sum_.log.size()) sum_.log.emplace_back();
+            // Line i of the sum belongs to line i in the log of each block.
             TrainProgress& line = sum_.log[i];
             line.iteration = block_progress[i].iteration;
             line.loss += block_progress[i].loss;
@@ -81,11 +82,13 @@ public:
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
         sum_.times.add_times(result.times);
     }
+    /// Divides losses by the number of blocks. Times and surfel counts remain sums.
     TrainResult average(int n_iterations) {
         for (TrainProgress& line : sum_.log) {
             line.n_iterations = n_iterations;
             line.loss /= double(n_);
             for (double& term : line.terms) term /= double(n_);
+            // Each block has run this number of iterations.
             line.iterations_per_second = double(line.iteration) * double(n_) / std::max(line.seconds, 1e-9);
         }
         sum_.train_s = seconds_;
@@ -173,10 +176,11 @@ private:
         TerminalProgress progress(how_.quiet);
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
-            const double s = std::chrono::duration<double>(Clock::now() - start).count();
+            const double elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
             progress.show_text(
                 fmt::format("training the actors of all blocks, step {}/{}  {:.2f} steps/s  remaining {}",
-                            step, n_steps, step / s, format_duration(s / step * (n_steps - step))),
+                            step, n_steps, step / elapsed_s,
+                            format_duration(elapsed_s / step * (n_steps - step))),
                 step == n_steps);
         };
         try {
@@ -221,6 +225,7 @@ private:
 
     void print_start(std::size_t block_index, const BlockTrainingLog& block_log) const {
         if (how_.quiet) return;
+        // Estimated from the mean time of the blocks that this process has trained.
         const double left_s =
             trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - block_index) : 0.0;
         print(fmt::format(

@@ -18,6 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Formats one line of log.jsonl.
 std::string progress_json(const TrainProgress& p) {
     nlohmann::ordered_json json = {{"iteration", p.iteration},
                                    {"seconds", p.seconds},
@@ -92,6 +93,7 @@ void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
         constexpr std::string_view kWarningPrefix = "warning: ";
+        // Warnings are printed even if `quiet` is true.
         if (line.starts_with(kWarningPrefix)) return print_warning(line.substr(kWarningPrefix.size()));
         if (quiet) return;
         end_progress();
@@ -124,6 +126,7 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
             return true;
         },
         session);
+    // Writes the log again if a line could not be written.
     log.repair(result.log);
     return result;
 }
@@ -211,6 +214,7 @@ std::vector<TrainProgress> read_log(const fs::path& folder) {
         p.seconds = number_of("seconds");
         p.loss = number_of("loss");
         for (std::size_t k = 0; k < p.terms.size(); ++k) p.terms[k] = number_of(kLossTermNames[k]);
+        // The limits make the conversion to 32 bits well defined.
         p.n_surfels = static_cast<std::uint32_t>(std::clamp(number_of("surfels"), 0.0, 4294967295.0));
     }
     return lines;
