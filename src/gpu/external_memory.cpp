@@ -133,15 +133,18 @@ struct ImportedBlock {
         // The second argument is the index of the function in LibraryNames::functions.
         library.check(library.get_device(&device, device_index), 2);
         library.check(library.retain_context(&context, device), 4);
-        library.check(library.push_context(context), 5);
         ImportDescription import;
-        import.handle.fd = export_block(owner, block);
         import.size = block.n_bytes;
+        import.handle.fd = export_block(owner, block);
+        const int pushed = library.push_context(context);
+        if (pushed != 0) close(import.handle.fd);
+        library.check(pushed, 5);
         const int imported = library.import_memory(&memory, &import);
         if (imported != 0) close(import.handle.fd);  // otherwise the library closes it
         MappingDescription mapping;
         mapping.size = block.n_bytes;
         const int mapped = imported ? imported : library.map_memory(&pointer, memory, &mapping);
+        if (!imported && mapped) library.destroy_memory(memory);
         library.pop_context(&context);
         library.check(imported, 7);
         library.check(mapped, 8);

@@ -72,10 +72,12 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> zip(make_zip(arrays),
                                                                             zip_source_free);
         codecs::OutputFile file(temporary);
-        zip_source_open(zip.get());
         std::array<char, 1 << 16> piece;
-        for (zip_int64_t n; (n = zip_source_read(zip.get(), piece.data(), piece.size())) > 0;)
-            file.write(piece.data(), std::size_t(n));
+        zip_int64_t n = zip_source_open(zip.get());
+        if (n == 0)
+            while ((n = zip_source_read(zip.get(), piece.data(), piece.size())) > 0)
+                file.write(piece.data(), std::size_t(n));
+        if (n < 0) fail("{}", zip_error_strerror(zip_source_error(zip.get())));
         file.close();
     });
 }

@@ -304,7 +304,8 @@ std::vector<double> speeds_mps(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     std::vector<double> speeds;
     for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
-        while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedWindow_s) ++i;
+        // i becomes the latest pose before j that is at least kSpeedWindow_s older.
+        while (i + 1 < j && track.time_s[j] - track.time_s[i + 1] >= kSpeedWindow_s) ++i;
         const double seconds = track.time_s[j] - track.time_s[i];
         if (seconds >= kSpeedWindow_s)
             speeds.push_back(glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);

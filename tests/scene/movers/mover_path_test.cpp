@@ -7,6 +7,7 @@
 #include <relidar/base/math.hpp>
 
 #include "base/random.hpp"
+#include "scene/movers/mover_boxes.hpp"
 #include "scene/movers/mover_path.hpp"
 
 namespace relidar {
@@ -29,6 +30,19 @@ TEST(MoverPath, KeepsConstantAcceleration) {
         const double later = times[k] + 0.05;
         const glm::dvec3 truth(20.0 - 3.0 * later + 0.8 * later * later, 5.0 * later, 0.1 * later);
         EXPECT_LT(glm::distance(path[k].position_after(0.05), truth), 0.02);
+    }
+}
+
+TEST(MoverPath, SpeedsNeedNoShortTimeSteps) {
+    for (const double step_s : {0.1, 0.5, 2.0}) {
+        BoxTrack box;
+        for (int k = 0; k < 30; ++k) {
+            box.world_from_box.time_s.push_back(step_s * k);
+            box.world_from_box.pose.push_back({{}, {3.0 * step_s * k, 0.0, 0.0}});
+        }
+        const std::vector<double> speeds = speeds_mps(box);
+        EXPECT_GE(speeds.size(), 25u) << step_s;
+        for (const double speed : speeds) EXPECT_NEAR(speed, 3.0, 1e-9) << step_s;
     }
 }
 
