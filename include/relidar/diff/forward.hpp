@@ -174,8 +174,8 @@ public:
     /// @return index of the model
     /// @throws DataError if the scenes have different primitives, or if only `added` has
     /// gaits
-    /// @throws OutOfDeviceMemory if memory is exhausted. The model may then be in the scene
-    /// without an instance, and the next update() builds all trees again.
+    /// @throws OutOfDeviceMemory if memory is exhausted. The model may then be in the
+    /// scene without an instance, and the next update() builds all trees again.
     std::uint32_t append_model(const Scene& added);
     /// Adds an instance, which is absent until update() or record_poses() places it.
     /// Waits for the GPU.
