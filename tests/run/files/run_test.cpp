@@ -256,12 +256,12 @@ TEST_F(RunFolder, ClassesRoundTripExactly) {
     save_run(run);
     EXPECT_EQ(load_run(run.folder).classes, run.classes);
     const std::vector<std::int32_t> grid_indices(6);
-    const std::vector<std::uint16_t> classes{1, 16};
+    const std::vector<std::uint16_t> classes{1, 17};
     write_safetensors(
         file,
         {make_array("place", {2, 3}, grid_indices.data(), 6), make_array("class", {2, 1}, classes.data(), 2)},
         {{"format", "relidar classes"}, {"version", "1"}, {"cell_m", "0.1"}});
-    EXPECT_THAT(load_error(), test::Names("classes.safetensors ... cell 1 ... 16 ... 0 ... 15"));
+    EXPECT_THAT(load_error(), test::Names("classes.safetensors ... cell 1 ... 17 ... 0 ... 16"));
     run.classes.clear();
     save_run(run);
     EXPECT_FALSE(std::filesystem::exists(file));

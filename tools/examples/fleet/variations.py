@@ -4,8 +4,9 @@
   tools/examples/fleet/variations.py run --out set --scenes 40 --sensor VLP-16 --layout kitti
 
 Each scene removes, delays and copies actors, draws a weather and shifts the sensor. What was
-drawn depends only on the seed and the scene; set/scenes.csv lists it. Unknown options go to
-`relidar render`. The same command continues an interrupted data set.
+drawn depends only on the seed and the scene; set/scenes.csv lists it. A copy without ground below
+it is left out, and set/done/SCENE names it. Unknown options go to `relidar render`. The same
+command continues an interrupted data set.
 """
 import argparse
 import csv
@@ -59,21 +60,41 @@ def draw_scene(scene, actors, path):
             "copy": " ".join(copies), "weather": draw_weather(generator), "offset": ",".join(f"{v:.3f}" for v in offset)}
 
 
+def edit_run(row, edited):
+    """Edits the run. A copy that has no ground below it is left out. Returns these copies."""
+    copies, left_out = row["copy"].split(), []
+    while True:
+        # A copy comes before the removal of its model.
+        edits = [("--copy", copies), ("--retime", row["retime"].split()), ("--remove", row["remove"].split())]
+        words = [word for option, values in edits for value in values for word in (option, value)]
+        if not words:
+            return left_out
+        done = subprocess.run([options.relidar, "edit", options.run, "--out", edited, *words, "--force", "--quiet"],
+                              stderr=subprocess.PIPE, text=True)
+        failed = [copy for copy in copies if f"--copy {copy}" in done.stderr] if done.returncode else []
+        print(done.stderr, end="", file=sys.stderr)
+        if done.returncode and not failed:
+            sys.exit(done.returncode)
+        if not failed:
+            return left_out
+        copies.remove(failed[0])
+        left_out.append(failed[0])
+
+
 def render_scene(row, out):
-    """Edits the run and renders the scene. A half-written scene of an earlier call is replaced."""
+    """Edits the run and renders the scene. A half-written scene of an earlier call is replaced.
+    Returns the copies that are left out."""
     edited = out / "edited"
-    # A copy comes before the removal of its model.
-    words = [w for edit in ("copy", "retime", "remove") for value in row[edit].split() for w in (f"--{edit}", value)]
-    run = options.run
-    if words:
-        call("edit", options.run, "--out", edited, *words, "--force", "--quiet")
-        run = edited
+    shutil.rmtree(edited, ignore_errors=True)   # of an interrupted scene
+    left_out = edit_run(row, edited)
     weather = ["--weather", row["weather"]] if row["weather"] else []
     # With --layout, all scenes are sequences of one data set.
     folder = out / ("data" if "--layout" in render_options else f"{row['scene']:04d}")
-    call("render", run, "--out", folder, "--sensor", options.sensor, "--frames", options.frames,
-         "--sample", row["seed"], f"--offset={row['offset']}", *weather, "--boxes", "--force", "--quiet", *render_options)
+    call("render", edited if edited.exists() else options.run, "--out", folder, "--sensor", options.sensor,
+         "--frames", options.frames, "--sample", row["seed"], f"--offset={row['offset']}", *weather, "--boxes", "--force",
+         "--quiet", *render_options)
     shutil.rmtree(edited, ignore_errors=True)
+    return left_out
 
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -110,7 +131,7 @@ done = options.out / "done"
 done.mkdir(exist_ok=True)
 left, begin_s = [row for row in rows if not (done / f"{row['scene']:04d}").exists()], time.monotonic()
 for count, row in enumerate(left, 1):
-    render_scene(row, options.out)
-    (done / f"{row['scene']:04d}").touch()
+    left_out = render_scene(row, options.out)
+    (done / f"{row['scene']:04d}").write_text("".join(f"left out: {copy}\n" for copy in left_out))
     spent_s = time.monotonic() - begin_s
     print(f"scene {row['scene'] + 1} of {len(rows)}, {spent_s:.0f} s, {spent_s / count * (len(left) - count):.0f} s left", flush=True)
