@@ -157,7 +157,7 @@ variations() {
     vary --out ../set
     check "variations.py: exit code $?, expected 0" test $? = 0
     check "variations.py renders other scans than two of each scene" \
-        test "$(find "$made" -path '*training/velodyne/*.bin' | wc -l)" = 4
+        test "$(find "$made/training/velodyne" -name '*.bin' | wc -l)" = 4
     (cd "$made" && find . -name '*.bin' -exec sha256sum {} +) | sort >../first
     vary --out ../set
     check "variations.py renders a complete data set again" test ! -s ../out
