@@ -148,6 +148,9 @@ class Torch(TestCase):
             values, gradients = case.expected(rays=rays)
             self.check_equal(out, values)
             self.check_backward(case, out, gradients)
+        out = case.render()
+        self.assert_fails(relidar.DataError, "present", case.render, rays=case.tensor[:17].flip(0), present=[True])
+        self.check_backward(case, out, case.expected()[1])   # a failed call has changed the rays
 
     def test_two_scenes_and_changes_in_place(self):
         first, second = TorchCase(), TorchCase()
@@ -162,8 +165,12 @@ class Torch(TestCase):
         self.check_equal(out, first.expected(moved)[0])
         self.check_equal(second.render(), second.expected()[0])
         first.render(means=torch.zeros(32, 3), scales=torch.ones(32, 2))   # only in this call
-        self.assert_same(first.scene.surfels()["mean"], moved["mean"])
+        self.assert_same(first.scene.means.detach().numpy(), moved["mean"])
         self.check_backward(first, out, first.expected(moved)[1])
+        first.scene.means = torch.nn.Parameter(torch.from_numpy(moved["mean"] + np.float32(0.1)))
+        self.check_equal(first.render(), first.expected(first.scene.surfels())[0])
+        first.scene.means = torch.nn.Parameter(torch.from_numpy(moved["mean"]))
+        self.check_equal(first.render(), first.expected(moved)[0])
         out = first.render()
         with torch.no_grad():
             first.scene.means += 0.1
@@ -208,6 +215,7 @@ class Torch(TestCase):
             for axes in ([1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1]):
                 self.check_step(f"poses {axes}", lambda m: loss(poses=relidar.torch.move(poses, m * rows * torch.tensor(axes))),
                                 torch.zeros(len(poses), 6, dtype=torch.float64))
+            self.check_step("factor", lambda x: loss(means=scene.means * x), torch.tensor([1.01, 0.99, 1.0]))
             for name in "means", "quats", "scales", "opacities", "features":
                 self.check_step(name, lambda x: loss(**{name: x}), getattr(scene, name))
 
@@ -272,8 +280,15 @@ class Torch(TestCase):
         self.assert_fails(relidar.DataError, "rays: found float64 [40, 6]", render, scene, rays.double())
         self.assert_fails(relidar.DataError, "rays: found float32 [6, 40]", render, scene, rays.T)
         self.assert_fails(relidar.DataError, "origins: found float32 [40, 6]", render, scene, (rays, rays))
+        self.assert_fails(relidar.DataError, "a tuple of 3", render, scene, (rays[:, :3], rays[:, 3:], rays[:, :1]))
+        self.assert_fails(relidar.DataError, "directions: found float32 [3, 3]", render, scene, (rays[:, :3], rays[:3, 3:]))
         self.assert_fails(relidar.DataError, "poses: found float64 [1, 4, 4]", render, scene, rays, poses=np.eye(4)[None])
         self.assert_fails(relidar.DataError, "sensor: found", render, scene, rays, sensor=torch.zeros(3))
+        self.assert_fails(relidar.DataError, "sensor: found", render, scene, rays, sensor=2 * torch.eye(4))
+        self.assert_fails(relidar.DataError, "NoneType", render, scene, None)
+        opaque = torch.ones(32, requires_grad=True)
+        render(scene, rays, opacities=opaque)["intensity"].sum().backward()
+        self.assertTrue(torch.isfinite(opaque.grad).all())
         self.assert_fails(relidar.DataError, "rays: found float32 [40, 6] on meta", render, scene, rays.to("meta"))
         self.assert_fails(relidar.DataError, "scales: found float32 [3, 2]", render, scene, rays, scales=torch.ones(3, 2))
         self.assert_fails(relidar.DataError, "found 2 sensors", render, scene, [rays], sensor=torch.zeros(2, 4, 4))
@@ -291,6 +306,9 @@ class Torch(TestCase):
         actual = case.renderer.backward({name: torch.from_numpy(array) for name, array in case.upstream.items()})
         self.assert_same(rendered["depth"], values["depth"])
         self.assert_same(actual["sh"], gradients["sh"])
+        pose, rays = run().trajectory[1][2], {name: array for name, array in run().rays().items() if name != "ring"}
+        tensors = {name: torch.from_numpy(array) for name, array in rays.items()}
+        self.assert_same(run().render(tensors, time=0, pose=torch.from_numpy(pose))["range"], run().render(rays, time=0, pose=pose)["range"])
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
                             found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> model_poses = to_poses(to_numpy(poses), "poses");
+        const std::vector<Pose> model_poses = to_poses(poses, "poses");
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }

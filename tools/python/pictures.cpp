@@ -22,7 +22,7 @@ py::object required_entry(const py::dict& scan_dict, const char* entry_name) {
 /// Converts a scan dict from Python to a rendered scan. The dict of a measured scan has
 /// no drop_prob, so a ray with range 0 counts as a ray without return.
 RenderedScan to_rendered_scan(const py::dict& scan_dict) {
-    const py::object range = required_entry(scan_dict, "range");
+    const py::object range = to_numpy(required_entry(scan_dict, "range"));
     check_array(range, "scan: range", py::dtype::of<float>(), {kAnyLength, kAnyLength});
     const auto array = py::reinterpret_borrow<py::array>(range);
     const NumpyShape shape{array.shape(0), array.shape(1)};

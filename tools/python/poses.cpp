@@ -54,11 +54,13 @@ void write_pose(const Pose& pose, double* output) {
 }  // namespace
 
 Pose to_pose(const py::handle& matrix, const std::string& where) {
-    return read_pose(array_values<double>(matrix, where, {4, 4}).data(), where);
+    const py::object array = to_numpy(matrix);
+    return read_pose(array_values<double>(array, where, {4, 4}).data(), where);
 }
 
 std::vector<Pose> to_poses(const py::handle& matrices, const std::string& where) {
-    const std::span<const double> numbers = array_values<double>(matrices, where, {kAnyLength, 4, 4});
+    const py::object array = to_numpy(matrices);
+    const std::span<const double> numbers = array_values<double>(array, where, {kAnyLength, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
         poses.push_back(read_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", where, i)));

@@ -39,7 +39,7 @@ RayTable read_rays(const py::dict& dict) {
         throw DataError(
             "sensor: the dict has no entry \"directions\", expected a dict of arrays with the names that "
             "relidar.rays() returns");
-    const py::object directions = dict["directions"];
+    const py::object directions = to_numpy(dict["directions"]);
     check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAnyLength, kAnyLength, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
     const NumpyShape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};

@@ -5,6 +5,7 @@ The parameters of a Scene are tensors in the memory of the renderer, so that opt
 place. Nothing is copied through the host if relidar and PyTorch use the same device. Otherwise tensors
 are copies on the host. docs/python.md is the guide.
 """
+import contextlib
 import warnings
 
 import numpy as np
@@ -26,7 +27,7 @@ _OTHER = ("transmittance", "median_depth", "hits", "instance")
 _STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opacity_logits": "opacity_logit",
            "features": "sh", "log_scales_w": "log_scale_w", "gait": "gait"}
 # Name of an argument of render() -> the parameter that it replaces, and how.
-_ACTIVATED = {"scales": ("log_scales", torch.log), "opacities": ("opacity_logits", torch.logit)}
+_ACTIVATED = {"scales": ("log_scales", torch.log), "opacities": ("opacity_logits", lambda o: torch.logit(o, 1e-6))}
 _UNKNOWN_TIME = 3e38
 
 
@@ -34,6 +35,8 @@ def _tensor(values):
     """Returns a tensor of the same memory as an array or an object with __dlpack__."""
     if torch.is_tensor(values):
         return values
+    if not hasattr(values, "__dlpack__"):
+        raise relidar.DataError(f"found an object of type {type(values).__name__}, expected a tensor")
     return torch.from_numpy(values) if isinstance(values, np.ndarray) else torch.from_dlpack(values)
 
 
@@ -135,12 +138,12 @@ class Scene:
         self._n_instances, self._computes = len(scene.instances), {"poses": poses, "rays": rays}
         arrays = self.renderer.device_parameters()
         self._arrays = {name: arrays[stored] for name, stored in _STORED.items() if stored in arrays}
-        for name, array in self._arrays.items():
-            setattr(self, name, _read(array).requires_grad_())
+        self._memory = {name: _read(array) for name, array in self._arrays.items()}
+        for name, memory in self._memory.items():
+            setattr(self, name, memory.data.requires_grad_())
         if not _is_shared(arrays["mean"]):
             warnings.warn(f"tensors of {self.renderer.device.info.name} are copies through the host, because PyTorch cannot use its memory")
         self._n_renders = 0
-        self._kept = {}   # parameters that a call of render() has replaced
 
     @classmethod
     def from_run(cls, run, **options):
@@ -169,45 +172,55 @@ class Scene:
 
     def surfels(self):
         """Returns a copy of the parameters as numpy arrays for relidar.Scene and Run.with_surfels()."""
-        return {_STORED[name]: self._kept.get(name, values).detach().cpu().numpy().copy() for name, values in self.named_parameters().items()}
+        return {_STORED[name]: values.detach().cpu().numpy().copy() for name, values in self.named_parameters().items()}
+
+    @contextlib.contextmanager
+    def _replace(self, values):
+        """Replaces the parameters in the memory of the renderer for a while."""
+        kept = {}
+        for (name, memory), value in zip(self._memory.items(), values):
+            if value.data_ptr() != memory.data_ptr() or value.stride() != memory.stride():
+                kept[name] = memory.clone()
+                memory.copy_(value)
+        try:
+            yield
+        finally:
+            for name, own in kept.items():
+                self._memory[name].copy_(own)
 
     def _render(self, request, rays, sensor, poses, values):
         """Renders a batch and returns copies of the rendered values."""
-        for name, array, value in zip(self._arrays, self._arrays.values(), values):
-            own = getattr(self, name).data
-            if value.data_ptr() != own.data_ptr():
-                self._kept.setdefault(name, own.clone())
-                own.copy_(value)
-            elif name in self._kept:
-                own.copy_(self._kept.pop(name))
-            if not _is_shared(array):
-                _write(array, own)
+        self._n_renders += 1   # first, because an error also leaves other rays
         origins, directions, time = rays[:, :3], rays[:, 3:6], rays[:, 6:]
         if sensor is not None:
             turn, shift = sensor[:3, :3].to(rays), sensor[:3, 3].to(rays)
             origins, directions = origins @ turn.T + shift, directions @ turn.T
         if time.shape[1] == 0:
             time = torch.full_like(rays[:, :1], _UNKNOWN_TIME)
-        _write(self.renderer.device_rays(len(rays)), torch.cat([origins, directions, time], 1))
         view = request.view_origin(rays, sensor)
-        if request.frame:
-            self.renderer.place_frame(request.frame.run, request.frame.position, view)
-        else:
-            placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
-            self.renderer.place(placed, view, request.present or [True] * self._n_instances)
-        rendered = self.renderer.forward_device(len(rays), request.columns)
+        with self._replace(values):
+            for array, memory in zip(self._arrays.values(), self._memory.values()):
+                if not _is_shared(array):
+                    _write(array, memory)
+            _write(self.renderer.device_rays(len(rays)), torch.cat([origins, directions, time], 1))
+            if request.frame:
+                self.renderer.place_frame(request.frame.run, request.frame.position, view)
+            else:
+                placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
+                self.renderer.place(placed, view, request.present)
+            rendered = self.renderer.forward_device(len(rays), request.columns)
         self._d_rendered = rendered["d_rendered"]
-        self._n_renders += 1
         return tuple(_read(rendered[name]).clone() for name in _BLENDED + _OTHER)
 
-    def _backpropagate(self, d_rendered):
+    def _backpropagate(self, values, d_rendered):
         """Returns DeviceArrays of the gradients of the last batch."""
         upstream = torch.zeros(self._d_rendered.shape, dtype=torch.float32, device=self.device)
         for column, gradient in zip(upstream.unbind(1), d_rendered):
             if gradient is not None:
                 column.copy_(gradient)
-        _write(self._d_rendered, upstream)
-        return self.renderer.backward_device()
+        with self._replace(values):
+            _write(self._d_rendered, upstream)
+            return self.renderer.backward_device()
 
 
 class _Request:
@@ -221,6 +234,8 @@ class _Request:
         if sensor is None:
             return self.frame.view_origin if self.frame else rays[:, :3].mean(0).double().cpu().numpy()
         pose = sensor.double().cpu().numpy()
+        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4) or list(pose[3]) != [0, 0, 0, 1]:
+            raise relidar.DataError("sensor: found a matrix that is not rigid, expected a rotation and a translation, with the last row 0 0 0 1")
         return pose[:3, 3] + (pose[:3, :3] @ self.frame.view_origin if self.frame else 0.0)
 
 
@@ -245,7 +260,7 @@ class _Render(torch.autograd.Function):
         if scene._n_renders != ctx.number:   # another batch was rendered since
             scene._render(ctx.request, rays, sensor, poses, values)
             ctx.number = scene._n_renders
-        arrays = scene._backpropagate(d_rendered)
+        arrays = scene._backpropagate(values, d_rendered)
         d_rays = d_sensor = d_poses = None
         if needs_rays:
             d_rays = torch.zeros_like(rays)
@@ -291,8 +306,7 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **p
     present: one bool for each instance. None: all are present
     columns: number of columns if the rays are an image in row order, which is faster on a GPU
     parameters: tensors that replace those of the scene in this call: means, quats, features, scales and
-        opacities, or log_scales and opacity_logits. Gradients flow to these tensors. The tensor of
-        the scene has these values until the next call without it, so do not change it before
+        opacities, or log_scales and opacity_logits. Gradients flow to these tensors
 
     Returns a dict of [n] tensors: range and median_range (metres, 0: no hit), intensity, drop_logits (the
     sigmoid is the drop probability), and the values of relidar.DifferentiableRenderer.forward(). For a list
@@ -312,15 +326,20 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **p
             raise relidar.UsageError("render: found poses or present with a Frame, which has its own poses")
         rays, columns = frame.rays, frame.shape[1]
     elif isinstance(rays, tuple):
-        rays = torch.cat([_check(name, part, (-1, 3), device=scene.device) for name, part in zip(("origins", "directions"), rays)], 1)
+        if len(rays) != 2:
+            raise relidar.DataError(f"rays: found a tuple of {len(rays)} values, expected origins and directions")
+        origins = _check("origins", rays[0], (-1, 3), device=scene.device)
+        rays = torch.cat([origins, _check("directions", rays[1], (len(origins), 3), device=scene.device)], 1)
     rays = _tensor(rays)
-    rays = _check("rays", rays, (-1, 7 if rays.shape[-1] == 7 else 6), device=scene.device)
+    rays = _check("rays", rays, (-1, 7 if rays.shape[-1:] == (7,) else 6), device=scene.device)
     doubles = (torch.float32, torch.float64)
     sensor = None if sensor is None else _check("sensor", sensor, (4, 4), doubles)
     poses = None if poses is None else _check("poses", poses, (scene._n_instances, 4, 4), doubles)
     for name, tensor, option in (("rays", rays, "rays"), ("sensor", sensor, "poses"), ("poses", poses, "poses")):
         _check_gradient(scene, name, tensor, option)
-    values = _Render.apply(scene, _Request(frame, present, columns), rays, sensor, poses, *_replace_parameters(scene, parameters))
+    present = [True] * scene._n_instances if present is None else [bool(one) for one in present]
+    request, values = _Request(frame, present, columns), _replace_parameters(scene, parameters)
+    values = _Render.apply(scene, request, rays, sensor, poses, *values)
     out = dict(zip(_BLENDED + _OTHER, values))
     hit = out["weight"] > 0
     out["range"] = torch.where(hit, out["depth"] / torch.where(hit, out["weight"], 1.0), 0.0)
