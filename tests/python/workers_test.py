@@ -6,6 +6,7 @@ import pickle
 import shutil
 import signal
 import unittest
+from unittest import mock
 
 import numpy as np
 
@@ -126,6 +127,7 @@ class Spawn(TestCase):
         self.assert_same(scan["instance"] == names.index("copy"), moved["instance"] == names.index(track))
         self.assert_same(loaded.render(time=time)["range"], before["range"])
         self.assert_fails(relidar.UsageError, "copy", loaded.spawn, track, "copy")
+        self.assertRaises(TypeError, loaded.spawn, None, "nothing")
         loaded.despawn("copy")
         self.assert_fails(relidar.UsageError, "copy", loaded.render, time=time, actors={"copy": pose})
         alone = loaded.edit().keep("actors")
@@ -157,6 +159,19 @@ class Dataset(TestCase):
             self.assertTrue((item["classes"] >= 0).all())
         self.assertGreater(n_inside, 20)
 
+    def test_a_standing_object_has_the_points_in_its_box(self):
+        scan = run().render(time=run().times[3], deskew=True, boxes=True)
+        wall = np.flatnonzero(((scan["instance"] == 0) & (scan["points"][..., 2] > -1) & (scan["drop_prob"] < 0.5)).ravel())[0]
+        centre = scan["pose"] @ np.append(scan["points"].reshape(-1, 3)[wall], 1)
+        parked = {"track": "parked", "category": "Car", "is_static": 1, "size_m": [2.0, 2.0, 2.0], "pose": relidar.pose(*centre[:3], 30), "points": 9}
+        scan["boxes"] = {name: np.concatenate([scan["boxes"][name], np.array([value])]) for name, value in parked.items()}
+        item = ScanDataset(mock.Mock(times=run().times, categories={}, render=lambda *_, **__: scan), classes=["Car"])[3]
+        last = len(item["boxes"]) - 1
+        self.assertEqual(item["classes"][last], 0)
+        distance = np.abs(item["points"][item["instance"] == last, :3].numpy() - item["boxes"][last, :3].numpy()).max(1)
+        self.assertGreater(len(distance), 0)
+        self.assertLess(distance.max(), 1.6)
+
     def test_items_are_scans_of_the_edited_run(self):
         moved = run().edit().move(self.track, relidar.pose(0, 1, 0)).run()
         scan = moved.render("VLP-16:180x10", time=run().times[3], sample=7, deskew=True)
@@ -164,6 +179,9 @@ class Dataset(TestCase):
         self.assert_same(self.data[4]["points"][:, :3].numpy(), scan["points"][returned])
         with self.assertRaises(IndexError):
             self.data[len(self.data)]
+        self.assert_fails(relidar.UsageError, "poses", ScanDataset, run(), poses=run().trajectory)
+        self.assert_fails(relidar.UsageError, "remove", ScanDataset, run(), edits=[("remove", self.track)])
+        self.assertEqual(len(list(ScanDataset(run()).loader(batch_size=None))), len(run().times))
 
     def test_workers_return_the_same(self):
         batches = list(self.data.loader(batch_size=2, num_workers=2))

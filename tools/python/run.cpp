@@ -9,6 +9,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include <relidar/diff/rays.h>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/device_points.hpp>
 #include <relidar/train/train.hpp>
@@ -391,7 +392,7 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
              "    0: dropped; intensity; weight, 0: ignored), view_origin [3] float64 (of the sensor), shape "
              "(rows, "
              "columns).")
-        .def("spawn", &spawn_actor, py::arg("actor"), py::arg("name"),
+        .def("spawn", &spawn_actor, py::arg("actor").none(false), py::arg("name"),
              "Adds an actor to the scene of the following scans, without loading the scene again. Only "
              "scans that name it in `actors` show it.\n\n"
              "actor: a track of this run, a spawned actor, or another run with a single actor, for example "
@@ -442,10 +443,10 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
                 std::map<std::string, std::string> categories;
                 for (const ModelInstance& instance : run.run.scene.instances)
                     if (const BoxTrack* box = find_box(run.run.sequence, instance.track))
-                        categories[box->id] = box->category;
+                        categories[box->id] = label_of(*box);
                 return categories;
             },
-            "Class names of the actors in the dataset of the log: dict of track -> name.")
+            "Class names of the actors, as in the boxes of render(): dict of track -> name.")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {

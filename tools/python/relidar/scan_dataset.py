@@ -3,6 +3,9 @@
 only when a scan is made."""
 import numpy as np
 
+import relidar
+
+_GROUND_M, _MARGIN_M = 0.15, 0.1   # a box begins above the ground, and ends this far outside of it
 _MAX_EDITED_RUNS = 4   # edited runs that a process keeps on its device
 
 
@@ -31,7 +34,12 @@ class ScanDataset:
     def __init__(self, run, sensor=None, poses=None, edits=((),), *, classes=None, sample=None, min_points=1, **render):
         self.run, self.sensor, self.render = run, sensor, render
         self.poses = list(poses) if poses is not None else [(time, None) for time in run.times]
+        if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in self.poses):
+            raise relidar.UsageError("poses: expected a list of pairs (time, pose), for example list(zip(*run.trajectory))")
         self.edits = [list(edit) for edit in edits]
+        for call in (call for edit in self.edits for call in edit):
+            if isinstance(call, str) or not hasattr(relidar.Edit, str(call[0])):
+                raise relidar.UsageError(f"edits: found {call!r}, expected lists of calls of relidar.Edit, for example [(\"remove\", \"0\")]")
         self.classes = list(classes) if classes is not None else sorted(set(run.categories.values()))
         self.sample, self.min_points = sample, min_points
         self._edited = {}
@@ -74,13 +82,21 @@ class ScanDataset:
         boxes = np.concatenate([in_sensor[:, :3, 3], labels["size_m"][kept], yaw[:, None]], axis=1)
         names = [str(name) for name in scan["instance_names"]]
         row_of = np.full(len(names) + 1, -1, np.int64)   # the last entry is for rays without a hit
-        for row, track in enumerate(labels["track"][kept]):
-            row_of[names.index(str(track))] = row
+        instance = scan["instance"][returned]
+        is_static = labels["is_static"][kept] == 1
+        for row in np.flatnonzero(~is_static):
+            row_of[names.index(str(labels["track"][kept][row]))] = row
+        row_of_point = row_of[instance]
+        for row in np.flatnonzero(is_static):   # part of the background
+            in_box = (points[:, :3] - in_sensor[row, :3, 3]) @ in_sensor[row, :3, :3]
+            half = labels["size_m"][kept][row] / 2
+            inside = np.all((in_box >= [*(-half[:2] - _MARGIN_M), _GROUND_M - half[2]]) & (in_box <= half + _MARGIN_M), axis=1)
+            row_of_point[inside & (instance == 0)] = row
         number_of = {name: number for number, name in enumerate(self.classes)}
         classes = [number_of.get(str(name), -1) for name in labels["category"][kept]]
         return {
             "points": torch.from_numpy(np.ascontiguousarray(points, np.float32)),
-            "instance": torch.from_numpy(row_of[scan["instance"][returned]]),
+            "instance": torch.from_numpy(row_of_point),
             "boxes": torch.from_numpy(boxes.astype(np.float32)),
             "classes": torch.tensor(classes, dtype=torch.int64),
             "time": torch.tensor(float(time), dtype=torch.float64),
@@ -98,7 +114,8 @@ class ScanDataset:
         options: further arguments of torch.utils.data.DataLoader"""
         from torch.utils.data import DataLoader
 
-        options.setdefault("collate_fn", self.collate)
+        if batch_size is not None:
+            options.setdefault("collate_fn", self.collate)
         if num_workers > 0:
             options.setdefault("multiprocessing_context", "spawn")
             options.setdefault("persistent_workers", True)
