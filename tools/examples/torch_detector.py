@@ -45,8 +45,9 @@ def main(run_folder, n_edits="60", n_epochs="20"):
     """Returns the loss of each step, and recall and precision of centres in held-out edits, within 1 m."""
     run, rng, losses, matches = relidar.Run.load(run_folder), random.Random(1), [], []
     edits, frames = [draw_edit(run, rng) for _ in range(int(n_edits))], [(time, None) for time in run.times[::4]]
+    n_held_out = max(1, len(edits) // 6)
     held_out, trained = (relidar.torch.ScanDataset(run, None, frames, part, sample=1, min_points=10)
-                         for part in (edits[: len(edits) // 6], edits[len(edits) // 6:]))
+                         for part in (edits[:n_held_out], edits[n_held_out:]))
     images, targets = (torch.stack(part) for part in zip(*map(encode_scan, trained)))
     layers = []
     for n, reach in ((10, 1), (16, 1), (16, 2), (16, 4), (16, 1)):
