@@ -234,7 +234,7 @@ class _Request:
         if sensor is None:
             return self.frame.view_origin if self.frame else rays[:, :3].mean(0).double().cpu().numpy()
         pose = sensor.double().cpu().numpy()
-        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4) or list(pose[3]) != [0, 0, 0, 1]:
+        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4) or not np.allclose(pose[3], [0, 0, 0, 1]):
             raise relidar.DataError("sensor: found a matrix that is not rigid, expected a rotation and a translation, with the last row 0 0 0 1")
         return pose[:3, 3] + (pose[:3, :3] @ self.frame.view_origin if self.frame else 0.0)
 
