@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """relidar.torch and DeviceArray. Values and gradients equal those of DifferentiableRenderer to the bit.
 Gradients of what PyTorch computes around it are compared with differences of the loss."""
+import concurrent.futures
 import gc
 import importlib.util
 import subprocess
@@ -151,6 +152,14 @@ class Torch(TestCase):
         out = case.render()
         self.assert_fails(relidar.DataError, "present", case.render, rays=case.tensor[:17].flip(0), present=[True])
         self.check_backward(case, out, case.expected()[1])   # a failed call has changed the rays
+
+    def test_threads_share_a_scene(self):
+        case = TorchCase()
+        batches = [case.tensor, case.tensor.flip(0)[:17]]
+        expected = [case.render(rays)["depth"] for rays in batches]
+        with concurrent.futures.ThreadPoolExecutor(2) as pool:
+            for i, out in enumerate(pool.map(case.render, batches * 20)):
+                self.assertTrue(torch.equal(out["depth"], expected[i % 2]))
 
     def test_two_scenes_and_changes_in_place(self):
         first, second = TorchCase(), TorchCase()

@@ -6,6 +6,7 @@ place. Nothing is copied through the host if relidar and PyTorch use the same de
 are copies on the host. docs/python.md is the guide.
 """
 import contextlib
+import threading
 import warnings
 
 import numpy as np
@@ -144,6 +145,7 @@ class Scene:
         if not _is_shared(arrays["mean"]):
             warnings.warn(f"tensors of {self.renderer.device.info.name} are copies through the host, because PyTorch cannot use its memory")
         self._n_renders = 0
+        self._lock = threading.Lock()   # a batch needs several calls of the renderer
 
     @classmethod
     def from_run(cls, run, **options):
@@ -247,14 +249,20 @@ class _Render(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.scene, ctx.request = scene, request
         ctx.save_for_backward(rays, sensor, poses, *values)
-        rendered = scene._render(request, rays, sensor, poses, values)
-        ctx.number = scene._n_renders
+        with scene._lock:
+            rendered = scene._render(request, rays, sensor, poses, values)
+            ctx.number = scene._n_renders
         ctx.mark_non_differentiable(*rendered[len(_BLENDED):])
         return rendered
 
     @staticmethod
     @once_differentiable
     def backward(ctx, *d_rendered):
+        with ctx.scene._lock:
+            return _Render._differentiate(ctx, d_rendered)
+
+    @staticmethod
+    def _differentiate(ctx, d_rendered):
         rays, sensor, poses, *values = ctx.saved_tensors
         scene, (needs_rays, needs_sensor, needs_poses) = ctx.scene, ctx.needs_input_grad[2:5]
         if scene._n_renders != ctx.number:   # another batch was rendered since
