@@ -162,6 +162,7 @@ variations() {
     vary --out ../set
     check "variations.py renders a complete data set again" test ! -s ../out
     rm ../set/done/0001
+    mkdir ../set/edited && touch ../set/edited/half
     vary --out ../set
     (cd "$made" && find . -name '*.bin' -exec sha256sum {} +) | sort >../second
     check "a scene differs after an interruption" cmp -s ../first ../second

@@ -16,6 +16,7 @@ import os
 import pathlib
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -89,10 +90,11 @@ def render_scene(row, out):
     left_out = edit_run(row, edited)
     weather = ["--weather", row["weather"]] if row["weather"] else []
     # With --layout, all scenes are sequences of one data set.
-    folder = out / ("data" if "--layout" in render_options else f"{row['scene']:04d}")
+    layout = ["--layout", options.layout] if options.layout else []
+    folder = out / ("data" if layout else f"{row['scene']:04d}")
     call("render", edited if edited.exists() else options.run, "--out", folder, "--sensor", options.sensor,
-         "--frames", options.frames, "--sample", row["seed"], f"--offset={row['offset']}", *weather, "--boxes", "--force",
-         "--quiet", *render_options)
+         "--frames", options.frames, "--sample", row["seed"], f"--offset={row['offset']}", *weather, *layout, "--boxes",
+         "--force", "--quiet", *render_options)
     shutil.rmtree(edited, ignore_errors=True)
     return left_out
 
@@ -105,8 +107,12 @@ parser.add_argument("--scenes", type=int, default=10)
 parser.add_argument("--seed", type=int, default=1)
 parser.add_argument("--sensor", default="native")
 parser.add_argument("--frames", default="all")
+parser.add_argument("--layout")
 parser.add_argument("--relidar", default=shutil.which("relidar") or "relidar")
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends this program without a traceback
 options, render_options = parser.parse_known_args()
+if options.scenes < 1:
+    parser.error(f"--scenes: found {options.scenes}, expected at least 1")
 
 info = json.loads(call("info", options.run, "--json"))
 actors = [box["id"] for box in info["log"]["boxes"] if box["surfels"]]
@@ -120,7 +126,8 @@ table = options.out / "scenes.csv"
 if table.exists():
     earlier = list(csv.DictReader(table.open()))
     if earlier != [{k: str(v) for k, v in row.items()} for row in rows][:len(earlier)]:
-        sys.exit(f"variations.py: {table} has other scenes; found another run or seed, expected the same or a new --out")
+        sys.exit(f"variations.py: {table} has other scenes; found another run or seed, or fewer scenes, expected the same "
+                 "or a new --out")
 with open(f"{table}.part", "w", newline="") as file:
     writer = csv.DictWriter(file, rows[0].keys())
     writer.writeheader()
