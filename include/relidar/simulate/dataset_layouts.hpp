@@ -20,6 +20,9 @@ std::vector<std::string> list_layouts();
 struct DatasetSensor {
     ScanOutputOptions options;  ///< frame_id is the name of the sensor
     Pose rig_from_sensor;
+    /// Everything else that decides the rays, for example the text of the sensor's file.
+    /// Sequences that differ here are different sequences.
+    std::string description = {};
 };
 
 /// Checks a folder before long work starts.

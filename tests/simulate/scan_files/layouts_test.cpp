@@ -149,6 +149,11 @@ TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
     EXPECT_EQ(read_contents(folder / "training/label_2/000004.txt"), first);
     EXPECT_TRUE(std::filesystem::exists(folder / "tracking/training/velodyne/0001/000002.bin"));
     EXPECT_THROW(check_dataset_folder(folder / "training", "kitti"), UsageError) << "files of others";
+    { DatasetSequenceWriter interrupted(folder, "kitti", sensors, times_s, true); }
+    EXPECT_TRUE(std::filesystem::exists(folder / "tracking/training/velodyne/0000/000002.bin"));
+    for (DatasetSensor& sensor : sensors) sensor.description = "other rays";
+    write_sequence("kitti", 1);
+    EXPECT_TRUE(std::filesystem::exists(folder / "training/velodyne/000008.bin")) << "another path or sensor";
 }
 
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {

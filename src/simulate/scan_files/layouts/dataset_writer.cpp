@@ -67,10 +67,12 @@ std::string describe_pose(const Pose& pose) {
 /// Returns the settings of a sequence for users. Equal settings give equal data.
 Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
     const ScanOutputOptions& options = sensors.front().options;
-    std::string tracks, settings, mounted;
-    for (const DatasetSensor& sensor : sensors)
+    std::string tracks, settings, mounted, rays;
+    for (const DatasetSensor& sensor : sensors) {
+        rays += sensor.description;
         mounted += fmt::format("{}{} {} at {}", mounted.empty() ? "" : "; ", sensor.options.frame_id,
                                sensor.options.sensor, describe_pose(sensor.rig_from_sensor));
+    }
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) {
             tracks += box.id + box.category;
@@ -84,6 +86,7 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
             {"sensors (x,y,z w,x,y,z)", mounted},
             {"offset", describe_pose(options.offset)},
             {"trajectory", options.trajectory},
+            {"rays", make_token(rays)},
             {"only", options.only},
             {"seed", options.sample ? Json(*options.sample) : Json()},
             {"weather", format_weather(options.weather)},
@@ -211,13 +214,14 @@ DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string&
     const Json settings = describe_sequence(impl_->sensors, times_s);
     DatasetIndex::Sequence sequence{make_token(settings.dump()), int(times_s.size()), settings};
     // A new sequence follows after all others.
-    SequencePlace place{impl_->folder, index.sequences.size(), index.count_frames(), sequence.n_frames,
-                        sequence.key};
+    SequencePlace place{impl_->folder,     index.sequences.size(), index.count_frames(),
+                        sequence.n_frames, sequence.key,           true};
     // The same settings give the same key. Such a sequence is replaced in place.
     const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
     if (same == index.sequences.end()) {
         index.sequences.push_back(std::move(sequence));
     } else {
+        place.is_new = false;
         place.number = std::size_t(same - index.sequences.begin());
         if (!replace)
             fail<UsageError>(

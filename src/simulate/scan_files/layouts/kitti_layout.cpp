@@ -54,8 +54,17 @@ public:
             fail<UsageError>("--layout kitti: found frame {} and sequence {}, expected at most {} and {}",
                              place_.first_frame + place_.n_frames - 1, place_.number, kMaxFrames - 1,
                              kMaxSequences - 1);
+        if (!place_.is_new) return;
+        // Removes the frames of an interrupted sequence.
         std::error_code failed;
         fs::remove_all(tracked("velodyne"), failed);
+        const fs::path object = place_.folder / "training";
+        for (int frame = place_.first_frame;; ++frame) {
+            const std::string name = frame_name(frame);
+            fs::remove(object / "label_2" / (name + ".txt"), failed);
+            fs::remove(object / "calib" / (name + ".txt"), failed);
+            if (!fs::remove(object / "velodyne" / (name + ".bin"), failed)) break;
+        }
     }
 
     void write_frame(const LabelledFrame& frame) override {

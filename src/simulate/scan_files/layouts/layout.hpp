@@ -73,6 +73,9 @@ struct SequencePlace {
     std::size_t number;            ///< number of the sequence
     int first_frame, n_frames;     ///< first_frame counts the frames of all earlier sequences
     std::string key;               ///< DatasetIndex::Sequence::key
+    /// False if the sequence replaces one with the same frames. Its files are overwritten
+    /// one by one, so that an interruption leaves it complete.
+    bool is_new;
 };
 
 class LayoutWriter {

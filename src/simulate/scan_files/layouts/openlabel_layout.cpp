@@ -89,7 +89,7 @@ public:
         : LayoutWriter(std::move(place), sensors),
           folder_(place_.folder / "sequences" / fmt::format("{:02}", place_.number)) {
         std::error_code failed;
-        fs::remove_all(folder_, failed);
+        if (place_.is_new) fs::remove_all(folder_, failed);
     }
 
     void write_frame(const LabelledFrame& frame) override {
