@@ -82,7 +82,7 @@ if subprocess.run([RELIDAR, "list", "devices"], capture_output=True).returncode:
 run("train", "street", "--out", "run", "--preset", "quick", "--set", "train.refine_poses=none", "--set",
     "init.actor_min_points=10", "--set", "train.iterations=6", "--no-eval", "--quiet")
 sensors = {"front": "VLP-16", "rear": "VLP-16", "side": "XT32", "roof": "OS1-64:512x10",
-           "view": "OS1-64:512x10:60..-60", "narrow": "VLP-16:80..-80"}
+           "view": "OS1-64:512x10:60..-60", "narrow": "VLP-16:100..-100"}
 rig = {"sensors": [{"name": name, "sensor": sensor} for name, sensor in sensors.items()],
        "vehicle": {"length_m": 4.5, "width_m": 1.8, "height_m": 1.4, "rear_axle_to_front_m": 3.5,
                    "base_link_m": [-1.0, 0.0, -1.73], "points": "ego"}}
@@ -93,8 +93,10 @@ said = run("render", "run", "--out", "scans", "--trajectory", "path.csv", "--tim
 scans = WORK / "scans"
 ports = {"front": 2368, "rear": 2370, "side": 2368, "roof": 7502, "view": 7504, "narrow": 2372}
 bag = (scans / "rosbag.mcap").read_bytes()
+n_packets = {}
 for name, port in ports.items():
     packets = list(read_capture(scans / f"packets_{name}.pcap"))
+    n_packets[name] = len(packets)
     assert {found for _, found, _ in packets} == {port}, f"{name}: ports"
     listed = json.loads((scans / name / "scans.json").read_text())
     assert listed["time_shift_ns"] == 0, f"{name}: {listed['time_shift_ns']} ns later"
@@ -110,6 +112,7 @@ for name, port in ports.items():
     else:  # the time of a packet is that of the end of its last firing
         every = scan_times(scans / name, False)
         assert abs(packets[0][0] - every[0]) < 1e-3 and abs(packets[-1][0] - every[-1]) < 2e-3, name
+assert n_packets["narrow"] < 0.7 * n_packets["front"], f"packets outside the field of view: {n_packets}"
 
 # The street is level, and the sensor of the log is 1.73 m above the road.
 vehicle = json.loads((scans / "front/scans.json").read_text())["vehicle"]

@@ -192,8 +192,11 @@ struct PacketEncoder::Impl {
         } else if (last) {
             // Fills gaps at the end of a revolution, where a log can omit firings without
             // returns. A longer gap is a pause between scans and is not filled.
-            const std::int64_t max_missing_firings =
+            // Outside its field of view, a sensor does not fire.
+            std::int64_t max_missing_firings =
                 std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / firing_period_s());
+            if (sensor.azimuth_rad)
+                max_missing_firings = std::min<std::int64_t>(max_missing_firings, 3 * per_packet());
             if (position - last->position > max_missing_firings) {
                 finish_packets();
                 position = (packet + 1) * per_packet() + 1;
