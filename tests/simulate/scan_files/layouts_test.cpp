@@ -3,6 +3,7 @@
 // the labels against closed forms, labels of points, appended sequences, and the tables
 // of nuScenes with the reader of relidar. tests/tools/read_layouts.py reads all files.
 
+#include <fstream>
 #include <sstream>
 
 #include <gmock/gmock.h>
@@ -187,6 +188,8 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
             EXPECT_NEAR(point.z, 0.0, 2e-3) << "the ground is level";
         }
     }
+    std::ofstream(folder / "v1.0-trainval/sample.json") << "[{";
+    EXPECT_THROW(write_sequence("nuscenes", 3), DataError) << "a truncated table";
 }
 
 TEST_F(Layouts, PointsHaveTheClassAndNumberOfTheirObject) {

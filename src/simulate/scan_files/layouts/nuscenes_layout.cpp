@@ -237,6 +237,20 @@ private:
         all.push_back(std::move(record));
     }
 
+    /// Returns the records of earlier scenes. Empty if the table does not exist.
+    Json read_table(const std::string& table) const {
+        const fs::path path = place_.folder / kVersion / (table + ".json");
+        std::ifstream file(path);
+        if (!file) return Json::array();
+        const Json records = Json::parse(file, nullptr, false);
+        const auto is_record = [](const Json& record) {
+            return record.is_object() && record.contains("token") && record["token"].is_string();
+        };
+        if (!records.is_array() || !std::ranges::all_of(records, is_record))
+            fail("{}: found no list of records, expected a table of nuScenes", path.string());
+        return records;
+    }
+
     /// Writes a table with the records of all scenes.
     void write_table(const fs::path& folder, const std::string& table) {
         std::vector<Json> all;
@@ -244,10 +258,8 @@ private:
         const auto add = [&](const Json& record) {
             if (tokens.insert(record.at("token")).second) all.push_back(record);
         };
-        const fs::path known = place_.folder / kVersion / (table + ".json");
-        if (std::ifstream file(known); file)
-            for (const Json& record : Json::parse(file))
-                if (!record.at("token").get<std::string>().starts_with(scene_prefix_)) add(record);
+        for (const Json& record : read_table(table))
+            if (!record.at("token").get<std::string>().starts_with(scene_prefix_)) add(record);
         std::ranges::for_each(records_[table], add);
         if (table == "map") all = {make_map()};
         if (table == "scene")  // a replaced scene keeps its place
@@ -262,11 +274,8 @@ private:
         std::error_code failed;
         fs::create_directories(place_.folder / "maps", failed);
         write_png(place_.folder / file, Image{1, 1, {0, 0, 0}});
-        Json logs = Json::array();
-        const fs::path known = place_.folder / kVersion / "log.json";
         std::set<std::string> tokens{token("log")};
-        if (std::ifstream stream(known); stream)
-            for (const Json& log : Json::parse(stream)) tokens.insert(log.at("token"));
+        for (const Json& log : read_table("log")) tokens.insert(log.at("token"));
         return {{"token", shared("map", "")},
                 {"log_tokens", tokens},
                 {"category", "semantic_prior"},
