@@ -123,6 +123,18 @@ class Gradient(TestCase):
         for name, value in expected.items():
             np.testing.assert_allclose(rendered[name], [value], rtol=1e-5, err_msg=name)
 
+    def test_unused_harmonics_have_no_gradient(self):
+        """Memory of gradients that another renderer has used."""
+        for direction in "surfel", "ray":
+            case = Case(direction)
+            case.renderer = None
+            lower = relidar.DifferentiableRenderer(case.model, relidar.Config("paper", {"image.sh_direction": direction, "image.sh_degree": 1}))
+            lower.place(case.poses, case.view)
+            lower.forward(*case.rays)
+            gradient = lower.backward(case.upstream)["sh"]
+            self.assertTrue(gradient[:, :, :4].any())
+            self.assertFalse(gradient[:, :, 4:].any())
+
     def test_instances_may_be_absent(self):
         case = Case("ray")
         case.renderer.place(present=[True] + [False] * (len(case.poses) - 1))

@@ -69,6 +69,8 @@ struct DifferentiableRenderer::Impl {
         gradients.emplace(renderer.stream().device(), renderer.scene(), options.requested_gradients,
                           max_batch_rays(renderer));
         gradients->zero_untouched = options.zero_untouched;
+        // No kernel writes the coefficients above the degree of the model.
+        renderer.stream().fill(gradients->surfels.sh);
     }
 };
 
