@@ -2,8 +2,10 @@
 // Checks where an edit has placed actors: above the ground, or inside other objects.
 #include <relidar/run/edit.hpp>
 
+#include <algorithm>
 #include <cmath>
 
+#include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 
 namespace relidar {
@@ -83,6 +85,14 @@ void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const B
 
 Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks) {
     Notes notes;
+    // A standing object is present in all frames, not only in those with labels.
+    std::vector<BoxTrack> boxes = edited.sequence.boxes;
+    for (const BoxTrack& standing : list_standing(edited.scene, edited.sequence, {})) {
+        PoseTrack& track = std::ranges::find(boxes, standing.id, &BoxTrack::id)->world_from_box;
+        track = {};
+        for (const double time_s : frame_times_s(edited.sequence))
+            track.append(time_s, standing.world_from_box.pose.front());
+    }
     const auto position = [&](const std::string& id) {
         return std::ranges::find(tracks, id) - tracks.begin();
     };
@@ -91,7 +101,7 @@ Notes check_placement(const SceneWithLogView& edited, const std::vector<std::str
         if (!box) continue;
         add_gap_note(notes, edited, *box);
         // Two placed actors have one note.
-        for (const BoxTrack& other : edited.sequence.boxes)
+        for (const BoxTrack& other : boxes)
             if (other.id != track && position(other.id) > position(track))
                 add_overlap_note(notes, edited.sequence, *box, other);
     }

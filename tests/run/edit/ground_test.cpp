@@ -301,6 +301,12 @@ TEST(Placement, NotesGapsAndOverlaps) {
     EXPECT_EQ(ids_of(check_placement({crash.scene, crash.sequence}, {"van-copy-1", "van"})),
               std::vector<std::string>{"overlap"})
         << "one note for two placed actors";
+    SceneWithLog parked = d;  // a car at the start of the van, with a label at the end
+    BoxTrack car = d.sequence.boxes[0];
+    car.id = "parked";
+    car.world_from_box = {{car.world_from_box.time_s.back()}, {start}};
+    parked.sequence.boxes.push_back(car);
+    EXPECT_EQ(ids_of(notes_of(parked, "van")), std::vector<std::string>{"overlap"});
 }
 
 class GroundOfBlocks : public TemporaryFolder {};
