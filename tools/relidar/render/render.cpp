@@ -20,7 +20,6 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include "base/fail.hpp"
-#include "base/files.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -209,10 +208,8 @@ RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
                              const std::vector<MountedSimulatedSensor>& rendered_sensors,
                              const Pose& sensor_offset, const std::vector<NumberedScanTime>& sweeps) {
     const auto formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
-    // Another path or sensor of the same name is another sequence.
-    std::string description = options.lidar + " " + options.sensor;
-    for (const std::string& file : {options.trajectory.file, options.sensor})
-        if (std::filesystem::is_regular_file(file)) description += read_text_file(file);
+    const std::string description =
+        options.lidar + describe_inputs({options.sensor, options.trajectory.file});
     std::vector<DatasetSensor> sensors;
     for (std::size_t s = 0; s < formats.size(); ++s)
         sensors.push_back({formats[s], rendered_sensors[s].mounting, description});

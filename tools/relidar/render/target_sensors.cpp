@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/target_sensors.hpp"
 
+#include <fstream>
+#include <sstream>
+
 namespace relidar::cli {
 namespace {
 
@@ -30,6 +33,15 @@ std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const 
         targets.push_back({mounted.name, simulate_sensor(mounted, lidar), mounted.rig_from_sensor,
                            as_spinning(mounted.sensor)});
     return targets;
+}
+
+std::string describe_inputs(const std::vector<std::string>& names_or_files) {
+    std::ostringstream text;
+    for (const std::string& name : names_or_files) {
+        text << name << '\n';
+        if (std::ifstream file(name); file.good() && file.peek() != EOF) text << file.rdbuf();
+    }
+    return text.str();
 }
 
 void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {

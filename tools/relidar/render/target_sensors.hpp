@@ -29,6 +29,10 @@ std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const 
 std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar);
 
+/// Returns the names of sensors and files, and the contents of the files. Another path or
+/// sensor of the same name has another text.
+std::string describe_inputs(const std::vector<std::string>& names_or_files);
+
 /// Removes the boxes of actors that are not rendered, so that they do not appear in
 /// recordings.
 /// @param visible  value of --only
