@@ -10,8 +10,8 @@ _MAX_EDITED_RUNS = 4   # edited runs that a process keeps on its device
 
 
 class ScanDataset:
-    """Simulated scans of a run with labels of the actors. Item i is the scan at poses[i % n] after
-    edits[i // n], for n poses. Items with equal arguments are equal in every process.
+    """Simulated scans of a run with labels of actors and standing objects. Item i is the scan at
+    poses[i % n] after edits[i // n], for n poses. Items with equal arguments are equal in every process.
 
     run: relidar.Run. It reaches the workers as a pickle, so save it first if it is large
     sensor: as in Run.render()
