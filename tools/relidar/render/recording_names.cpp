@@ -39,6 +39,12 @@ std::vector<std::string> parse_formats(const std::string& format_list) {
     return formats;
 }
 
+PointCoordinateFrame parse_frame(const std::string& name) {
+    if (find_name(name, {"sensor"})) return PointCoordinateFrame::sensor;
+    if (find_name(name, {"world"})) return PointCoordinateFrame::world;
+    fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
+}
+
 void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
     command
         .add_option(

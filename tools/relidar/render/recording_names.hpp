@@ -9,7 +9,8 @@ class App;
 }
 namespace relidar {
 struct ScanOutputOptions;
-}
+enum class PointCoordinateFrame;
+}  // namespace relidar
 
 namespace relidar::cli {
 
@@ -19,6 +20,7 @@ struct RecordingNames {
 };
 /// Parses the names of formats, separated by commas. Upper case and spaces are allowed.
 std::vector<std::string> parse_formats(const std::string& format_list);
+PointCoordinateFrame parse_frame(const std::string& name);  ///< value of --frame
 
 void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 /// @throws UsageError if no recording is written, or if several sensors would get the

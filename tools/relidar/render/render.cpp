@@ -63,12 +63,6 @@ struct RenderOptions {
     std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
-PointCoordinateFrame parse_frame(const std::string& name) {
-    if (find_name(name, {"sensor"})) return PointCoordinateFrame::sensor;
-    if (find_name(name, {"world"})) return PointCoordinateFrame::world;
-    fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
-}
-
 /// @param rig_sensor_name empty if there is only one sensor
 ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, const SimulatedSensor& sensor,
                               const Pose& sensor_offset, const std::string& rig_sensor_name) {
