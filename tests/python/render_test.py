@@ -132,6 +132,9 @@ class Render(TestCase):
             np.testing.assert_allclose(scan["directions"], written["directions"], atol=1e-6)
             np.testing.assert_allclose(scan["range"], written["range"], rtol=1e-4, atol=1e-4)
         self.assert_same(turned.render(time=time, actors=present(turned, time))["directions"], scan["directions"])
+        deskewed = turned.render(time=time, deskew=True)
+        returned = (deskewed["drop_prob"] < 0.5) & (deskewed["median_range"] > 0)
+        np.testing.assert_allclose(turned.points(time=time)["position"].numpy(), deskewed["points"][returned], atol=1e-4)
         driven = turned.render(time=time, pose=turned.trajectory)
         # a path of the caller has no recorded sweeps
         self.assert_same(driven["directions"], nominal["directions"])

@@ -90,6 +90,13 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
     return request;
 }
 
+/// Without a pose, the sensor also has the head angles of the log's sweep.
+SimulatedSensor sensor_of_scan(const RenderArguments& arguments, const Run& run, int lidar, double time_s) {
+    const SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
+    if (!arguments.pose.is_none()) return sensor;
+    return follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, time_s);
+}
+
 /// Returns the boxes of a scan as arrays with one row per box.
 py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& options) {
     const std::vector<ActorBox> boxes = actor_boxes_of(scan, options);
@@ -143,9 +150,7 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, arguments.lidar);
     const ScanRequest request = make_request(arguments, run, lidar);
-    SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
-    if (arguments.pose.is_none())
-        sensor = follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+    const SimulatedSensor sensor = sensor_of_scan(arguments, run, lidar, request.time_s);
     const std::vector<bool> shown = arguments.only.empty()
                                         ? std::vector<bool>(run.scene.instances.size(), true)
                                         : select_instances(run.scene, arguments.only);
@@ -180,7 +185,7 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, arguments.lidar);
     const ScanRequest request = make_request(arguments, run, lidar);
-    const SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
+    const SimulatedSensor sensor = sensor_of_scan(arguments, run, lidar, request.time_s);
     DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
     DevicePoints points;
     {
