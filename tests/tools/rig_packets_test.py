@@ -113,6 +113,7 @@ for name, port in ports.items():
         every = scan_times(scans / name, False)
         assert abs(packets[0][0] - every[0]) < 1e-3 and abs(packets[-1][0] - every[-1]) < 2e-3, name
 assert n_packets["narrow"] < 0.7 * n_packets["front"], f"packets outside the field of view: {n_packets}"
+assert json.loads(run("info", scans / "packets_narrow.pcap", "--json"))["frames"] == 3, "turns of a field of view"
 
 # The street is level, and the sensor of the log is 1.73 m above the road.
 vehicle = json.loads((scans / "front/scans.json").read_text())["vehicle"]

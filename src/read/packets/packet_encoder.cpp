@@ -252,6 +252,7 @@ struct PacketEncoder::Impl {
         if (has_fixed_columns()) return;
         start_packet(packet + 1);
         write_packet();
+        pending.clear();
     }
 };
 

@@ -233,11 +233,12 @@ std::pair<double, double> PacketIndex::azimuth_range_deg() const {
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
         // The range includes the sector `skipped_` if the recording starts or ends within
-        // `slack_deg`, the rotation during one firing cycle, of it.
+        // `slack_deg`, the rotation during one firing cycle, of it. The sector begins one
+        // cycle after the last firing before it.
         const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.overlap_deg(first.azimuth_deg - slack_deg, first.azimuth_deg),
-                     behind_deg = skipped_.overlap_deg(last_deg, last_deg + slack_deg);
+                     behind_deg = skipped_.overlap_deg(last_deg, last_deg + 2.0 * slack_deg);
         return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
                 behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
     }
@@ -254,7 +255,10 @@ std::pair<double, double> PacketIndex::azimuth_range_deg() const {
 void PacketIndex::find_revolutions() {
     const auto [first_deg, end] = azimuth_range_deg();
     double begin = kRear_deg + 360.0 * std::ceil((first_deg - kRear_deg) / 360.0);
-    if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
+    const auto is_cut_off = [&](double from_deg, double to_deg) {
+        return to_deg - from_deg - skipped_.overlap_deg(from_deg, to_deg) > 360.0 * kCutOff;
+    };
+    if (is_cut_off(first_deg, begin)) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketRevolution revolution{0, 0, 0, 0, begin, 0};
         // returns the first packet that begins after an azimuth
@@ -283,7 +287,7 @@ void PacketIndex::find_revolutions() {
         else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
         else revolutions_.push_back(revolution);
     }
-    if (end - begin > 360.0 * kCutOff) ++left_out_.n_cut_off;
+    if (is_cut_off(begin, end)) ++left_out_.n_cut_off;
 }
 
 std::string PacketIndex::describe_faults() const {
