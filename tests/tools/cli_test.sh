@@ -233,9 +233,9 @@ layouts() {
     good info nuscenes
     says "^frames +4 "
     says "^boxes +[12]: "
-    bad 2 "kitti .*layout kitti; expected the same" render run --out kitti --layout openlabel
-    bad 2 "found .* in labelled/top" render run --out labelled/top --layout kitti
-    bad 2 "--layout kitti: found --format, --merge" render run --out x --layout kitti --deskew
+    bad 2 "--layout openlabel: kitti " render run --out kitti --layout openlabel
+    bad 2 " labelled/top" render run --out labelled/top --layout kitti
+    bad 2 "--layout kitti: .*--format, --merge" render run --out x --layout kitti --deskew
     bad 2 '--layout: "kiti" .*openlabel' render run --out x --layout kiti
     absent x
 }
