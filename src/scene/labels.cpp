@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/scene/labels.hpp>
 
+#include "base/geometry/ray_box.hpp"
 #include "base/list_text.hpp"
 #include "base/median.hpp"
 
@@ -54,16 +55,9 @@ bool is_on_object(const glm::dvec3& point_m, const glm::dvec3& size_m) {
 std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm::dvec3& direction,
                                           const glm::dvec3& size_m) {
     const auto [low_m, high_m] = object_corners(size_m);
-    // Slab method: the line is inside while it is between the two planes of each axis.
-    glm::dvec2 inside(0.0, std::numeric_limits<double>::infinity());
-    for (int axis = 0; axis < 3; ++axis) {
-        const double a = (low_m[axis] - origin_m[axis]) / direction[axis],
-                     b = (high_m[axis] - origin_m[axis]) / direction[axis];
-        // A line in this plane gives 0 / 0, which fmax() and fmin() ignore.
-        inside = {std::fmax(inside[0], std::fmin(a, b)), std::fmin(inside[1], std::fmax(a, b))};
-    }
-    if (inside[0] > inside[1]) return {};
-    return inside;
+    const auto inside = cross_box(origin_m, direction, low_m, high_m);
+    if (!inside || inside->leave < 0.0) return {};
+    return glm::dvec2(std::max(inside->enter, 0.0), inside->leave);
 }
 
 std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options) {

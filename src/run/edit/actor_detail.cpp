@@ -10,28 +10,9 @@
 #include <fmt/ranges.h>
 
 #include "base/fail.hpp"
+#include "base/geometry/ray_box.hpp"
 
 namespace relidar {
-namespace {
-
-/// Returns true if a ray intersects a box that is centred at the origin (slab method).
-bool hits_box(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction, const glm::dvec3& box_size_m) {
-    double begin = 0.0, end = std::numeric_limits<double>::infinity();
-    for (int axis = 0; axis < 3; ++axis) {
-        const double half_m = 0.5 * box_size_m[axis];
-        if (ray_direction[axis] == 0.0) {
-            if (std::abs(ray_origin_m[axis]) > half_m) return false;
-            continue;
-        }
-        const double a = (-half_m - ray_origin_m[axis]) / ray_direction[axis],
-                     b = (half_m - ray_origin_m[axis]) / ray_direction[axis];
-        begin = std::max(begin, std::min(a, b));
-        end = std::min(end, std::max(a, b));
-    }
-    return begin <= end;
-}
-
-}  // namespace
 
 /// Counts the rays that hit the box of an actor, all fired from one pose of the sensor.
 ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
@@ -47,9 +28,11 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
                     distance2 = glm::dot(to_centre, to_centre);
         const bool is_sphere_hit = distance2 <= radius_m * radius_m ||
                                    (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
-        if (is_sphere_hit)
-            detail.rays += hits_box(box_from_sensor * glm::dvec3(ray_origins[i]),
-                                    box_from_sensor.rotation * glm::dvec3(ray_directions[i]), size_m);
+        if (!is_sphere_hit) continue;
+        const auto inside =
+            cross_box(box_from_sensor * glm::dvec3(ray_origins[i]),
+                      box_from_sensor.rotation * glm::dvec3(ray_directions[i]), -0.5 * size_m, 0.5 * size_m);
+        detail.rays += inside && inside->leave >= 0.0;
     }
     return detail;
 }

@@ -1,7 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0 Adds actors to a scene that is being rendered, and
-// removes them. An added instance stays in the scene: after despawn(), it is a free slot
-// for the next actor with the same model.
-
+// SPDX-License-Identifier: Apache-2.0
+// Adds actors to a scene that is being rendered, and removes them. An added instance
+// stays in the scene: after despawn(), it is a free slot for the next actor with the same
+// model.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>
 

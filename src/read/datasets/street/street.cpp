@@ -12,6 +12,8 @@
 #include <string_view>
 #include <utility>
 
+#include "base/geometry/ray_box.hpp"
+
 namespace relidar::street {
 namespace {
 
@@ -20,28 +22,14 @@ struct ShapeHit {
     glm::dvec3 normal{0.0};
 };
 
-/// Intersects a ray with a box around the origin (slab test). Returns no hit if the ray
+/// Intersects a ray with a box around the origin. Returns no hit if the ray
 /// starts inside the box.
 /// @param half_size  half of the edge lengths
 ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, const glm::dvec3& direction) {
-    double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
-    int axis = 0;
-    for (int a = 0; a < 3; ++a) {
-        if (direction[a] == 0.0) {
-            if (std::abs(origin[a]) > half_size[a]) return {};
-            continue;
-        }
-        const double side = std::copysign(half_size[a], direction[a]);
-        const double near = (-side - origin[a]) / direction[a], far = (side - origin[a]) / direction[a];
-        if (near > enter) {
-            enter = near;
-            axis = a;
-        }
-        leave = std::min(leave, far);
-    }
-    if (!(enter > 0.0) || enter > leave) return {};
-    ShapeHit meeting{enter, glm::dvec3(0.0)};
-    meeting.normal[axis] = -std::copysign(1.0, direction[axis]);
+    const auto inside = cross_box(origin, direction, -half_size, half_size);
+    if (!inside || !(inside->enter > 0.0)) return {};
+    ShapeHit meeting{inside->enter, glm::dvec3(0.0)};
+    meeting.normal[inside->axis] = -std::copysign(1.0, direction[inside->axis]);
     return meeting;
 }
 

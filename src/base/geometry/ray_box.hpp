@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Intersects lines with boxes by the slab method.
+#pragma once
+
+#include <algorithm>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include <glm/glm.hpp>
+
+namespace relidar {
+
+/// Part of a line in a box: origin + t * direction, for t from enter to leave.
+struct BoxCrossing {
+    double enter = -std::numeric_limits<double>::infinity();
+    double leave = std::numeric_limits<double>::infinity();
+    int axis = 0;  ///< axis of the side through which the line enters
+};
+
+/// Returns no value if the line misses the box.
+/// @param low, high  corners of the box, in the axes of the box
+inline std::optional<BoxCrossing> cross_box(const glm::dvec3& origin, const glm::dvec3& direction,
+                                            const glm::dvec3& low, const glm::dvec3& high) {
+    BoxCrossing inside;
+    for (int axis = 0; axis < 3; ++axis) {
+        if (direction[axis] == 0.0) {
+            // The line is parallel to these sides, so it must be between them.
+            if (origin[axis] < low[axis] || origin[axis] > high[axis]) return {};
+            continue;
+        }
+        double near = (low[axis] - origin[axis]) / direction[axis],
+               far = (high[axis] - origin[axis]) / direction[axis];
+        if (near > far) std::swap(near, far);
+        if (near > inside.enter) {
+            inside.enter = near;
+            inside.axis = axis;
+        }
+        inside.leave = std::min(inside.leave, far);
+    }
+    if (inside.enter > inside.leave) return {};
+    return inside;
+}
+
+}  // namespace relidar
