@@ -40,11 +40,11 @@ struct TargetBatch {
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Number of rays with a known measurement that returned. Depth and intensity terms
-    /// are averaged over these rays.
+    /// Expected number of rays with a known measurement that returned: the mean share of
+    /// the frame times n_rays. Depth and intensity terms are divided by this number.
     double n_returned = 0.0;
-    /// Number of rays with a known measurement, returned or dropped. The ray-drop term is
-    /// averaged over these rays.
+    /// Expected number of rays with a known measurement, returned or dropped. The
+    /// ray-drop term is divided by this number.
     double n_known_rays = 0.0;
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
