@@ -124,7 +124,8 @@ TEST_F(OwnLossTraining, ReducesTheLossAndResumes) {
     ASSERT_TRUE(checkpoint);
     const TrainResult resumed = train_robust(1 << 30, &*checkpoint);
     test::expect_same_surfels(resumed.scene.surfels, result.scene.surfels);
-    EXPECT_EQ(resumed.log.back().terms, last.terms);
+    // Groups of 64 rays add their sums in any order, each with one rounding.
+    EXPECT_NEAR(resumed.log.back().loss, last.loss, 0x1p-23 * std::ceil(1000 / 64.0) * last.loss);
 }
 
 }  // namespace
