@@ -45,6 +45,8 @@ std::int64_t read_stamp_ns(pbf_reader reader) {
     constexpr std::int64_t kMaxRosTime_s = 4294967295;  // limit of ROS times
     if (seconds < 0 || seconds > kMaxRosTime_s)
         fail("found the message time {} s, expected 0 to {} s", seconds, kMaxRosTime_s);
+    if (nanoseconds < 0 || nanoseconds > 999999999)
+        fail("found {} ns in a message time, expected 0 to 999999999 ns", nanoseconds);
     return seconds * 1000000000 + nanoseconds;
 }
 

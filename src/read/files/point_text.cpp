@@ -134,7 +134,11 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
     std::vector<PointField> fields;
     // A first line with a single number is the number of points, not a point.
-    if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
+    double n_announced = 0.0;
+    if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) {
+        n_announced = numbers->front();
+        skip_line();
+    }
     if (const auto numbers = parse_numbers(first_line()); numbers) {
         fields = default_fields(numbers->size(), column_names, where);
     } else {
@@ -150,6 +154,8 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
     if (fields.size() > kMostTextFields)
         fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields);
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
+    if (double(n) < n_announced)
+        fail("{}: found {} points, expected {} (its first line)", where, n, n_announced);
     return parse_lines(rest, fields, n, where);
 }
 

@@ -63,6 +63,12 @@ TEST(PointTable, CopiesOutliveTheirTable) {
     EXPECT_EQ(copy.find_field(PointAttribute::time), nullptr);
 }
 
+TEST(PointTable, TextWithFewerPointsThanItsCountIsCut) {
+    const auto parse = [](const char* text) { return parse_text(share_bytes(text), {}, "test").n; };
+    EXPECT_EQ(parse("2\n1 2 3\n4 5 6\n"), 2u);
+    EXPECT_THROW(parse("3\n1 2 3\n4 5 6\n"), DataError);
+}
+
 TEST(PointTable, NamesOfAValueHaveAnOrder) {
     PointTable table(1);
     table.add_value_field("timestamp", ScalarType::u4, std::vector<std::uint32_t>{4}, "test");

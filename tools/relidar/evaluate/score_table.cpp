@@ -70,6 +70,8 @@ std::string differing_keys(const std::vector<ScoredRun>& runs) {
         if (!first) first = &run;
         for (const auto& [key, value] : run.protocol.items())
             if (!first->protocol.contains(key) || first->protocol[key] != value) keys.insert(key);
+        for (const auto& [key, value] : first->protocol.items())
+            if (!run.protocol.contains(key)) keys.insert(key);
     }
     return fmt::format("{}", fmt::join(keys, ", "));
 }

@@ -59,16 +59,20 @@ void check_block_frames(const Run& trained_block, const BlockTrainingLog& curren
             is.front().index, is.back().index);
 }
 
-/// Sums up the times and averages the losses of all blocks.
+/// Sums up the times of all blocks. Averages each line of the log over the blocks that
+/// have this line.
 class BlockTrainTotals {
 public:
     void add_progress(const std::vector<TrainProgress>& block_progress) {
-        ++n_;
         if (!block_progress.empty()) seconds_ += block_progress.back().seconds;
         for (std::size_t i = 0; i < block_progress.size(); ++i) {
-            if (i == sum_.log.size()) sum_.log.emplace_back();
+            if (i == sum_.log.size()) {
+                sum_.log.emplace_back();
+                n_blocks_.push_back(0);
+            }
             // Line i of the sum belongs to line i in the log of each block.
             TrainProgress& line = sum_.log[i];
+            ++n_blocks_[i];
             line.iteration = block_progress[i].iteration;
             line.loss += block_progress[i].loss;
             line.n_surfels += block_progress[i].n_surfels;
@@ -84,12 +88,14 @@ public:
     }
     /// Divides losses by the number of blocks. Times and surfel counts remain sums.
     TrainResult average(int n_iterations) {
-        for (TrainProgress& line : sum_.log) {
+        for (std::size_t i = 0; i < sum_.log.size(); ++i) {
+            TrainProgress& line = sum_.log[i];
+            const double n = n_blocks_[i];
             line.n_iterations = n_iterations;
-            line.loss /= double(n_);
-            for (double& term : line.terms) term /= double(n_);
+            line.loss /= n;
+            for (double& term : line.terms) term /= n;
             // Each block has run this number of iterations.
-            line.iterations_per_second = double(line.iteration) * double(n_) / std::max(line.seconds, 1e-9);
+            line.iterations_per_second = double(line.iteration) * n / std::max(line.seconds, 1e-9);
         }
         sum_.train_s = seconds_;
         sum_.iterations = n_iterations;
@@ -98,7 +104,7 @@ public:
 
 private:
     TrainResult sum_;
-    std::size_t n_ = 0;
+    std::vector<int> n_blocks_;  ///< Number of blocks that have this line of the log.
     double seconds_ = 0.0;
 };
 
