@@ -146,7 +146,7 @@ snakefile() {
 }
 
 # Two scenes with the same seed have the same files. A repeated command renders nothing, another
-# seed is refused, and a scene that was interrupted is rendered again.
+# seed or sensor is refused, and a scene that was interrupted is rendered again.
 variations() {
     local python=/usr/bin/python3 made="../set/data"
     vary() {
@@ -168,6 +168,8 @@ variations() {
     check "a scene differs after an interruption" cmp -s ../first ../second
     vary --out ../set --seed 2
     check "variations.py mixes two seeds" test $? = 1
+    vary --out ../set --sensor VLP-16:90x12
+    check "variations.py mixes two sensors" test $? = 1
     cd ..
 }
 

@@ -58,7 +58,8 @@ def draw_scene(scene, actors, path):
               for _ in range(generator.randint(0, 3) if actors else 0)]
     offset = [generator.gauss(0, sigma) for sigma in (0.3, 0.5, 0.1, 2.0)]
     return {"scene": scene, "seed": generator.randrange(2**31), "remove": " ".join(removed), "retime": " ".join(delays),
-            "copy": " ".join(copies), "weather": draw_weather(generator), "offset": ",".join(f"{v:.3f}" for v in offset)}
+            "copy": " ".join(copies), "weather": draw_weather(generator), "offset": ",".join(f"{v:.3f}" for v in offset),
+            "render": " ".join([options.sensor, options.frames, options.layout or "", *render_options])}
 
 
 def edit_run(row, edited):
@@ -121,13 +122,13 @@ call("export", options.run, "--out", options.out / "path.csv", "--quiet")
 path = list(csv.DictReader((options.out / "path.csv").open()))
 rows = [draw_scene(scene, actors, path) for scene in range(options.scenes)]
 
-# Another seed or run would mix two data sets, so the table must not change.
+# Another seed, run or sensor would mix two data sets, so the table must not change.
 table = options.out / "scenes.csv"
 if table.exists():
     earlier = list(csv.DictReader(table.open()))
     if earlier != [{k: str(v) for k, v in row.items()} for row in rows][:len(earlier)]:
-        sys.exit(f"variations.py: {table} has other scenes; found another run or seed, or fewer scenes, expected the same "
-                 "or a new --out")
+        sys.exit(f"variations.py: {table} has other scenes; found another run, seed, sensor or option, or fewer scenes, "
+                 "expected the same or a new --out")
 with open(f"{table}.part", "w", newline="") as file:
     writer = csv.DictWriter(file, rows[0].keys())
     writer.writeheader()
