@@ -95,8 +95,12 @@ struct Evaluation {
     double mrays_per_s = 0.0;
 };
 
-/// Copies scans of a log into the frames of a run that was trained on it. The poses of
-/// the run do not change.
+/// Returns the index of the next sweep of the same LiDAR, if the sensor stands still
+/// between the frame and this sweep.
+std::optional<int> find_repeat(const Log& log, int frame_index);
+
+/// Copies scans of a log into the frames of a run that was trained on it, and into their
+/// find_repeat(). The poses of the run do not change.
 /// @param frame_indices  indices into Run::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log);
@@ -109,6 +113,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log&
                         const Pose& offset = {});
 
 /// Renders frames and computes their metrics. Memory use does not grow with their number.
+/// If find_repeat() of a frame has a scan, adds edges_repeat/*: the metrics of edges/*
+/// for this scan instead of the rendered scan. They show how well a sensor repeats scans.
 /// @param frame_indices  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// result stops

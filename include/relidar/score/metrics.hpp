@@ -47,6 +47,8 @@ struct PixelRegion {
     /// For example, "moving_boxes" gives "moving_boxes/depth_medae_m".
     std::string name;
     std::vector<bool> pixels;  ///< [rows*columns] true for pixels in the region
+    /// Also computes distances between the point clouds of the region. They are slow.
+    bool scores_clouds = false;
 };
 
 /// Computes all metrics of a rendered image against the real image of the same rays.
@@ -79,15 +81,28 @@ MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const 
 ///                       clamped as in evaluate()
 ///   <region>/returned   fraction of these pixels that also return in the rendered image,
 ///                       with the strict threshold
+///   <region>/above_1m   fraction of the range errors above 1 m, over the pixels of the
+///                       region that return in both images
 ///   <region>/pixels     number of these pixels; if 0, the other metrics are left out
+///   <region>/share      this number, divided by the number of all real returns
+///   <region>/{cd_mean_m,cd_sq_m2,f_5cm,f_22cm}
+///                       like strict/, over the returned pixels of the region in both
+///                       images; only if the region scores clouds
 /// @throws DataError like evaluate(), and if a region has another number of pixels
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                               const std::vector<PixelRegion>& regions, const MetricOptions& options = {});
 
 /// Returns the sets of pixels that are scored separately: all, moving_boxes, static,
-/// range_0_20_m, range_20_40_m, range_40_80_m.
+/// range_0_20_m, range_20_40_m, range_40_80_m. If the image has several rows, also edges
+/// (mask_edges()) and smooth (all other pixels), with scores of their clouds.
 /// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
 std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<bool>& moving_pixels);
+
+/// Returns the pixels at depth edges. Their range differs from that of a neighbour in the
+/// row or column by more than 0.5 m and more than 5 % of their range. Pixels without a
+/// return are no neighbours. In a full turn, the first column follows the last one.
+/// @return [rows*columns]
+std::vector<bool> mask_edges(const RangeImage& real);
 
 /// Returns for each ray whether its return is inside a moving box that the dataset
 /// labelled.

@@ -19,6 +19,8 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
+// Speeds of a standing sensor, above the jitter of poses that were estimated from scans.
+constexpr double kStandingSpeed_mps = 0.1, kStandingTurn_radps = 0.02;
 // limited because all images of these frames are in memory
 constexpr std::size_t kScoredAtOnce = 16;
 
@@ -50,7 +52,8 @@ struct RenderedFrame {
     std::vector<bool> moving;
     /// [n] return in a moving box without label; empty without such boxes
     std::vector<bool> discovered;
-    MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
+    MetricValues class_scores;   ///< scores of the channel `class`; empty without labels
+    MetricValues repeat_scores;  ///< scores of the next scan; empty if the sensor moves
 };
 
 /// Returns the measured image of a frame and the masks of its moving boxes, without a
@@ -85,6 +88,26 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const L
     return result;
 }
 
+/// Projects the neighbouring scans of a frame into the image of the frame.
+RangeImage project_neighbours(const Config& config, const Log& log, int position,
+                              const std::vector<int>& train_frames, BoxPointMotion boxes) {
+    const Frame& frame = log.frames[std::size_t(position)];
+    Scan points = predict_scan(log, position, train_frames, boxes);
+    limit_ranges(points, make_sensor(config, log, frame.lidar).limits);
+    // Native grid: each point goes to a ray that the LiDAR fired in this frame.
+    return measured_image(config,
+                          config.sensor.grid == "native" ? assign_points(frame.scan.rays, points) : points);
+}
+
+/// Compares the next scan of a standing sensor with a frame, at depth edges.
+/// @return an empty row if the sensor moves, or the image has no rows
+MetricValues score_repeat(const Config& config, const Log& log, int position, const RangeImage& real) {
+    const std::optional<int> next = find_repeat(log, position);
+    if (!next || real.rows < 2 || log.frames[std::size_t(*next)].scan.range_m.empty()) return {};
+    return evaluate_regions(project_neighbours(config, log, position, {*next}, BoxPointMotion::follow), real,
+                            {{"edges_repeat", mask_edges(real), true}});
+}
+
 std::unique_ptr<Lpips> load_lpips() {
     const std::string file = lpips_weights_path();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
@@ -115,6 +138,7 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
         frames.push_back(std::move(rendered_frames[i].frame));
         frames.back().metrics = rows[i];
         frames.back().metrics.merge(rendered_frames[i].class_scores);
+        frames.back().metrics.merge(rendered_frames[i].repeat_scores);
         if (!has_intensities(frames.back().real))
             std::erase_if(frames.back().metrics, [](const auto& metric) {
                 return metric.first.find("intensity") != std::string::npos;
@@ -177,9 +201,11 @@ std::vector<ScoredFrame> score_frames(
         std::vector<RenderedFrame> batch;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
             if (frame_batch.progress) frame_batch.progress(progress_text, double(i) / double(n));
+            const int position = frame_batch.positions[i];
             batch.push_back(
-                render_one_frame(frame_batch.positions[i],
-                                 frame_batch.sequence.frames.at(std::size_t(frame_batch.positions[i]))));
+                render_one_frame(position, frame_batch.sequence.frames.at(std::size_t(position))));
+            batch.back().repeat_scores =
+                score_repeat(frame_batch.config, frame_batch.sequence, position, batch.back().frame.real);
         }
         std::vector<ScoredFrame> scored_batch =
             score_rendered(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
@@ -203,8 +229,22 @@ std::vector<ScoredFrame> score_frames(
 
 }  // namespace
 
+std::optional<int> find_repeat(const Log& log, int frame_index) {
+    const Frame& frame = log.frames.at(std::size_t(frame_index));
+    const auto next = std::find_if(log.frames.begin() + frame_index + 1, log.frames.end(),
+                                   [&](const Frame& f) { return f.lidar == frame.lidar; });
+    if (next == log.frames.end() || !(next->time_s > frame.time_s)) return {};
+    const PoseTrack track = log.lidar_track(frame.lidar);
+    const Twist motion = compute_twist(track.pose_at(frame.time_s), track.pose_at(next->time_s));
+    const double step_s = next->time_s - frame.time_s;
+    if (std::hypot(motion[0], motion[1], motion[2]) > kStandingSpeed_mps * step_s ||
+        std::hypot(motion[3], motion[4], motion[5]) > kStandingTurn_radps * step_s)
+        return {};
+    return int(next - log.frames.begin());
+}
+
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log) {
-    for (const int position : frame_indices) {
+    const auto copy_scan = [&](int position) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) {
             return f.index == frame.index && f.lidar == frame.lidar;
@@ -218,6 +258,10 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
         }
         frame.scan = it->scan;
         frame.start = it->start;
+    };
+    for (const int position : frame_indices) {
+        copy_scan(position);
+        if (const std::optional<int> repeat = find_repeat(run.sequence, position)) copy_scan(*repeat);
     }
 }
 
@@ -257,11 +301,7 @@ Evaluation evaluate_baseline(const std::string& baseline_name, const Config& con
     const BoxPointMotion boxes = parse_baseline(baseline_name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = make_real_frame(config, sequence, frame, {});
-        Scan points = predict_scan(sequence, position, split.train, boxes);
-        limit_ranges(points, make_sensor(config, sequence, frame.lidar).limits);
-        // Native grid: each point goes to a ray that the LiDAR fired in this frame.
-        result.frame.rendered.image = measured_image(
-            config, config.sensor.grid == "native" ? assign_points(frame.scan.rays, points) : points);
+        result.frame.rendered.image = project_neighbours(config, sequence, position, split.train, boxes);
         return result;
     };
     Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},

@@ -15,31 +15,19 @@
 
 #include <relidar/base/error.hpp>
 #include "base/parallel.hpp"
+#include "cloud_distances.hpp"
 #include "pixel_errors.hpp"
 
 namespace relidar {
 namespace {
 
 using namespace metrics;
-using PointPositions = std::vector<glm::dvec3>;
 
 // so that the PSNR of identical images is finite
 constexpr double kMinSquaredError = 1e-20;
-constexpr double kFineThreshold_m = 0.05;
-// sqrt(0.05), because the published code compares squared distances with 0.05
-constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
 // smaller images would be empty after the pooling layers
 constexpr int kLpipsEdge = 31;
-
-PointPositions masked_points(const RangeImage& image, const PixelMask& mask) {
-    PointPositions result;
-    for (std::size_t i = 0; i < mask.size(); ++i)
-        if (mask[i])
-            result.push_back(glm::dvec3(image.origin[i]) +
-                             double(image.range_m[i]) * glm::dvec3(image.direction[i]));
-    return result;
-}
 
 struct ImagePair {
     PixelValues rendered, real;
@@ -71,32 +59,6 @@ void add_image_metrics(MetricValues& row, const std::string& name_prefix, const 
         row[name_prefix + "lpips"] = lpips_network->compute_distance(image_pair.rendered, image_pair.real,
                                                                      image_pair.rows, image_pair.columns);
 }
-
-double fraction_below(const PixelValues& distances, double threshold) {
-    const auto n = std::count_if(distances.begin(), distances.end(), [=](double d) { return d < threshold; });
-    return double(n) / double(distances.size());
-}
-
-/// to the nearest point of the other cloud, in both directions
-struct CloudDistances {
-    PixelValues to_truth, to_rendered;
-
-    CloudDistances(const PointPositions& rendered, const PointPositions& truth) {
-        if (rendered.empty() || truth.empty()) return;
-        to_truth = nearest_distances_m(rendered, truth);
-        to_rendered = nearest_distances_m(truth, rendered);
-    }
-    bool has_distances() const { return !to_truth.empty(); }
-    double chamfer() const { return mean_value(to_truth) + mean_value(to_rendered); }
-    double squared_chamfer() const { return mean_square(to_truth) + mean_square(to_rendered); }
-    /// Returns the harmonic mean of precision and recall, or 0 if a cloud is empty.
-    double compute_f_score(double threshold_m) const {
-        if (!has_distances()) return 0.0;
-        const double precision = fraction_below(to_truth, threshold_m),
-                     recall = fraction_below(to_rendered, threshold_m);
-        return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
-    }
-};
 
 /// Adds the metrics of published papers (docs/method.md section 8): full images in which
 /// dropped pixels are 0, and distances of the point clouds.
@@ -145,15 +107,7 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
                     real_returns = return_mask(real, kRealDropThreshold);
     add_masked_errors(row, name_prefix + "depth_", "_m", rendered.range_m, real.range_m,
                       intersect_masks(rendered_returns, real_returns), options.max_range_m);
-    const PointPositions a = masked_points(rendered, rendered_returns), b = masked_points(real, real_returns);
-    if (a.empty() && b.empty()) return;
-    const CloudDistances distances(a, b);
-    if (distances.has_distances()) {
-        row[name_prefix + "cd_mean_m"] = distances.chamfer();
-        row[name_prefix + "cd_sq_m2"] = distances.squared_chamfer();
-    }
-    row[name_prefix + "f_5cm"] = distances.compute_f_score(kFineThreshold_m);
-    row[name_prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
+    add_cloud_metrics(row, name_prefix, rendered, rendered_returns, real, real_returns);
 }
 
 /// Adds metrics that separate errors of ranges and intensities from errors of ray-drop.

@@ -7,15 +7,20 @@
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
+#include <cmath>
 
 #include <relidar/log/sequence.hpp>
 #include "base/fail.hpp"
+#include "cloud_distances.hpp"
 #include "pixel_errors.hpp"
 
 namespace relidar {
 namespace {
 
 using namespace metrics;
+
+constexpr float kEdgeJump_m = 0.5f, kEdgeJumpShare = 0.05f;  // share of the range of the pixel
+constexpr double kLargeError_m = 1.0;
 
 PixelRegion range_band(const RangeImage& real_image, double min_range_m, double max_range_m) {
     PixelRegion region{fmt::format("range_{:.0f}_{:.0f}_m", min_range_m, max_range_m),
@@ -50,6 +55,7 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     check_comparable(rendered, real);
     const PixelMask real_returns = return_mask(real, kRealDropThreshold),
                     rendered_returns = return_mask(rendered, options.strict_drop_threshold);
+    const auto n_returns = std::count(real_returns.begin(), real_returns.end(), true);
     MetricValues row;
     for (const PixelRegion& region : regions) {
         if (region.pixels.size() != real_returns.size())
@@ -61,10 +67,19 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
+        row[name + "share"] = double(n) / double(n_returns);
         // share of the real returns that the rendering also returns
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
-        row[name + "returned"] =
-            double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
+        const auto n_both = std::count(returned_both.begin(), returned_both.end(), true);
+        row[name + "returned"] = double(n_both) / double(n);
+        std::size_t n_large = 0;
+        for (std::size_t i = 0; i < mask.size(); ++i)
+            n_large += returned_both[i] &&
+                       std::abs(double(rendered.range_m[i]) - double(real.range_m[i])) > kLargeError_m;
+        if (n_both > 0) row[name + "above_1m"] = double(n_large) / double(n_both);
+        if (region.scores_clouds)
+            add_cloud_metrics(row, name, rendered, intersect_masks(region.pixels, rendered_returns), real,
+                              mask);
         add_masked_errors(row, name + "depth_", "_m", rendered.range_m, real.range_m, mask,
                           options.max_range_m);
         add_masked_errors(row, name + "intensity_", "", rendered.intensity, real.intensity, mask,
@@ -73,16 +88,41 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     return row;
 }
 
+std::vector<bool> mask_edges(const RangeImage& real) {
+    const bool circular = is_full_turn(real.rows, real.columns, real.direction);
+    PixelMask edges(real.range_m.size());
+    const auto compare_pixels = [&](std::size_t a, std::size_t b) {
+        const float a_m = real.range_m[a], b_m = real.range_m[b], jump_m = std::abs(a_m - b_m);
+        if (!(a_m > 0.0f && b_m > 0.0f && jump_m > kEdgeJump_m)) return;
+        if (jump_m > kEdgeJumpShare * a_m) edges[a] = true;
+        if (jump_m > kEdgeJumpShare * b_m) edges[b] = true;
+    };
+    const auto columns = std::size_t(real.columns);
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+        if (i + columns < edges.size()) compare_pixels(i, i + columns);
+        if ((i + 1) % columns != 0) compare_pixels(i, i + 1);
+        else if (circular) compare_pixels(i, i + 1 - columns);
+    }
+    return edges;
+}
+
 std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<bool>& moving_pixels) {
     PixelMask resting = moving_pixels;
     resting.flip();
-    return {{"all", PixelMask(moving_pixels.size(), true)},
-            {"moving_boxes", moving_pixels},
-            {"static", resting},
-            // bands of the measured range in metres
-            range_band(real, 0.0, 20.0),
-            range_band(real, 20.0, 40.0),
-            range_band(real, 40.0, 80.0)};
+    std::vector<PixelRegion> regions{{"all", PixelMask(moving_pixels.size(), true)},
+                                     {"moving_boxes", moving_pixels},
+                                     {"static", resting},
+                                     // bands of the measured range in metres
+                                     range_band(real, 0.0, 20.0),
+                                     range_band(real, 20.0, 40.0),
+                                     range_band(real, 40.0, 80.0)};
+    if (real.rows > 1) {
+        PixelMask edges = mask_edges(real), smooth = edges;
+        smooth.flip();
+        regions.push_back({"edges", std::move(edges), true});
+        regions.push_back({"smooth", std::move(smooth), true});
+    }
+    return regions;
 }
 
 std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset) {

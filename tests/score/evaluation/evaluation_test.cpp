@@ -94,6 +94,27 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
     EXPECT_EQ(count(), 0);
 }
 
+TEST_F(EvaluationOf, AStandingSensorShowsItsRepeatability) {
+    EXPECT_EQ(find_repeat(run.sequence, 3), std::nullopt) << "the sensor moves";
+    Log log = make_street_log({.n_frames = 3, .rows = 8, .columns = 64, .speed_mps = 0.0});
+    EXPECT_EQ(find_repeat(log, 0), 1);
+    EXPECT_EQ(find_repeat(log, 2), std::nullopt) << "it is the last frame";
+    // The rays of both frames are equal, and only cars move. So the next scan is its own
+    // projection, apart from rounding.
+    log.boxes.clear();
+    const auto image_of = [&](std::size_t i) { return measured_image(run.config, log.frames[i].scan); };
+    const RangeImage real = image_of(0);
+    const MetricValues expected =
+        evaluate_regions(image_of(1), real, {{"edges_repeat", mask_edges(real), true}});
+    EXPECT_GT(expected.at("edges_repeat/pixels"), 20.0);
+    const Evaluation evaluation = evaluate_baseline("nearest", run.config, log, {{1, 2}, {0}});
+    for (const auto& [name, value] : expected)
+        EXPECT_NEAR(evaluation.mean.at(name), value, 1e-4 * (1.0 + value)) << name;
+    log.frames[1].scan = {};
+    EXPECT_FALSE(
+        evaluate_baseline("nearest", run.config, log, {{2}, {0}}).mean.contains("edges_repeat/pixels"));
+}
+
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {positions, positions};
     std::vector<ScoredFrame> reported_frames;

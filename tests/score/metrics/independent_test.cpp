@@ -6,6 +6,7 @@
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -18,6 +19,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
+#include <relidar/base/math.hpp>
 
 namespace relidar {
 namespace {
@@ -39,9 +41,14 @@ Pair make_random_pair() {
     Pair pair;
     pair.real.rows = pair.rendered.rows = kRows;
     pair.real.columns = pair.rendered.columns = kColumns;
+    // Steps of 8 columns and 5 rows, so that only some pixels are at depth edges.
+    std::vector<float> step_m(kPixels);
+    for (float& range : step_m) range = 1.0f + 78.0f * unit(random);
     for (std::size_t i = 0; i < kPixels; ++i) {
         const bool dropped = unit(random) < 0.25f;
-        const float range = 1.0f + 78.0f * unit(random), intensity = unit(random);
+        const float range = step_m[i / kColumns / 5 * kColumns + i % kColumns / 8] *
+                            (1.0f + 0.02f * unit(random)),
+                    intensity = unit(random);
         pair.real.range_m.push_back(dropped ? 0.0f : range);
         pair.real.intensity.push_back(dropped ? 0.0f : intensity);
         pair.real.drop_prob.push_back(dropped ? 1.0f : 0.0f);
@@ -50,8 +57,10 @@ Pair make_random_pair() {
         pair.rendered.intensity.push_back(intensity + 0.1f * normal(random));
         pair.rendered.drop_prob.push_back(dropped == (unit(random) < 0.9f) ? 0.3f + 0.7f * unit(random)
                                                                            : 0.6f * unit(random));
+        // The columns cover a full turn.
+        const float azimuth = -2.0f * float(kPi) * float(i % kColumns) / kColumns;
         pair.real.direction.push_back(
-            glm::normalize(glm::vec3(normal(random), normal(random), 0.1f * normal(random))));
+            glm::normalize(glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.3f * normal(random))));
         pair.real.origin.emplace_back(0.0f);
         pair.moving.push_back(unit(random) < 0.05f ? 1.0f : 0.0f);
     }
@@ -71,6 +80,25 @@ for cut in (0.4, 0.5):
     r = evaluate.score(z['range'], z['intensity'], z['drop_prob'], z['real_range'], z['real_intensity'], z['real_drop'] < 0.5,
                        dirs=z['direction'], dyn=z['moving'] > 0.5)
     for k, v in r.items(): print('%g:%s %.17g' % (cut, k, v))
+g = z['real_range'].astype(float); g[z['real_drop'] >= 0.5] = np.nan
+edge = np.zeros(g.shape, bool)
+for axis in (0, 1):
+    for step in (-1, 1):
+        n = np.roll(g, step, axis)   # the columns cover a full turn, the rows do not
+        if axis == 0: n[0 if step == 1 else -1] = np.nan
+        edge |= (np.abs(n - g) > 0.5) & (np.abs(n - g) > 0.05 * g)
+p = z['range'].astype(float)
+for name, m in (('edges', edge), ('smooth', ~edge)):
+    real = m & ~np.isnan(g)
+    kept = m & (z['drop_prob'] < 0.5)
+    both = real & kept
+    for k, v in {'pixels': real.sum(), 'share': real.sum() / (~np.isnan(g)).sum(), 'returned': both.sum() / real.sum(),
+                 'above_1m': (np.abs(p - g)[both] > 1).mean(), 'depth_medae_m': np.median(np.abs(np.minimum(p, 80) - np.minimum(g, 80))[real])}.items():
+        print('%s/%s %.17g' % (name, k, v))
+    d = z['direction'].astype(float)
+    c = evaluate.chamfer(d[kept] * p[kept][:, None], d[real] * g[real][:, None])
+    for k, v in {'cd_mean_m': 'cd_mean', 'cd_sq_m2': 'cd_sq', 'f_5cm': 'F5', 'f_22cm': 'F22'}.items():
+        print('%s/%s %.17g' % (name, k, c[v]))
 )";
 
 std::map<std::string, double> compute_independent_scores(const fs::path& bench, const Pair& pair) {
@@ -126,6 +154,10 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
         {"0.4:a_depth_psnr", "peer/depth_psnr_db"},
         {"0.4:a_int_psnr", "peer/intensity_psnr_db"},
         {"0.5:a_depth_psnr", "strict/image_depth_psnr_db"}};
+    for (const char* region : {"edges", "smooth"})
+        for (const char* score : {"pixels", "share", "returned", "above_1m", "depth_medae_m", "cd_mean_m",
+                                  "cd_sq_m2", "f_5cm", "f_22cm"})
+            names.emplace_back(fmt::format("{}/{}", region, score), fmt::format("{}/{}", region, score));
     for (const char* error : {"rmse", "mae", "medae"}) {
         for (const auto& [theirs, ours] : {std::pair("0.4:a", "peer/"),
                                            {"0.5:a", "strict/image_"},

@@ -2,6 +2,7 @@
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
+#include <array>
 #include <cmath>
 #include <random>
 
@@ -202,6 +203,54 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
     const MetricValues none = evaluate_regions(rendered, real, {{"nothing", std::vector<bool>(5)}});
     EXPECT_EQ(none, (MetricValues{{"nothing/pixels", 0.0}}));
     EXPECT_THROW((void)evaluate_regions(rendered, real, {{"short", std::vector<bool>(4)}}), DataError);
+}
+
+/// An image of 2 x 4 pixels. Its rays cover a full turn, or are all parallel.
+RangeImage make_two_rows(std::vector<float> range_m, bool full_turn) {
+    RangeImage image = image_of(std::move(range_m), std::vector<float>(8, 0.0f));
+    image.rows = 2;
+    image.columns = 4;
+    for (std::size_t i = 0; full_turn && i < 8; ++i)
+        image.direction[i] = glm::vec3(std::array{1, 0, -1, 0}[i % 4], std::array{0, 1, 0, -1}[i % 4], 0);
+    return image;
+}
+
+TEST(Regions, EdgesJumpByHalfAMetreAndFivePercent) {
+    // Row 0 jumps by 0.5 m, which is not above the limit, and by 0.55 m. A ray of row 1
+    // has no return, so its neighbours do not jump to each other.
+    const RangeImage real = make_two_rows({10, 10.5f, 11.05f, 11.1f, 10.2f, 0, 30, 31}, false);
+    EXPECT_EQ(mask_edges(real), (std::vector<bool>{false, true, true, true, false, false, true, true}));
+    // 20.0 and 21.04 m: above 5 % of the nearer range, but not of the farther range
+    const std::vector<float> far{20, 21.04f, 21.04f, 21.04f, 21.04f, 21.04f, 21.04f, 21.04f};
+    EXPECT_EQ(mask_edges(make_two_rows(far, false)),
+              (std::vector<bool>{true, false, false, false, false, false, false, false}));
+    const std::vector<float> seam{10, 10, 10, 12, 10, 10, 10, 10};
+    EXPECT_FALSE(mask_edges(make_two_rows(seam, false))[0]);
+    EXPECT_TRUE(mask_edges(make_two_rows(seam, true))[0]) << "the last column is next to the first";
+}
+
+TEST(Regions, ScoreCloudsAndLargeErrors) {
+    // Parallel rays along x from the same origin: the points are on a line.
+    const RangeImage real = make_two_rows({10, 20, 20, 20, 10, 20, 20, 20}, false);
+    RangeImage rendered = real;
+    rendered.range_m = {10.04f, 18.9f, 20, 20, 10, 20.1f, 20, 20};
+    rendered.drop_prob[4] = 1.0f;
+    const MetricValues row = evaluate_regions(rendered, real, make_regions(real, std::vector<bool>(8)));
+    EXPECT_EQ(row.at("edges/pixels"), 4.0);
+    EXPECT_EQ(row.at("edges/share"), 0.5);
+    EXPECT_EQ(row.at("edges/returned"), 0.75);
+    EXPECT_NEAR(row.at("edges/above_1m"), 1.0 / 3.0, 1e-12);
+    // rendered 10.04, 18.9, 20.1; real 10, 20, 10, 20
+    EXPECT_NEAR(row.at("edges/cd_mean_m"), (0.04 + 1.1 + 0.1) / 3.0 + (0.04 + 0.1) / 2.0, 1e-5);
+    EXPECT_NEAR(row.at("edges/f_5cm"), 0.4, 1e-12) << "precision 1/3, recall 1/2";
+    EXPECT_NEAR(row.at("edges/f_22cm"), 0.8, 1e-12) << "precision 2/3, recall 1";
+    EXPECT_EQ(row.at("smooth/share"), 0.5);
+    EXPECT_EQ(row.at("smooth/cd_mean_m"), 0.0);
+    EXPECT_FALSE(row.contains("static/cd_mean_m"));
+    EXPECT_FALSE(evaluate_regions(image_of({10, 20}, {0, 0}), image_of({10, 20}, {0, 0}),
+                                  make_regions(image_of({10, 20}, {0, 0}), {false, false}))
+                     .contains("edges/pixels"))
+        << "an unordered list of rays has no neighbours";
 }
 
 TEST(Regions, KnowWhatMoves) {

@@ -19,6 +19,9 @@ relidar::Progress interruptible_progress(TerminalProgress& terminal_progress);
 std::string format_scores(const Evaluation& result);
 /// The 20 moving boxes with the worst scores, below the column titles.
 std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result);
+/// Scores at depth edges, below the column titles: one row each for edges/*,
+/// edges_repeat/* and smooth/*. A region without pixels is left out.
+std::vector<std::vector<std::string>> edge_rows(const Evaluation& result);
 /// @param baseline its means are shown too; may be null
 std::string format_metrics(const Evaluation& result, const Evaluation* baseline = nullptr);
 

@@ -36,6 +36,13 @@ constexpr const char* kRegionsNote =
     "returned: share of these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels "
     "inside labelled moving boxes; discovered_boxes: pixels inside moving boxes that the dataset does not "
     "label, but training found";
+constexpr const char* kEdgesNote =
+    "edges: pixels whose real range differs from that of a neighbour in the row or column by more than 0.5 m "
+    "and 5 %; smooth: all other pixels; edges_repeat: the next real scan instead of the rendered scan, over "
+    "the frames in which the sensor stands still; share: of the real returns; above_1m: share of the range "
+    "errors above 1 m, over pixels that return in both scans; cd_* and f_*: like points/*, over the points "
+    "of "
+    "these pixels";
 constexpr const char* kActorsNote =
     "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
     "log; tail_share: share of the simulated points (drop_prob < 0.5) that are trail points; "
@@ -73,6 +80,7 @@ Json protocol_json(const Config& config) {
         {"strict", kStrictNote},
         {"points", kPointsNote},
         {"regions", kRegionsNote},
+        {"edges", kEdgesNote},
         {"actors", kActorsNote},
         {"classes", kClassesNote},
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
@@ -177,6 +185,22 @@ std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result)
     return rows;
 }
 
+std::vector<std::vector<std::string>> edge_rows(const Evaluation& result) {
+    constexpr std::pair<const char*, const char*> kRegions[] = {
+        {"edges", "at depth edges"},
+        {"edges_repeat", "limit: the next real scan while the sensor stands"},
+        {"smooth", "elsewhere"}};
+    TextTableRows rows{{"points", "share of returns", "also returned", "errors above 1 m", "Chamfer, m",
+                        "F-score, 5 cm", "F-score, 22 cm"}};
+    for (const auto& [region, name] : kRegions) {
+        if (!result.mean.contains(region + std::string("/share"))) continue;
+        rows.push_back({name});
+        for (const char* column : {"share", "returned", "above_1m", "cd_mean_m", "f_5cm", "f_22cm"})
+            rows.back().push_back(format_metric(result.mean, fmt::format("{}/{}", region, column)));
+    }
+    return rows;
+}
+
 relidar::Progress interruptible_progress(TerminalProgress& terminal_progress) {
     return [show = progress_callback(terminal_progress)](std::string_view description, double done) {
         check_interrupt();
@@ -217,10 +241,11 @@ std::string format_metrics(const Evaluation& result, const Evaluation* baseline)
     std::string text =
         format_scores(result) + "\n" + format_table(rows) + "\n" + format_table(region_rows(result));
     if (baseline) text += "\n" + format_table(region_rows(*baseline));
-    if (const TextTableRows actors = worst_actor_rows(result); actors.size() > 1)
-        text += "\n" + format_table(actors);
-    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n",
-                              kPeerNote, kStrictNote, kPointsNote, kRegionsNote, kActorsNote);
+    for (const TextTableRows& table : {edge_rows(result), worst_actor_rows(result)})
+        if (table.size() > 1) text += "\n" + format_table(table);
+    return text +
+           fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nedges    {}\nactors   {}\n",
+                       kPeerNote, kStrictNote, kPointsNote, kRegionsNote, kEdgesNote, kActorsNote);
 }
 
 Json frames_json(const Evaluation& result) {

@@ -116,6 +116,13 @@ void add_evaluation(Report& report, const Evaluation& result, const Run& run,
     report.views.push_back(make_3d_view(shown, run.config, name + ": points", labels.real));
     report.bars.push_back(error_by_range(result, fmt::format("Errors by range, {}", labels.column)));
     report.tables.push_back(
+        {fmt::format("Depth edges, {}", labels.column),
+         "A pixel is at an edge if its real range differs from that of a neighbour by more than 0.5 m and 5 "
+         "%. "
+         "Also returned: share of these real returns that the simulation returns. The limit is the real scan "
+         "after each scan in which the sensor stands still, if the log has such scans.",
+         edge_rows(result)});
+    report.tables.push_back(
         {fmt::format("Moving objects, {}", labels.column),
          "Points of all frames in each moving box. The box with the highest share of errors above 0.3 m is "
          "first. Bias: median of simulated minus real ranges. F1: agreement on which rays return from the "
