@@ -38,6 +38,13 @@ Log load_kitti_360(const std::filesystem::path& folder, const DatasetOptions& op
 /// frame are those of global_pose.csv.
 Log load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);
 
+/// Loads a sequence of NCore v4. Frames are the sweeps of the first LiDAR by name, and
+/// simultaneous sweeps of other LiDARs. The world frame is the frame "world" of the
+/// sequence. DatasetOptions::sequence selects one of several sequences in a folder by the
+/// first characters of its name.
+/// @param path  a store (*.zarr.itar or a folder *.zarr), or a folder of stores
+Log load_ncore(const std::filesystem::path& path, const DatasetOptions& options);
+
 /// Loads the scene that DatasetOptions::sequence selects: by its name ("scene-0061"), by
 /// its first characters, or by its number ("61"). The frames are the keyframes and sweeps
 /// of the first LiDAR, sorted by time. Sweeps of other LiDARs at nearly the same time get

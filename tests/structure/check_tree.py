@@ -25,7 +25,7 @@ OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/log/", "src/diff/traversal/")
 # Headers of libraries, and the folders of src/ that may include them.
 LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
-    "lz4frame.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
+    "lz4frame.h": "base/codecs", "lz4.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
     "bzlib.h": "read/bag", "pcap/": "read/bag", "simdjson.h": "read/datasets",
     "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
     "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+// The LiDARs of an NCore sequence and their scans.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/read/clouds.hpp>
+
+#include "read/datasets/ncore/ncore_sequence.hpp"
+#include "read/scans/folder_points.hpp"
+
+namespace relidar::ncore {
+
+/// NCore's model "row-offset-spinning": the ray of row i and column j has
+///   elevation = row_elevations[i],  azimuth = column_azimuths[j] + row_azimuth_offsets[i].
+struct SpinningModel {
+    std::vector<double> elevation_rad, offset_rad;  ///< [rows] highest first
+    std::vector<double> azimuth_rad;                ///< [columns] in the order of firing
+    double period_s = 0.1;
+    bool is_clockwise = true;
+
+    glm::dvec3 direction(std::size_t row, std::size_t column) const;
+};
+
+/// Reads the model of a LiDAR, or nothing if the sequence has none.
+std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name);
+
+/// Returns the beams and columns of a model, or nothing if its columns are not in equal
+/// steps. The sensor has no name and no range limits.
+std::optional<SpinningSensor> to_sensor(const SpinningModel& model);
+
+/// Rays and returns of a frame, as they are stored.
+struct RayBundle {
+    std::vector<glm::dvec3> direction;        ///< [rays] unit vectors in the sensor frame
+    std::vector<float> time_offset_s;         ///< [rays] relative to the time of the frame
+    std::vector<std::uint16_t> element;       ///< [rays * 2] row and column in the model; may be empty
+    std::vector<std::vector<float>> range_m;  ///< [returns][rays] 0: no such return
+    std::vector<std::vector<float>> intensity;
+};
+
+/// A sweep of a LiDAR.
+struct StoredFrame {
+    std::int64_t start_us = 0, end_us = 0;
+    std::int64_t middle_us() const { return start_us + (end_us - start_us) / 2; }
+};
+std::vector<StoredFrame> list_stored_frames(const Component& lidar);
+
+/// @param time_us  reference time of the frame in the log
+RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us);
+
+/// Returns the median angle between the rays with a return and the rays of the model.
+double measure_misfit_rad(const RayBundle& bundle, const SpinningModel& model);
+
+/// Where a scan of the log is stored.
+struct ScanLocation {
+    std::size_t lidar = 0;  ///< index in Log::lidars
+    StoredFrame frame;
+    std::int64_t time_us = 0;  ///< reference time of the frame in the log
+};
+
+/// Converts rays of frames to scans. A LiDAR with a model becomes an image, in which rays
+/// that are not stored were dropped. Other LiDARs become points.
+class NcoreScans : public read::ScanProvider {
+public:
+    /// @param models  [lidars] models of LiDARs whose rays become images
+    NcoreScans(const Log& log, std::vector<Component> lidars, std::vector<ScanLocation> scans,
+               std::vector<std::optional<SpinningModel>> models);
+
+    std::string frame_name(std::size_t frame) const override;
+    bool stores_points(std::size_t frame) const override { return !models_[scans_[frame].lidar]; }
+    LidarPoints read_points(std::size_t frame) const override;
+    Scan read_rays(std::size_t frame) const override;
+
+private:
+    std::vector<Component> lidars_;
+    std::vector<ScanLocation> scans_;
+    std::vector<std::optional<SpinningModel>> models_;
+    /// [lidars] rays of the model in image order, without returns
+    std::vector<RayTable> images_;
+    /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image
+    std::vector<std::vector<int>> ray_of_element_;
+
+    RayBundle read_bundle(std::size_t frame) const;
+    void place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar, const std::string& where) const;
+};
+
+}  // namespace relidar::ncore

@@ -1,0 +1,226 @@
+// SPDX-License-Identifier: Apache-2.0
+// A store NAME.ncore4.zarr.itar, or NAME.ncore4-GROUP.zarr.itar, has the groups
+// KIND/INSTANCE of components. Stores of the same NAME and folder are one sequence.
+#include "read/datasets/ncore/ncore_sequence.hpp"
+
+#include <algorithm>
+#include <deque>
+#include <map>
+
+#include <fmt/ranges.h>
+
+#include <relidar/read/clouds.hpp>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+
+namespace relidar::ncore {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kArchiveEnding = ".zarr.itar";
+constexpr const char* kFolderEnding = ".zarr";
+constexpr std::size_t kLongestName = 200;
+constexpr std::int64_t kLatestTime_us = 4'000'000'000'000'000;  // in the year 2096
+constexpr std::size_t kPoseNumbers = 16;
+constexpr std::size_t kMostEdges = 200;
+constexpr double kSameTime_s = 1e-3;  // tolerance of the first and last time of a trajectory
+
+/// Returns the name of the sequence in the name of a store, or nothing for other files.
+std::optional<std::string> sequence_name(const fs::path& path) {
+    std::string name = path.filename().string();
+    if (!name.ends_with(fs::is_directory(path) ? kFolderEnding : kArchiveEnding)) return std::nullopt;
+    name.erase(name.rfind(kFolderEnding));
+    return name.substr(0, name.rfind(".ncore4"));
+}
+
+/// Returns the stores of the sequence that a path or a name selects.
+std::vector<fs::path> find_stores(const fs::path& path, const std::string& requested_name, Notes& notes) {
+    const fs::path full = fs::canonical(path);
+    const auto own_name = sequence_name(full);
+    if (!own_name && !fs::is_directory(full))
+        fail("{}: expected a file *{}", path.string(), kArchiveEnding);
+    std::map<std::string, std::vector<fs::path>> sequences;
+    for (const fs::path& entry : list_folder(own_name ? full.parent_path() : full)) {
+        const auto name = sequence_name(entry);
+        // A folder can have a sequence in both forms.
+        if (name && (!own_name || (name == own_name && fs::is_directory(entry) == fs::is_directory(full))))
+            sequences[*name].push_back(entry);
+    }
+    if (sequences.empty()) {
+        if (!does_path_exist(full / ".zgroup"))
+            fail("{} contains no store of NCore, expected *{}", path.string(), kArchiveEnding);
+        return {full};  // a store with another name
+    }
+    const auto chosen = std::ranges::find_if(
+        sequences, [&](const auto& sequence) { return sequence.first.starts_with(requested_name); });
+    if (chosen == sequences.end())
+        fail<UsageError>("dataset.sequence: found '{}', which selects none of the {} sequences in {}",
+                         quote(requested_name), sequences.size(), path.string());
+    if (sequences.size() > 1 && requested_name.empty())
+        notes.push_back(fmt::format(
+            "the first of {} sequences is read; select another one with dataset.sequence", sequences.size()));
+    std::ranges::sort(chosen->second);
+    return chosen->second;
+}
+
+/// Splits a key "('source', 'target')", which Python wrote.
+std::pair<std::string, std::string> split_edge(const std::string& key, const std::string& where) {
+    std::vector<std::string> names;
+    for (std::size_t at = 1; at < key.size() && names.size() < 2;) {
+        const std::size_t end = key.find(key[at], at + 1);
+        if ((key[at] != '\'' && key[at] != '"') || end == std::string::npos) break;
+        names.push_back(key.substr(at + 1, end - at - 1));
+        at = end + 3;  // the quote, a comma and a blank
+    }
+    if (names.size() != 2 || key.front() != '(' || key.back() != ')')
+        fail("{}: the edge is '{}', expected ('source', 'target')", where, quote(key));
+    return {names[0], names[1]};
+}
+
+PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence) {
+    PoseGraph::Edge edge;
+    edge.is_fixed = field.has_member("pose");
+    const JsonField poses = field.at(edge.is_fixed ? "pose" : "poses");
+    const std::vector<double> numbers = poses.flat_numbers(3);
+    std::vector<double> times_s;
+    if (edge.is_fixed) times_s = {0.0};
+    else
+        for (std::size_t i = 0; i < field.at("timestamps_us").size(); ++i)
+            times_s.push_back(sequence.seconds_of(read_time_us(field.at("timestamps_us").at(i))));
+    if (times_s.empty() || numbers.size() != kPoseNumbers * times_s.size())
+        poses.reject(fmt::format("found {} numbers for {} times", numbers.size(), times_s.size()),
+                     fmt::format("expected {} numbers for each time", kPoseNumbers));
+    for (std::size_t i = 0; i < times_s.size(); ++i) {
+        if (i > 0 && !(times_s[i] > times_s[i - 1]))
+            field.at("timestamps_us").at(i).reject("found no later time", "expected increasing times");
+        edge.track.append(times_s[i], make_pose(std::span(numbers).subspan(kPoseNumbers * i, kPoseNumbers),
+                                                poses.at(edge.is_fixed ? 0 : i).location()));
+    }
+    return edge;
+}
+
+}  // namespace
+
+std::int64_t read_time_us(const JsonField& field) { return field.integer_in(0, kLatestTime_us); }
+
+NcoreSequence::NcoreSequence(const fs::path& path, const std::string& requested_name) {
+    for (const fs::path& store : find_stores(path, requested_name, notes)) stores_.emplace_back(store);
+    for (const ZarrStore& store : stores_) {
+        const ZarrJson attributes = read_zarr_attributes(store, "");
+        const JsonField root = attributes.root();
+        if (const std::string version = root.at("version").short_text(kLongestName); version != "v4")
+            fail("{}: the version is '{}', expected v4 of NCore", store.name(), quote(version));
+        const std::string name = root.at("sequence_id").short_text(kLongestName);
+        if (!id.empty() && name != id)
+            fail("{}: the sequence is '{}', expected '{}' as in the other stores", store.name(), quote(name),
+                 quote(id));
+        id = name;
+        start_us = read_time_us(root.at("sequence_timestamp_interval_us").at("start"));
+        if (&store == &stores_.front() && root.has_member("generic_meta_data") &&
+            !attributes.json["generic_meta_data"].empty())
+            notes.push_back("meta data of the sequence: " +
+                            quote(attributes.json["generic_meta_data"].dump(
+                                -1, ' ', true, nlohmann::json::error_handler_t::replace)));
+    }
+    note_unread();
+}
+
+/// Adds a note that names the components that are not read.
+void NcoreSequence::note_unread() {
+    std::vector<std::string> unread;
+    for (const ZarrStore& store : stores_)
+        for (const std::string& kind : store.list_children(""))
+            if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
+                unread.push_back(fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
+    if (!unread.empty())
+        notes.push_back(fmt::format("these components are not read: {}", fmt::join(unread, ", ")));
+}
+
+std::vector<Component> NcoreSequence::list_components(const std::string& kind) const {
+    std::vector<Component> components;
+    for (const ZarrStore& store : stores_)
+        for (const std::string& name : store.list_children(kind))
+            components.push_back({&store, kind + "/" + name, name});
+    std::ranges::stable_sort(components, {}, [](const Component& component) {
+        return std::pair(component.name != "default", component.name);
+    });
+    for (std::size_t i = 1; i < components.size(); ++i)
+        if (components[i].name == components[i - 1].name)
+            fail("{}: {} is also in {}, expected it once", components[i].store->name(), components[i].path,
+                 components[i - 1].store->name());
+    return components;
+}
+
+PoseGraph::PoseGraph(const NcoreSequence& sequence, Notes& notes) {
+    for (const Component& component : sequence.list_components("poses")) {
+        std::size_t n_repeated = 0;
+        for (const char* group : {"static_poses", "dynamic_poses"}) {
+            const ZarrJson attributes = component.attributes(group);
+            for (const auto& [key, value] : attributes.json.items()) {
+                auto [source, target] = split_edge(key, attributes.where);
+                if (find_path(source, target)) {
+                    ++n_repeated;
+                    continue;
+                }
+                Edge edge = read_edge(attributes.root().at(key), sequence);
+                edge.source = std::move(source);
+                edge.target = std::move(target);
+                edges_.push_back(std::move(edge));
+                if (edges_.size() > kMostEdges)
+                    fail("{}: found more than {} edges between frames", attributes.where, kMostEdges);
+            }
+        }
+        if (n_repeated > 0)
+            notes.push_back(fmt::format("{} poses of {} are ignored, because other poses join their frames",
+                                        n_repeated, component.path));
+    }
+}
+
+bool PoseGraph::has_frame(const std::string& name) const {
+    return std::ranges::any_of(
+        edges_, [&](const Edge& edge) { return edge.source == name || edge.target == name; });
+}
+
+std::optional<PoseGraph::Path> PoseGraph::find_path(const std::string& source,
+                                                    const std::string& target) const {
+    std::map<std::string, Path> reached{{source, {}}};
+    for (std::deque<std::string> open{source}; !open.empty(); open.pop_front()) {
+        if (open.front() == target) return reached[target];
+        for (const Edge& edge : edges_)
+            for (const bool is_reverse : {false, true}) {
+                const Step step{&edge, is_reverse};
+                const std::string& next = is_reverse ? edge.source : edge.target;
+                if (step.begin() != open.front() || reached.contains(next)) continue;
+                Path path = reached[open.front()];
+                path.push_back(step);
+                reached[next] = std::move(path);
+                open.push_back(next);
+            }
+    }
+    return std::nullopt;
+}
+
+bool PoseGraph::is_fixed(const Path& path) {
+    return std::ranges::all_of(path, [](const Step& step) { return step.edge->is_fixed; });
+}
+
+bool PoseGraph::is_known(const Path& path, double time_s) {
+    return std::ranges::all_of(path, [&](const Step& step) {
+        const std::vector<double>& times_s = step.edge->track.time_s;
+        return step.edge->is_fixed ||
+               (time_s >= times_s.front() - kSameTime_s && time_s <= times_s.back() + kSameTime_s);
+    });
+}
+
+Pose PoseGraph::pose_at(const Path& path, double time_s) {
+    Pose pose;
+    for (const Step& step : path) {
+        const Pose of_edge = step.edge->track.pose_at(time_s);
+        pose = (step.is_reverse ? inverse(of_edge) : of_edge) * pose;
+    }
+    return pose;
+}
+
+}  // namespace relidar::ncore
