@@ -49,8 +49,7 @@ void undo_shuffle(std::string_view block, std::size_t element_bytes, unsigned fl
                 for (std::size_t k = 8; k-- > 0;)
                     bits = bits << 8 | std::uint8_t(block[(b * 8 + k) * (n / 8) + i / 8]);
                 bits = transpose_bits(bits);
-                for (std::size_t k = 0; k < 8; ++k)
-                    out[(i + k) * element_bytes + b] = char(bits >> (8 * k));
+                for (std::size_t k = 0; k < 8; ++k) out[(i + k) * element_bytes + b] = char(bits >> (8 * k));
             }
     }
 }
@@ -85,7 +84,8 @@ std::string decompress_blosc(std::string_view chunk) {
         fail("blosc data are truncated or damaged: found {} bytes, expected {}", chunk.size(), chunk_bytes);
     if ((flags & kCopied) != 0) {
         if (chunk.size() != kBloscHeaderBytes + n_bytes)
-            fail("blosc data are damaged: found {} bytes, expected {}", chunk.size() - kBloscHeaderBytes, n_bytes);
+            fail("blosc data are damaged: found {} bytes, expected {}", chunk.size() - kBloscHeaderBytes,
+                 n_bytes);
         return std::string(header.read_rest());
     }
     if (int(flags >> kCodecShift) != kLz4Codec)
@@ -95,11 +95,11 @@ std::string decompress_blosc(std::string_view chunk) {
              block_bytes);
     std::string bytes(n_bytes, '\0'), block;
     for (std::size_t at = 0; at < n_bytes; at += block_bytes) {
-        const std::size_t size = std::min(block_bytes, n_bytes - at), start = header.read_number<std::uint32_t>();
+        const std::size_t size = std::min(block_bytes, n_bytes - at),
+                          start = header.read_number<std::uint32_t>();
         if (start > chunk.size()) fail("blosc data are damaged: a block begins at byte {}", start);
         codecs::ByteReader reader(chunk.substr(start));
-        const bool is_split =
-            (flags & kOneStream) == 0 && size == block_bytes && size % element_bytes == 0;
+        const bool is_split = (flags & kOneStream) == 0 && size == block_bytes && size % element_bytes == 0;
         const std::size_t n_streams = is_split ? element_bytes : 1;
         block.clear();
         for (std::size_t s = 0; s < n_streams; ++s) append_stream(reader, size / n_streams, block);

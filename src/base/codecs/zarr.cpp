@@ -99,8 +99,7 @@ void copy_chunk(const std::string& chunk, const std::vector<std::size_t>& chunk_
         const std::size_t begin = (at + first_column) * element_bytes;
         // Grows with the chunks, so that a damaged shape does not use much memory.
         bytes.resize(std::max(bytes.size(), begin + n_columns * element_bytes));
-        chunk.copy(bytes.data() + begin, n_columns * element_bytes,
-                   line * chunk_shape[last] * element_bytes);
+        chunk.copy(bytes.data() + begin, n_columns * element_bytes, line * chunk_shape[last] * element_bytes);
     }
 }
 
@@ -130,10 +129,10 @@ void ZarrStore::list_members() {
         if (header.find_first_not_of('\0') == std::string::npos) break;
         const std::string_view view = header;
         const auto n_bytes = header.size() == kTarBlock ? parse_octal(view.substr(124, 12)) : std::nullopt;
-        if (!n_bytes || !is_tar_header(view))
-            fail("{}: the tar header at byte {} is damaged", name(), at);
+        if (!n_bytes || !is_tar_header(view)) fail("{}: the tar header at byte {} is damaged", name(), at);
         at += kTarBlock;
-        if (*n_bytes > size - at) fail("{}: the member at byte {} has {} bytes, found {}", name(), at, *n_bytes, size - at);
+        if (*n_bytes > size - at)
+            fail("{}: the member at byte {} has {} bytes, found {}", name(), at, *n_bytes, size - at);
         const char kind = header[156];
         if (kind == 'x' || kind == 'L') {  // name of the next member
             const std::string text = read_bytes(in, at, std::min(*n_bytes, kMaxPathBytes));
@@ -142,7 +141,8 @@ void ZarrStore::list_members() {
             std::string key = std::exchange(long_name, "");
             if (key.empty()) {
                 const std::string_view folder = until_zero(view.substr(345, 155));
-                key = std::string(folder) + (folder.empty() ? "" : "/") + std::string(until_zero(view.substr(0, 100)));
+                key = std::string(folder) + (folder.empty() ? "" : "/") +
+                      std::string(until_zero(view.substr(0, 100)));
             }
             members_[key] = {at, *n_bytes};
         }

@@ -31,6 +31,8 @@ constexpr const char* kRig = "rig";
 constexpr double kMaxSweepGap = 0.6;
 // If the rays differ more from the model, the beams are fitted to the points.
 constexpr double kMaxMisfit_rad = kPi / 180.0;
+constexpr double kDegrees = 180.0 / kPi;
+constexpr std::size_t kSampleFrames = 4;  // frames of a LiDAR that show its beams
 constexpr std::size_t kLongestId = 200;
 constexpr double kLargestCoordinate_m = 1e8;
 
@@ -52,9 +54,8 @@ public:
     Log load() {
         find_lidars();
         if (options_.poses_file.empty() && !vehicle_path_)
-            fail(
-                "{}: no poses join the frames '{}' and '{}'; use dataset.poses=FILE or dataset.poses=none",
-                sequence_.place(), quote(vehicle_), kWorld);
+            fail("{}: no poses join the frames '{}' and '{}'; use dataset.poses=FILE or dataset.poses=none",
+                 sequence_.place(), quote(vehicle_), kWorld);
         add_lidars();
         add_frames();
         read_boxes();
@@ -135,7 +136,8 @@ private:
             for (const StoredFrame& frame : lidar.frames)
                 times_s.push_back(sequence_.seconds_of(frame.middle_us()));
             matches.push_back(match_sweeps(main_s, times_s, kMaxSweepGap * median_interval_s(main_s)));
-            const auto n = std::ranges::count_if(matches.back(), [](const auto& match) { return match.has_value(); });
+            const auto n =
+                std::ranges::count_if(matches.back(), [](const auto& match) { return match.has_value(); });
             if (const std::size_t n_left = times_s.size() - std::size_t(n); n_left > 0)
                 log_.notes.push_back(
                     fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",
@@ -156,8 +158,8 @@ private:
             }
         }
         if (n_without_pose > 0)
-            log_.notes.push_back(fmt::format("{} frames are skipped, because the sequence has no poses at their times",
-                                             n_without_pose));
+            log_.notes.push_back(fmt::format(
+                "{} frames are skipped, because the sequence has no poses at their times", n_without_pose));
         if (scans_.empty() && n_without_pose > 0)
             fail("{}: the sequence has no poses at the times of the requested frames", sequence_.place());
         if (scans_.empty())
@@ -187,7 +189,8 @@ private:
             const std::string frame = item.at("reference_frame_id").short_text(kLongestId);
             if (!paths.contains(frame)) paths[frame] = graph_.find_path(frame, kWorld);
             const double time_s = sequence_.seconds_of(read_time_us(item.at("timestamp_us"))),
-                         reference_s = sequence_.seconds_of(read_time_us(item.at("reference_frame_timestamp_us")));
+                         reference_s =
+                             sequence_.seconds_of(read_time_us(item.at("reference_frame_timestamp_us")));
             const auto centre = box.at("centroid").numbers<3>(), size = box.at("dim").numbers<3>(),
                        angles = box.at("rot").numbers<3>();
             for (const double v : centre)
@@ -200,7 +203,8 @@ private:
                 ++n_unknown;
                 continue;
             }
-            const Pose in_frame{make_rotation(angles[2], angles[1], angles[0]), {centre[0], centre[1], centre[2]}};
+            const Pose in_frame{make_rotation(angles[2], angles[1], angles[0]),
+                                {centre[0], centre[1], centre[2]}};
             labels.push_back({item.at("track_id").short_text(kLongestId),
                               item.at("class_id").short_text(kLongestId),
                               {size[0], size[1], size[2]},
@@ -208,15 +212,35 @@ private:
                               PoseGraph::pose_at(*paths[frame], reference_s) * in_frame});
         }
         if (n_unknown > 0)
-            log_.notes.push_back(
-                fmt::format("{} boxes are ignored, because no poses join their frame and the world", n_unknown));
-        std::ranges::stable_sort(labels, {}, [](const BoxLabel& label) { return std::pair(label.id, label.time_s); });
+            log_.notes.push_back(fmt::format(
+                "{} boxes are ignored, because no poses join their frame and the world", n_unknown));
+        std::ranges::stable_sort(labels, {},
+                                 [](const BoxLabel& label) { return std::pair(label.id, label.time_s); });
         // A track has one pose at a time.
         const auto repeated = std::ranges::unique(labels, [](const BoxLabel& first, const BoxLabel& second) {
             return first.id == second.id && first.time_s == second.time_s;
         });
         labels.erase(repeated.begin(), repeated.end());
         log_.boxes = build_tracks(labels);
+    }
+
+    /// Reads a few frames of a LiDAR. Skips unreadable frames, because reading their scans
+    /// reports the error.
+    std::vector<RayBundle> read_samples(std::size_t l) const {
+        std::vector<const ScanLocation*> frames;
+        for (const ScanLocation& scan : scans_)
+            if (scan.lidar == l) frames.push_back(&scan);
+        std::vector<RayBundle> samples;
+        const std::size_t n = std::min(kSampleFrames, frames.size());
+        for (std::size_t k = 0; k < n; ++k) {
+            const ScanLocation& scan = *frames[k * frames.size() / n];
+            try {
+                samples.push_back(read_rays(lidars_[l].component, scan.frame, scan.time_us));
+            } catch (const DataError&) {
+                continue;
+            }
+        }
+        return samples;
     }
 
     /// Returns the model of a LiDAR if its rays become an image: each ray has a row and a
@@ -228,31 +252,26 @@ private:
         sensor.max_range_m = options_.max_range_m;
         std::optional<SpinningModel> model = read_model(sequence_, name);
         if (!model) return std::nullopt;
-        const std::optional<SpinningSensor> of_model = to_sensor(*model);
-        const auto first = std::ranges::find(scans_, l, &ScanLocation::lidar);
-        if (!of_model || first == scans_.end()) {
-            if (!of_model)
-                log_.notes.push_back(
-                    fmt::format("{}: the columns of its model are not in equal steps, so the beams are "
-                                "fitted to the points",
-                                name));
-            return std::nullopt;
-        }
-        double misfit_rad = 0.0;
-        bool has_elements = false;
-        try {
-            const RayBundle bundle = read_rays(lidars_[l].component, first->frame, first->time_us);
-            has_elements = !bundle.element.empty();
-            misfit_rad = measure_misfit_rad(bundle, *model);
-        } catch (const DataError&) {
-            has_elements = true;  // the error is reported when the scan is read
-        }
+        const std::vector<RayBundle> samples = read_samples(l);
+        const FittedBeams fitted = fit_beam_origins(samples, *model);
+        const bool has_elements =
+            std::ranges::any_of(samples, [](const RayBundle& sample) { return !sample.element.empty(); });
+        const bool fits = fitted.model_misfit_rad < kMaxMisfit_rad;
+        const std::optional<SpinningSensor> of_model = to_sensor(*model, fitted.beams);
         if (has_elements)
             log_.notes.push_back(fmt::format(
                 "{}: the rays differ by {:.3f} degrees (median) from NCore's model{}", name,
-                misfit_rad * 180.0 / kPi,
-                misfit_rad > kMaxMisfit_rad ? ", so the beams are fitted to the points" : ""));
-        if (misfit_rad > kMaxMisfit_rad) return std::nullopt;
+                fitted.model_misfit_rad * kDegrees,
+                fitted.is_better ? fmt::format(", and by {:.3f} degrees from beams whose directions and "
+                                               "origins are fitted to the points",
+                                               fitted.misfit_rad * kDegrees)
+                                 : ""));
+        if (!of_model || !fits) {
+            log_.notes.push_back(
+                fmt::format("{}: NCore's model is not used, because {}", name,
+                            fits ? "its columns are not in equal steps" : "the rays have other directions"));
+            return std::nullopt;
+        }
         layout.has_beams = true;
         const std::string sensor_name = sensor.name;
         sensor = *of_model;

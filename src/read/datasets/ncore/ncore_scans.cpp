@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include <fmt/format.h>
 
@@ -16,8 +17,9 @@ namespace relidar::ncore {
 namespace {
 
 constexpr std::size_t kMostReturns = 8;
-constexpr double kUnitLength = 1e-2;         // tolerance of the length of a direction
-constexpr double kMostUneven = 0.25;         // largest deviation of a column from equal steps, in steps
+constexpr double kNearest_m = 1e-3;               // A nearer point has no direction from its beam.
+constexpr double kUnitLength = 1e-2;              // tolerance of the length of a direction
+constexpr double kMostUneven = 0.25;              // largest deviation of a column from equal steps, in steps
 constexpr std::int64_t kMostLate_us = 1'000'000;  // largest time between a ray and its frame
 
 std::vector<double> read_angles(const JsonField& field, std::size_t n) {
@@ -40,12 +42,6 @@ std::vector<bool> read_valid(const Component& lidar, const std::string& frame, s
 }
 
 }  // namespace
-
-glm::dvec3 SpinningModel::direction(std::size_t row, std::size_t column) const {
-    const double azimuth = azimuth_rad[column] + offset_rad[row], elevation = elevation_rad[row];
-    return {std::cos(azimuth) * std::cos(elevation), std::sin(azimuth) * std::cos(elevation),
-            std::sin(elevation)};
-}
 
 std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name) {
     for (const Component& component : sequence.list_components("intrinsics")) {
@@ -70,7 +66,7 @@ std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std
     return std::nullopt;
 }
 
-std::optional<SpinningSensor> to_sensor(const SpinningModel& model) {
+std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams) {
     SpinningSensor sensor;
     sensor.clockwise = model.is_clockwise;
     sensor.period_s = model.period_s;
@@ -92,9 +88,14 @@ std::optional<SpinningSensor> to_sensor(const SpinningModel& model) {
     // Column 0 is the first column at or below +180 degrees.
     const double below = kPi - first;
     sensor.first_azimuth_rad = kPi - (below - even_step * std::floor(below / even_step));
-    for (std::size_t i = 0; i < model.elevation_rad.size(); ++i)
-        sensor.beams.push_back(
-            {.elevation_rad = model.elevation_rad[i], .azimuth_offset_rad = model.offset_rad[i]});
+    std::vector<std::size_t> rows(beams.size());
+    std::iota(rows.begin(), rows.end(), std::size_t(0));
+    std::ranges::stable_sort(rows, std::greater{}, [&](std::size_t row) { return beams[row].elevation_rad; });
+    model.beam_of_row.resize(rows.size());
+    for (const std::size_t row : rows) {
+        model.beam_of_row[row] = sensor.beams.size();
+        sensor.beams.push_back(beams[row]);
+    }
     // The field of view contains the image columns of all rows, which are shifted by the
     // offsets of the rows.
     const auto [low, high] = std::ranges::minmax_element(
@@ -117,7 +118,8 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar) {
         const JsonField pair = times.at(i);
         if (pair.size() != 2) pair.reject(fmt::format("found {} numbers", pair.size()), "expected 2");
         frames.push_back({read_time_us(pair.at(0)), read_time_us(pair.at(1))});
-        if (frames[i].end_us < frames[i].start_us || (i > 0 && frames[i].middle_us() <= frames[i - 1].middle_us()))
+        if (frames[i].end_us < frames[i].start_us ||
+            (i > 0 && frames[i].middle_us() <= frames[i - 1].middle_us()))
             pair.reject("found no later time", "expected increasing times");
     }
     return frames;
@@ -127,7 +129,8 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
     const std::string path = fmt::format("{}/frames/{}", lidar.path, frame.end_us);
     const std::string rays = path + "/ray_bundle", returns = path + "/ray_bundle_returns";
     const ZarrStore& store = *lidar.store;
-    const ZarrJson of_rays = read_zarr_attributes(store, rays), of_returns = read_zarr_attributes(store, returns);
+    const ZarrJson of_rays = read_zarr_attributes(store, rays),
+                   of_returns = read_zarr_attributes(store, returns);
     const auto n = std::size_t(of_rays.root().at("n_rays").integer_in(0, std::int64_t(kMaxRays))),
                n_returns = std::size_t(of_returns.root().at("n_returns").integer_in(0, kMostReturns));
     const std::string where = fmt::format("{}: {}", store.name(), path);
@@ -137,7 +140,8 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 d(directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]);
         if (!(std::abs(glm::length(d) - 1.0) <= kUnitLength))
-            fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y, d.z);
+            fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
+                 d.z);
         bundle.direction.push_back(glm::normalize(d));
         // The subtraction of unsigned numbers wraps in the same way as that of signed ones.
         const auto late_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
@@ -170,38 +174,31 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
     return bundle;
 }
 
-double measure_misfit_rad(const RayBundle& bundle, const SpinningModel& model) {
-    std::vector<double> angles;
-    for (std::size_t i = 0; i < bundle.element.size() / 2; ++i) {
-        const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
-        if (row >= model.elevation_rad.size() || column >= model.azimuth_rad.size()) continue;
-        if (bundle.range_m.empty() || bundle.range_m[0][i] == 0.0f) continue;
-        const double chord = glm::distance(bundle.direction[i], model.direction(row, column));
-        angles.push_back(2.0 * std::asin(std::min(1.0, 0.5 * chord)));
-    }
-    return angles.empty() ? 0.0 : compute_median(std::move(angles));
-}
-
 NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vector<ScanLocation> scans,
                        std::vector<std::optional<SpinningModel>> models)
     : lidars_(std::move(lidars)),
       scans_(std::move(scans)),
       models_(std::move(models)),
+      beams_(lidars_.size()),
       images_(lidars_.size()),
       ray_of_element_(lidars_.size()) {
     for (std::size_t l = 0; l < lidars_.size(); ++l) {
         if (!models_[l]) continue;
         const SpinningModel& model = *models_[l];
         const std::size_t n_columns = model.azimuth_rad.size();
-        const int n = log.lidars[l].sensor.columns;
+        const SpinningSensor& sensor = log.lidars[l].sensor;
+        const int n = sensor.columns;
+        std::vector<std::size_t> row_of_beam(sensor.beams.size());
+        for (std::size_t row = 0; row < row_of_beam.size(); ++row) row_of_beam[model.beam_of_row[row]] = row;
+        beams_[l] = make_generators(sensor.beams);
         const double sign = model.is_clockwise ? -1.0 : 1.0;
-        images_[l] = make_rays(log.lidars[l].sensor);
+        images_[l] = make_rays(sensor);
         ray_of_element_[l].assign(model.elevation_rad.size() * n_columns, -1);
         for (std::size_t ray = 0; ray < images_[l].size(); ++ray) {
-            const std::size_t row = images_[l].channel[ray];
+            const std::size_t beam = images_[l].channel[ray], row = row_of_beam[beam];
             const glm::dvec3 d(images_[l].direction[ray]);
-            const double turned =
-                sign * (std::atan2(d.y, d.x) - model.offset_rad[row] - model.azimuth_rad.front());
+            const double turned = sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad -
+                                          model.azimuth_rad.front());
             const auto column = std::size_t((std::lround(turned / (2.0 * kPi) * n) % n + n) % n);
             if (column < n_columns) ray_of_element_[l][row * n_columns + column] = int(ray);
         }
@@ -256,8 +253,8 @@ void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lid
     for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
         const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
         if (row >= n_rows || column >= n)
-            fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row, column,
-                 n_rows, n);
+            fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row,
+                 column, n_rows, n);
         const int ray = ray_of[row * n + column];
         if (ray < 0) continue;
         const auto at = std::size_t(ray);
@@ -267,16 +264,25 @@ void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lid
         is_stored[at] = true;
         scan.rays.direction[at] = glm::vec3(bundle.direction[i]);
         scan.rays.time_offset_s[at] = bundle.time_offset_s[i];
+        const BeamRays& beam = beams_[lidar][models_[lidar]->beam_of_row[row]];
         for (std::size_t r = 0; r < bundle.range_m.size() && bundle.range_m[r][i] > 0.0f; ++r) {
+            const glm::dvec3 point = double(bundle.range_m[r][i]) * bundle.direction[i];
             if (r == 0) {
-                scan.range_m[at] = bundle.range_m[0][i];
+                // The ray starts at the origin of its beam and ends at the point.
+                const glm::dvec3 origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
+                const double range_m = glm::distance(point, origin);
+                if (!(range_m > kNearest_m)) break;
+                scan.rays.origin[at] = glm::vec3(origin);
+                scan.rays.direction[at] = glm::vec3((point - origin) / range_m);
+                scan.range_m[at] = float(range_m);
                 scan.intensity[at] = bundle.intensity[0][i];
                 continue;
             }
             if (scan.second_returns.size() < r)
-                scan.second_returns.push_back({std::vector<float>(scan.rays.size(), 0.0f),
-                                               std::vector<float>(scan.rays.size(), 0.0f)});
-            scan.second_returns[r - 1].range_m[at] = bundle.range_m[r][i];
+                scan.second_returns.push_back(
+                    {std::vector<float>(scan.rays.size(), 0.0f), std::vector<float>(scan.rays.size(), 0.0f)});
+            scan.second_returns[r - 1].range_m[at] =
+                float(glm::distance(point, glm::dvec3(scan.rays.origin[at])));
             scan.second_returns[r - 1].intensity[at] = bundle.intensity[r][i];
         }
     }

@@ -9,6 +9,7 @@
 
 #include <relidar/read/clouds.hpp>
 
+#include "log/sensor/beam_geometry.hpp"
 #include "read/datasets/ncore/ncore_sequence.hpp"
 #include "read/scans/folder_points.hpp"
 
@@ -21,16 +22,18 @@ struct SpinningModel {
     std::vector<double> azimuth_rad;                ///< [columns] in the order of firing
     double period_s = 0.1;
     bool is_clockwise = true;
-
-    glm::dvec3 direction(std::size_t row, std::size_t column) const;
+    /// [rows] beam of the sensor of the log. Beams are sorted from the highest to the
+    /// lowest.
+    std::vector<std::size_t> beam_of_row;
 };
 
 /// Reads the model of a LiDAR, or nothing if the sequence has none.
 std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name);
 
-/// Returns the beams and columns of a model, or nothing if its columns are not in equal
-/// steps. The sensor has no name and no range limits.
-std::optional<SpinningSensor> to_sensor(const SpinningModel& model);
+/// Returns the columns of a model, and a sensor with given beams. Returns nothing if the
+/// columns are not in equal steps. The sensor has no name and no range limits.
+/// @param beams  [rows] beams of the rows; the order of the sensor's beams can differ
+std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams);
 
 /// Rays and returns of a frame, as they are stored.
 struct RayBundle {
@@ -51,8 +54,15 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar);
 /// @param time_us  reference time of the frame in the log
 RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us);
 
-/// Returns the median angle between the rays with a return and the rays of the model.
-double measure_misfit_rad(const RayBundle& bundle, const SpinningModel& model);
+/// Beams that were fitted to returns, and how well they and the model fit.
+struct FittedBeams {
+    std::vector<Beam> beams;        ///< [rows] beams of the model unless the fit is clearly better
+    double model_misfit_rad = 0.0;  ///< median angle between rays of the model and returns
+    double misfit_rad = 0.0;        ///< the same for the fitted beams
+    bool is_better = false;
+};
+/// Fits directions and origins of beams to the returns of some frames.
+FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model);
 
 /// Where a scan of the log is stored.
 struct ScanLocation {
@@ -78,6 +88,7 @@ private:
     std::vector<Component> lidars_;
     std::vector<ScanLocation> scans_;
     std::vector<std::optional<SpinningModel>> models_;
+    std::vector<std::vector<BeamRays>> beams_;  ///< [lidars][beams]
     /// [lidars] rays of the model in image order, without returns
     std::vector<RayTable> images_;
     /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image

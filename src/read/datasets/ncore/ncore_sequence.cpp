@@ -39,8 +39,7 @@ std::optional<std::string> sequence_name(const fs::path& path) {
 std::vector<fs::path> find_stores(const fs::path& path, const std::string& requested_name, Notes& notes) {
     const fs::path full = fs::canonical(path);
     const auto own_name = sequence_name(full);
-    if (!own_name && !fs::is_directory(full))
-        fail("{}: expected a file *{}", path.string(), kArchiveEnding);
+    if (!own_name && !fs::is_directory(full)) fail("{}: expected a file *{}", path.string(), kArchiveEnding);
     std::map<std::string, std::vector<fs::path>> sequences;
     for (const fs::path& entry : list_folder(own_name ? full.parent_path() : full)) {
         const auto name = sequence_name(entry);
@@ -133,7 +132,8 @@ void NcoreSequence::note_unread() {
     for (const ZarrStore& store : stores_)
         for (const std::string& kind : store.list_children(""))
             if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
-                unread.push_back(fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
+                unread.push_back(
+                    fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
     if (!unread.empty())
         notes.push_back(fmt::format("these components are not read: {}", fmt::join(unread, ", ")));
 }
@@ -179,8 +179,8 @@ PoseGraph::PoseGraph(const NcoreSequence& sequence, Notes& notes) {
 }
 
 bool PoseGraph::has_frame(const std::string& name) const {
-    return std::ranges::any_of(
-        edges_, [&](const Edge& edge) { return edge.source == name || edge.target == name; });
+    return std::ranges::any_of(edges_,
+                               [&](const Edge& edge) { return edge.source == name || edge.target == name; });
 }
 
 std::optional<PoseGraph::Path> PoseGraph::find_path(const std::string& source,

@@ -75,9 +75,9 @@ void expect_street(const Log& log) {
                    &real = street.lidar_of(truth).vehicle_from_sensor;
         EXPECT_LT(glm::distance(mounted.translation, real.translation), 1e-9);
         EXPECT_NEAR(std::abs(glm::dot(mounted.rotation, real.rotation)), 1.0, 1e-12);
-        EXPECT_LT(glm::distance(log.world_from_vehicle.pose_at(frame.time_s).translation + log.world_offset_m,
-                                street.world_from_vehicle.pose_at(truth.time_s).translation +
-                                    street.world_offset_m),
+        EXPECT_LT(glm::distance(
+                      log.world_from_vehicle.pose_at(frame.time_s).translation + log.world_offset_m,
+                      street.world_from_vehicle.pose_at(truth.time_s).translation + street.world_offset_m),
                   kRange_m);
         if (truth.lidar == 0) expect_image(log, frame, truth);
         else expect_returns(frame.scan, truth.scan);
@@ -91,8 +91,8 @@ void expect_street(const Log& log) {
         ASSERT_EQ(box->world_from_box.pose.size(), truth.world_from_box.pose.size());
         for (std::size_t k = 0; k < truth.world_from_box.pose.size(); ++k) {
             const Pose &pose = box->world_from_box.pose[k], &real = truth.world_from_box.pose[k];
-            EXPECT_NEAR(box->world_from_box.time_s[k],
-                        truth.world_from_box.time_s[k] + street_start_s(log), kTime_s);
+            EXPECT_NEAR(box->world_from_box.time_s[k], truth.world_from_box.time_s[k] + street_start_s(log),
+                        kTime_s);
             EXPECT_LT(glm::distance(pose.translation + log.world_offset_m,
                                     real.translation + street.world_offset_m),
                       kRange_m);
@@ -279,8 +279,8 @@ TEST(Ncore, DamagedFiles) {
 
     const std::string archive = test::read_text(test::ncore_fixture("street.ncore4-lidars.zarr.itar"));
     const fs::path cut = data.folder / "cut/street.ncore4.zarr.itar";
-    for (const std::string& bytes : {archive.substr(0, archive.size() / 2), std::string("itar"), std::string(),
-                                     std::string(512, 'x'), archive.substr(1)}) {
+    for (const std::string& bytes : {archive.substr(0, archive.size() / 2), std::string("itar"),
+                                     std::string(), std::string(512, 'x'), archive.substr(1)}) {
         test::write_text(cut, bytes);
         EXPECT_THAT(test::find_load_error(cut.string()), test::Names("street.ncore4.zarr.itar"));
     }
@@ -297,14 +297,20 @@ std::string from_hex(const std::string& hex) {
 // Chunks that numcodecs 0.11 wrote: i / 7, with the codec lz4.
 TEST(Blosc, ChunksOfNumcodecs) {
     const std::string bits = from_hex(
-        "02012402000400000004000096000000140000006e0000007f803fe00ff803fe0700267f00c0ff0f00fcff0700267f000000f0ff"
-        "ffff07002801020012ff0100010c000f0e001a002f000602000246000402000618000002000416000202000012000f02000d022a"
+        "02012402000400000004000096000000140000006e0000007f803fe00ff803fe0700267f00c0ff0f00fcff0700267f000000"
+        "f0ff"
+        "ffff07002801020012ff0100010c000f0e001a002f000602000246000402000618000002000416000202000012000f02000d"
+        "022a"
         "000f0200030f3c000d0f02000d0456000f28000d0f0200085000000000000c0000001f000100ffe8500000000000");
     const std::string bytes = from_hex(
-        "02012104b0040000b0040000f700000014000000af00000012000100120101001202010012030100120401001205010012060100"
-        "120701001208010012090100120a0100120b0100120c0100120d0100120e0100120f0100121001001211010012120100121301"
-        "00121401001215010012160100121701001218010012190100121a0100121b0100121c0100121d0100121e0100121f0100122001"
-        "00122101001222010012230100122401001225010012260100122701001228010012290100602a2a2a2a2a2a0c0000001f000100"
+        "02012104b0040000b0040000f700000014000000af0000001200010012010100120201001203010012040100120501001206"
+        "0100"
+        "120701001208010012090100120a0100120b0100120c0100120d0100120e0100120f01001210010012110100121201001213"
+        "01"
+        "00121401001215010012160100121701001218010012190100121a0100121b0100121c0100121d0100121e0100121f010012"
+        "2001"
+        "00122101001222010012230100122401001225010012260100122701001228010012290100602a2a2a2a2a2a0c0000001f00"
+        "0100"
         "ff145000000000000c0000001f000100ff145000000000000c0000001f000100ff14500000000000");
     const std::string shorts = decompress_blosc(bits), words = decompress_blosc(bytes);
     ASSERT_EQ(shorts.size(), 1024u);
@@ -313,7 +319,8 @@ TEST(Blosc, ChunksOfNumcodecs) {
         ASSERT_EQ(reinterpret_cast<const std::uint16_t*>(shorts.data())[i], i / 7);
     for (std::size_t i = 0; i < 300; ++i)
         ASSERT_EQ(reinterpret_cast<const std::uint32_t*>(words.data())[i], i / 7);
-    for (std::size_t n = 0; n < bytes.size(); ++n) EXPECT_THROW(decompress_blosc(bytes.substr(0, n)), DataError);
+    for (std::size_t n = 0; n < bytes.size(); ++n)
+        EXPECT_THROW(decompress_blosc(bytes.substr(0, n)), DataError);
 }
 
 }  // namespace
