@@ -149,6 +149,17 @@ else()
     set(RELIDAR_PCAP OFF)
 endif()
 
+# of positions on the earth
+if(RELIDAR_PROJ)
+    find_path(RELIDAR_proj_INCLUDE proj.h)
+    if(RELIDAR_FOR_PACKAGE OR RELIDAR_proj_INCLUDE)
+        relidar_dependency(proj APT libproj-dev HEADER proj.h LIBRARY proj)
+    else()
+        message(STATUS "relidar: latitudes and longitudes are not converted (needs libproj-dev)")
+        set(RELIDAR_PROJ OFF)
+    endif()
+endif()
+
 # --- the command line tool -------------------------------------------------------------------------------------------
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(cli11 APT libcli11-dev BUILD_ONLY PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp

@@ -26,7 +26,7 @@ OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/log/", "src/diff/traversal/")
 LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
     "lz4frame.h": "base/codecs", "lz4.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
-    "bzlib.h": "read/bag", "pcap/": "read/bag", "simdjson.h": "read/datasets",
+    "bzlib.h": "read/bag", "proj.h": "log/sequence", "pcap/": "read/bag", "simdjson.h": "read/datasets",
     "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
     "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
     "oneapi/tbb": "base", "Eigen/": "base log read registration scene score"}
@@ -41,7 +41,7 @@ MAX_NAME = 28   # characters of a function name
 # outer namespace, and because shared structs have the same name in all rooms.
 SPACES = {"cli": ("relidar", "relidar_dev"), "shared": ("include", "shared")}
 # a call or declaration of a function that is not of a library
-FUNCTION = r"(?<!::)\b(?!zip_|pcap_|posix_|register_exc)([a-z][a-z0-9_]*)(?=\()"
+FUNCTION = r"(?<!::)\b(?!zip_|pcap_|posix_|proj_|register_exc)([a-z][a-z0-9_]*)(?=\()"
 MAX_CHAIN, MAX_CHAIN_OF_TESTS = 8, 10
 
 # Names in documents that are placeholders, or that a program creates.

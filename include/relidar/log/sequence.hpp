@@ -11,6 +11,7 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/classes.hpp>
+#include <relidar/log/georeference.hpp>
 #include <relidar/log/sensor.hpp>
 
 namespace relidar {
@@ -245,9 +246,10 @@ struct Log {
     /// Add this vector to coordinates in relidar's world frame to get coordinates in the
     /// dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    IntensityResponse intensity_response;  ///< of all LiDARs
-    std::string conventions;               ///< a single line for users: frames, units, time reference
-    std::int64_t start_unix_ns = 0;        ///< date of time 0: nanoseconds since 1970; 0 if unknown
+    std::optional<Georeference> georeference = {};  ///< empty if the place on the earth is unknown
+    IntensityResponse intensity_response;           ///< of all LiDARs
+    std::string conventions;         ///< a single line for users: frames, units, time reference
+    std::int64_t start_unix_ns = 0;  ///< date of time 0: nanoseconds since 1970; 0 if unknown
     Notes notes;
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};

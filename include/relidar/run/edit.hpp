@@ -184,13 +184,19 @@ std::string describe_unseen(const Scene& scene, const std::string& track);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.
-/// Without a header, the columns are time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg]. The
-/// rotation is R = Rz(yaw) Ry(pitch) Rx(roll).
+/// Instead of x, y and z, the columns latitude_deg, longitude_deg and height_m give a
+/// place on the earth; yaw is then counterclockwise from east. Without a header, the
+/// columns are time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg]. The rotation is R =
+/// Rz(yaw) Ry(pitch) Rx(roll).
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
-PoseTrack read_trajectory(const std::filesystem::path& path);
+/// @throws UsageError for places on the earth without `georeference` or without PROJ
+/// @param georeference  Log::georeference
+PoseTrack read_trajectory(const std::filesystem::path& path,
+                          const std::optional<Georeference>& georeference = {});
 /// Reads the trajectory of an actor as read_trajectory() does. If the column z has the
 /// word `ground` in all lines, z is NaN: use follow_ground().
-PoseTrack read_actor_path(const std::filesystem::path& path);
+PoseTrack read_actor_path(const std::filesystem::path& path,
+                          const std::optional<Georeference>& georeference = {});
 
 }  // namespace relidar

@@ -144,6 +144,7 @@ Log strip_frames(const Log& sequence) {
             sequence.world_from_vehicle,
             sequence.boxes,
             sequence.world_offset_m,
+            sequence.georeference,
             sequence.intensity_response,
             sequence.conventions,
             sequence.start_unix_ns,

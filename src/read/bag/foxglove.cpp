@@ -131,6 +131,23 @@ void add_transform(TransformListMessage& list, pbf_reader reader) {
     list.add_if_valid(std::move(transform), to_pose(translation, rotation));
 }
 
+/// Reads foxglove.LocationFix: latitude (1), longitude (2), altitude (3), timestamp (6)
+/// and frame_id (7).
+FixMessage parse_fix(pbf_reader reader) {
+    constexpr auto kFixed64 = pbf_wire_type::fixed64;
+    FixMessage fix;
+    while (reader.next()) {
+        if (is_field(reader, 1, kFixed64)) fix.position.latitude_deg = reader.get_double();
+        else if (is_field(reader, 2, kFixed64)) fix.position.longitude_deg = reader.get_double();
+        else if (is_field(reader, 3, kFixed64)) fix.position.height_m = reader.get_double();
+        else if (is_field(reader, 6, kLengthDelimited))
+            fix.header.stamp_ns = read_stamp_ns(reader.get_message());
+        else if (is_field(reader, 7, kLengthDelimited)) fix.header.frame = reader.get_string();
+        else reader.skip();
+    }
+    return fix;
+}
+
 /// Reads the pose and the size of a foxglove.CubePrimitive.
 void read_cube(pbf_reader reader, BoxMessage& box, PoseComponents& pose) {
     glm::dvec4 position(0.0), rotation(0.0, 0.0, 0.0, 1.0);
@@ -203,6 +220,10 @@ BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
 
 CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
     return parse("foxglove.PointCloud", message_bytes, parse_cloud);
+}
+
+FixMessage read_foxglove_fix(std::string_view message_bytes) {
+    return parse("foxglove.LocationFix", message_bytes, parse_fix);
 }
 
 TransformListMessage read_foxglove_tf(std::string_view message_bytes) {

@@ -126,6 +126,7 @@ private:
                           // from a pose topic.
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
+        if (const FixTopic* fixes = find_fixes()) used[fixes->topic] = true;
         for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, used), clouds_.notes,
                                   poses_.notes, boxes_.notes})
             for (const std::string& text : texts) add_note(text);
@@ -365,6 +366,13 @@ private:
         for (const std::string& text : tracks.notes) add_topic_note(*boxes_.topic, text);
     }
 
+    /// Returns the topic with the most positions on the earth, or null.
+    const FixTopic* find_fixes() const {
+        const auto count = [](const FixTopic& fixes) { return fixes.samples.size(); };
+        return has_poses_ && !survey_.fixes.empty() ? &*std::ranges::max_element(survey_.fixes, {}, count)
+                                                    : nullptr;
+    }
+
     void add_frames() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();
@@ -389,6 +397,11 @@ private:
                                                        : "on the clock of the recorder");
         add_boxes();
         centre_log(sequence_);
+        const FixTopic* fixes = find_fixes();
+        if (!fixes) return;
+        const FoundPlace place = find_place(*fixes, poses_, survey_.frames);
+        sequence_.georeference = place.georeference;
+        add_topic_note(*fixes, place.note);
     }
 };
 

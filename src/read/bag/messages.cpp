@@ -23,6 +23,8 @@ constexpr MessageTypePurpose kTypeUses[] = {
     {"foxglove.PointCloud", MessagePurpose::cloud},
     {"foxglove.FrameTransforms", MessagePurpose::transforms},
     {"foxglove.SceneUpdate", MessagePurpose::boxes},
+    {"foxglove.LocationFix", MessagePurpose::fix},
+    {"sensor_msgs/NavSatFix", MessagePurpose::fix},
     {"sensor_msgs/PointCloud2", MessagePurpose::cloud},
     {"livox_ros_driver/CustomMsg", MessagePurpose::cloud},
     {"livox_ros_driver2/CustomMsg", MessagePurpose::cloud},
@@ -217,6 +219,24 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
         list.add_if_valid({header, "", {}}, read_pose(reader));
     }
     return list;
+}
+
+bool FixMessage::is_valid() const {
+    return has_fix && std::abs(position.latitude_deg) < 90.0 && std::abs(position.longitude_deg) <= 360.0 &&
+           std::isfinite(position.height_m);
+}
+
+FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes) {
+    if (topic.encoding == "protobuf") return read_foxglove_fix(message_bytes);
+    MessageReader reader = open_message(topic, message_bytes);
+    FixMessage fix{read_header(reader), {}};
+    const auto status = reader.read_number<std::int8_t>();
+    reader.read_number<std::uint16_t>();  // skips the services
+    fix.position.latitude_deg = reader.read_number<double>();
+    fix.position.longitude_deg = reader.read_number<double>();
+    fix.position.height_m = reader.read_number<double>();
+    fix.has_fix = status >= 0;  // -1: no fix
+    return fix;
 }
 
 }  // namespace relidar::bag

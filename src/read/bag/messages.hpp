@@ -12,6 +12,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/georeference.hpp>
 
 #include "base/fail.hpp"
 #include "read/bag/bag_file.hpp"
@@ -81,7 +82,7 @@ struct BoxListMessage {
 
 /// How the messages of a topic are used. `nameless_boxes`, which have no track id, are
 /// ignored.
-enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
+enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes, fix };
 MessagePurpose find_purpose(const BagTopic& topic);
 
 /// Reads the fields of a ROS message one after another. ROS 2 messages are CDR in either
@@ -185,6 +186,18 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
 CloudMessage read_foxglove_cloud(std::string_view message_bytes);
 TransformListMessage read_foxglove_tf(std::string_view message_bytes);
+
+/// A position on the earth of sensor_msgs/NavSatFix or foxglove.LocationFix.
+struct FixMessage {
+    MessageHeader header;
+    GeodeticPosition position;
+    bool has_fix = true;
+
+    bool is_valid() const;
+};
+/// @throws DataError if the message is invalid
+FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes);
+FixMessage read_foxglove_fix(std::string_view message_bytes);
 
 /// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
 /// foxglove.SceneUpdate.

@@ -41,6 +41,7 @@ public:
             if (use == MessagePurpose::transforms) index_transforms(topic, message);
             if (use == MessagePurpose::pose) index_poses(topic, message);
             if (use == MessagePurpose::boxes) index_boxes(topic, message);
+            if (use == MessagePurpose::fix) index_fix(topic, message);
         });
     }
 
@@ -177,6 +178,14 @@ private:
             }
             poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
         }
+    }
+
+    void index_fix(const BagTopic& topic, const BagMessage& message) {
+        const FixMessage fix = read_fix(topic, message.bytes);
+        if (!fix.is_valid()) return;
+        FixTopic& fixes = find_entry(survey_.fixes, message.topic);
+        fixes.frame = fix.header.frame;
+        fixes.samples.push_back({fix.header.stamp_ns, message.log_ns, fix.position});
     }
 
     void index_boxes(const BagTopic& topic, const BagMessage& message) {

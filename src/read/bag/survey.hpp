@@ -204,12 +204,26 @@ struct BoxTopic {
     std::size_t n_left_out = 0;
 };
 
+/// Positions on the earth of an antenna.
+struct FixTopic {
+    struct Sample {
+        std::int64_t stamp_ns = 0, log_ns = 0;
+        GeodeticPosition position;
+
+        std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+    };
+    std::size_t topic = 0;
+    std::string frame;  ///< frame of the antenna
+    std::vector<Sample> samples;
+};
+
 struct BagIndex {
     std::vector<TopicStatistics>
         facts;  ///< message statistics of each topic, in the order of BagRecording::topics()
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
     std::vector<BoxTopic> boxes;
+    std::vector<FixTopic> fixes;
     FrameTree frames;
 };
 

@@ -60,16 +60,23 @@ fs::path oxts_path(const fs::path& drive, int frame_number) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
-/// origin is at latitude and longitude 0.
-/// @param mercator_scale  set from the latitude of the first file that is read
-Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
+/// Reads the 30 numbers of a GPS/IMU file. The first are latitude, longitude and height.
+std::vector<double> read_oxts(const fs::path& oxts_file) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite(lines.empty() ? "" : lines[0], 30, oxts_file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
         fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
              v[0], v[1]);
-    constexpr double kEarthRadius_m = 6378137.0;
+    return v;
+}
+
+constexpr double kEarthRadius_m = 6378137.0;
+
+/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
+/// origin is at latitude and longitude 0.
+/// @param mercator_scale  set from the latitude of the first file that is read
+Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
+    const std::vector<double> v = read_oxts(oxts_file);
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!mercator_scale) mercator_scale = std::cos(lat);
     return {make_rotation(v[5], v[4], v[3]),
@@ -150,6 +157,17 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>&
     }
     check_positions(poses, frame_numbers, (drive / "oxts/data").string());
     return poses;
+}
+
+Georeference read_oxts_place(const fs::path& drive) {
+    const fs::path file = oxts_path(drive, find_first_oxts(drive));
+    const std::vector<double> v = read_oxts(file);
+    std::optional<double> scale;
+    const glm::dvec3 origin_m = read_imu_pose(file, scale).translation;
+    return {{v[0], v[1], v[2]},
+            {},
+            fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m, v[0], -origin_m.x,
+                        -origin_m.y)};
 }
 
 std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {

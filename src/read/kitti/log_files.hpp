@@ -70,6 +70,9 @@ Pose read_transform(const std::filesystem::path& file, const std::string& key);
 /// data
 std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& numbers);
 
+/// Returns the place of the world of read_oxts_poses() on the earth.
+Georeference read_oxts_place(const std::filesystem::path& drive);
+
 /// Reads LiDAR poses. Line i contains the pose of frame i as 12 numbers: a 3x4 matrix,
 /// row-major.
 std::vector<Pose> read_matrices(const std::filesystem::path& pose_file, const std::vector<int>& numbers);

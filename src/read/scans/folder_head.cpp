@@ -19,6 +19,7 @@
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/sensor/pattern_kinds.hpp"
+#include "log/sequence/georeference_json.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
 
@@ -295,7 +296,7 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     const JsonField root(json, file, "");
     root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames",
                         "rate_hz", "motion_compensated", "columns", "intensity_max", "time_unit",
-                        "point_times", "world_offset_m", "start_unix_ns"});
+                        "point_times", "world_offset_m", "georeference", "start_unix_ns"});
     if (root.at("format").text() != kLogFormat)
         root.at("format").reject("found another format", fmt::format("expected \"{}\"", kLogFormat));
     root.at("version").integer_in(1, kLogVersion);
@@ -328,6 +329,7 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     if (!skipped.empty())
         head.notes.push_back(
             fmt::format("these columns of the scans are not read: {}", fmt::join(skipped, ", ")));
+    if (root.has_member("georeference")) head.georeference = read_georeference(root.at("georeference"));
     if (root.has_member("world_offset_m")) {
         const auto v = root.at("world_offset_m").numbers<3>();
         for (std::size_t i = 0; i < 3; ++i)

@@ -67,6 +67,7 @@ struct SequenceHeader {
     bool motion_compensated = false;
     PointFileUnits units;
     std::optional<glm::dvec3> world_offset_m;
+    std::optional<Georeference> georeference;
 };
 
 /// Reads sequence.json. If it does not list the scans, lists the files in the scan

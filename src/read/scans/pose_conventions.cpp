@@ -183,6 +183,7 @@ void fix_inverted_poses(Log& sequence) {
     if (best == 0) return;
     set_trajectory(sequence, readings[best].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
+    sequence.georeference.reset();
     centre_log(sequence);
 }
 

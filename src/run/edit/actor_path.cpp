@@ -14,15 +14,32 @@ namespace relidar {
 
 namespace {
 
-enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
+enum ActorPathField {
+    kTime,
+    kX,
+    kY,
+    kZ,
+    kYaw,
+    kPitch,
+    kRoll,
+    kYawRad,
+    kPitchRad,
+    kRollRad,
+    kLatitude,
+    kLongitude,
+    kHeight,
+    kFieldCount
+};
 // In a file without a header, column i contains the field kColumnNames[i].
 constexpr std::size_t kMaxUnnamedColumns = 7;
 constexpr std::size_t kMinColumns = 5;
 // seconds since 1970 are smaller
 constexpr double kMaxNumber = 1e10;
 constexpr std::string_view kGroundWord = "ground";
-const std::vector<std::string> kColumnNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
-                                            "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
+const std::vector<std::string> kColumnNames{
+    "time_s",   "x",       "y",         "z",        "yaw_deg",      "pitch_deg",
+    "roll_deg", "yaw_rad", "pitch_rad", "roll_rad", "latitude_deg", "longitude_deg",
+    "height_m"};
 
 /// Column index of each field, or -1 if the file does not have the field.
 using FieldColumnIndices = std::vector<int>;
@@ -31,8 +48,16 @@ using FieldColumnIndices = std::vector<int>;
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
 FieldColumnIndices parse_header(const std::vector<std::string_view>& header, const std::string& where) {
     FieldColumnIndices at = find_columns(header, kColumnNames, where);
-    for (const ActorPathField field : {kTime, kX, kY, kZ})
-        if (at[field] < 0) fail("{}: the column '{}' is missing", where, kColumnNames[field]);
+    // A place has either x, y and z or latitude, longitude and height.
+    const bool is_geodetic = at[kLatitude] >= 0 || at[kLongitude] >= 0 || at[kHeight] >= 0;
+    for (int field = kTime; field < kFieldCount; ++field) {
+        const bool is_metric_place = field >= kX && field <= kZ, is_geodetic_place = field >= kLatitude;
+        if (at[field] < 0 && (field == kTime || (is_geodetic ? is_geodetic_place : is_metric_place)))
+            fail("{}: the column '{}' is missing", where, kColumnNames[field]);
+        if (at[field] >= 0 && is_geodetic && is_metric_place)
+            fail("{}: found the columns '{}' and 'latitude_deg', expected only one kind of place", where,
+                 kColumnNames[field]);
+    }
     if (at[kYaw] < 0 && at[kYawRad] < 0) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
@@ -87,18 +112,21 @@ std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& c
 
 }  // namespace
 
-PoseTrack read_trajectory(const std::filesystem::path& path) {
-    PoseTrack track = read_actor_path(path);
+PoseTrack read_trajectory(const std::filesystem::path& path,
+                          const std::optional<Georeference>& georeference) {
+    PoseTrack track = read_actor_path(path, georeference);
     if (std::isnan(track.pose.front().translation.z))
         fail("{}: found `ground` in the column z, expected numbers, because the path is not that of an actor",
              path.string());
     return track;
 }
 
-PoseTrack read_actor_path(const std::filesystem::path& path) {
+PoseTrack read_actor_path(const std::filesystem::path& path,
+                          const std::optional<Georeference>& georeference) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
+    std::optional<GeoConverter> earth;
     // maximum number of cells in a line, and minimum number because of the lines before
     std::size_t n_cells = 0, n_needed = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
@@ -109,6 +137,12 @@ PoseTrack read_actor_path(const std::filesystem::path& path) {
             const bool is_header = !parse_number(cells[0]);
             n_cells = is_header ? cells.size() : kMaxUnnamedColumns;
             at = is_header ? parse_header(cells, where) : default_columns(cells.size(), where);
+            if (at[kLatitude] >= 0) {
+                if (!georeference)
+                    fail<UsageError>("{}: found latitudes, but the run has no georeference; expected x,y,z",
+                                     path.string());
+                earth.emplace(*georeference);
+            }
             if (is_header) {
                 n_needed = n_cells;
                 continue;
@@ -131,7 +165,15 @@ PoseTrack read_actor_path(const std::filesystem::path& path) {
         const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];
         const double pitch_rad = row[kPitch] * kPi / 180.0 + row[kPitchRad];
         const double roll_rad = row[kRoll] * kPi / 180.0 + row[kRollRad];
-        track.pose.push_back({make_rotation(yaw_rad, pitch_rad, roll_rad), {row[kX], row[kY], row[kZ]}});
+        Pose pose{make_rotation(yaw_rad, pitch_rad, roll_rad), {row[kX], row[kY], row[kZ]}};
+        if (earth) {
+            if (!(std::abs(row[kLatitude]) <= 90.0 && std::abs(row[kLongitude]) <= 360.0))
+                fail("{}: found the latitude {} and the longitude {}, expected degrees", where,
+                     row[kLatitude], row[kLongitude]);
+            const GeodeticPosition place{row[kLatitude], row[kLongitude], row[kHeight]};
+            pose = {earth->dataset_from_enu(place) * pose.rotation, earth->to_dataset(place)};
+        }
+        track.pose.push_back(pose);
     }
     if (track.pose.size() < 2)
         fail("{}: found {} poses, expected at least two", path.string(), track.pose.size());

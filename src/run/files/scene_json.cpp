@@ -15,6 +15,7 @@
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
+#include "log/sequence/georeference_json.hpp"
 
 namespace relidar::files {
 namespace {
@@ -265,6 +266,7 @@ std::string format_scene(const Run& run) {
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {
             {"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
+    if (s.georeference) json["georeference"] = georeference_json(*s.georeference);
     if (run.held_out_placed) json["held_out_placed"] = true;
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
@@ -294,6 +296,7 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
     for (std::size_t i = 0; i < root.at("notes").size(); ++i)
         s.notes.push_back(root.at("notes").at(i).text());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kMaxWorldOffset_m);
+    if (root.has_member("georeference")) s.georeference = read_georeference(root.at("georeference"));
     s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.lidars = read_lidars(root);
     parse_frames(root.at("frames"), scene);

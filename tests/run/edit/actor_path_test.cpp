@@ -35,6 +35,27 @@ TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
     }
 }
 
+TEST_F(TrajectoryFile, CanNamePlacesOnTheEarth) {
+    put(folder / "earth.csv",
+        "time_s,latitude_deg,longitude_deg,height_m,yaw_deg\n0,0,9,7,0\n1,0,9.0001,7,90\n");
+    EXPECT_THROW(read_trajectory(folder / "earth.csv"), UsageError) << "the run has no georeference";
+    if (!has_proj()) GTEST_SKIP() << "built without PROJ";
+    // The x axis of the world points north, y west.
+    const GeodeticPosition origin{0.0, 9.0, 0.0};
+    const Georeference place{
+        origin, {1.0, 2.0, 3.0}, local_tangent_crs(origin), make_rotation(kPi / 2, 0.0, 0.0)};
+    const PoseTrack track = read_trajectory(folder / "earth.csv", place);
+    EXPECT_LT(glm::distance(track.pose[0].translation, glm::dvec3(1.0, 2.0, 10.0)), 1e-6);
+    const double east_m = (6378137.0 + 7.0) * std::sin(0.0001 * kPi / 180.0);
+    EXPECT_LT(glm::distance(track.pose[1].translation, glm::dvec3(1.0, 2.0 - east_m, 10.0)), 1e-4);
+    EXPECT_LT(glm::distance(track.pose[0].rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0)), 1e-6);
+    EXPECT_LT(glm::distance(track.pose[1].rotation * glm::dvec3(1, 0, 0), glm::dvec3(1, 0, 0)), 1e-4);
+    EXPECT_THAT(error("time_s,latitude_deg,longitude_deg,yaw_deg\n0,0,9,0\n"),
+                test::Names("line 1 ... height_m"));
+    EXPECT_THAT(error("time_s,latitude_deg,longitude_deg,height_m,x,yaw_deg\n0,0,9,0,0,0\n"),
+                test::Names("line 1 ... x"));
+}
+
 TEST_F(TrajectoryFile, OfAnActorCanBeOnTheGround) {
     const std::string text = "0,1,2,ground,0\n1,3,4, ground ,90\n";
     EXPECT_THAT(error(text), test::Names("t.csv ... `ground`")) << "a sensor does not stand on the ground";

@@ -54,6 +54,10 @@ inline Run make_example_run(const std::filesystem::path& folder) {
     s.conventions = "none";
     s.start_unix_ns = 1317042145594360375;
     s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
+    s.georeference = {{49.1 / 3.0, -8.4 / 7.0, 116.4},
+                      {1.0 / 3.0, 2e5 / 7.0, 3.0},
+                      "EPSG:32632",
+                      make_example_pose(1.0).rotation};
     s.rolling_shutter = false;
     s.lidars[0].sensor = {
         "sensor",

@@ -179,6 +179,13 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(a.conventions, b.conventions);
     EXPECT_EQ(a.start_unix_ns, b.start_unix_ns);
     EXPECT_EQ(a.world_offset_m, b.world_offset_m);
+    ASSERT_TRUE(a.georeference && b.georeference);
+    EXPECT_EQ(a.georeference->position.latitude_deg, b.georeference->position.latitude_deg);
+    EXPECT_EQ(a.georeference->position.longitude_deg, b.georeference->position.longitude_deg);
+    EXPECT_EQ(a.georeference->position.height_m, b.georeference->position.height_m);
+    EXPECT_EQ(a.georeference->point_m, b.georeference->point_m);
+    EXPECT_EQ(a.georeference->crs, b.georeference->crs);
+    EXPECT_EQ(a.georeference->rotation, b.georeference->rotation);
     EXPECT_EQ(a.rolling_shutter, b.rolling_shutter);
     ASSERT_EQ(a.frames.size(), b.frames.size());
     for (std::size_t i = 0; i < a.frames.size(); ++i) {

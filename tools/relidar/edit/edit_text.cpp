@@ -186,7 +186,7 @@ EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = find_box_track(edited, track);
     // Start pose {} and speed 0 have no effect, because the motion has a path.
-    NewActorMotion motion{{}, 0.0, read_actor_path(file)};
+    NewActorMotion motion{{}, 0.0, read_actor_path(file, edited.sequence.georeference)};
     // NaN: the file has the word `ground` instead of heights.
     if (std::isnan(motion.dataset_path.pose.front().translation.z)) {
         const SceneWithLogView scene{edited.scene, edited.sequence};

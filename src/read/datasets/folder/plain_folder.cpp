@@ -158,6 +158,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     }
     sequence.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
+    if (options.poses_file.empty()) sequence.georeference = head.georeference;
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);
     else centre_log(sequence);

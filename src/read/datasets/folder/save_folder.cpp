@@ -16,6 +16,7 @@
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/progress_blocks.hpp"
+#include "log/sequence/georeference_json.hpp"
 #include "read/files/scan_npz.hpp"
 #include "read/scans/folder_head.hpp"
 
@@ -63,6 +64,7 @@ std::string sequence_json(const Log& sequence) {
                  {"world_offset_m", make_json(sequence.world_offset_m)},
                  {"lidars", Json::array()},
                  {"frames", Json::array()}};
+    if (sequence.georeference) json["georeference"] = georeference_json(*sequence.georeference);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         json["lidars"].push_back(make_json(sequence.lidars[l], l));
     for (const Frame& frame : sequence.frames)

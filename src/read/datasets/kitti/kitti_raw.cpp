@@ -79,6 +79,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     centre_log(sequence);
+    if (options.poses_file.empty()) sequence.georeference = read_oxts_place(drive);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
     // 10: number of digits in the names of the scan files
     read_hdl64_sweeps(sequence, drive / "velodyne_points/data", 10, options);

@@ -149,6 +149,26 @@ struct FrameSweepRecord {
     const SweepRecord* record = nullptr;
 };
 
+/// Returns the place of a map of nuScenes on the earth. Its coordinates are metres east
+/// and north of a corner of the map, on a sphere.
+std::optional<Georeference> find_map_place(const std::string& location) {
+    struct MapCorner {
+        const char* name;
+        double latitude_deg, longitude_deg;
+    };
+    static constexpr MapCorner kMaps[] = {
+        {"boston-seaport", 42.336849169438615, -71.05785369873047},
+        {"singapore-onenorth", 1.2882100868743724, 103.78475189208984},
+        {"singapore-hollandvillage", 1.2993652317780957, 103.78217697143555},
+        {"singapore-queenstown", 1.2782562240223188, 103.76741409301758}};
+    const auto* map = std::ranges::find(kMaps, location, &MapCorner::name);
+    if (map == std::end(kMaps)) return {};
+    return Georeference{
+        {map->latitude_deg, map->longitude_deg},
+        {},
+        fmt::format("+proj=aeqd +R=6378137 +lat_0={} +lon_0={}", map->latitude_deg, map->longitude_deg)};
+}
+
 class NuscenesLogLoader {
 public:
     /// Reads the tables of the requested scene. The sweeps of its first LiDAR define
@@ -188,6 +208,7 @@ public:
         sequence_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::replace_poses(sequence_, options_.poses_file);
         centre_log(sequence_);
+        if (options_.poses_file.empty()) sequence_.georeference = find_map_place(scene_.location);
         if (format_.is_compensated)
             read_hdl32e_sweeps(sequence_, list_frame_files(), scene_.classes, vehicle_track, options_);
         else read_point_scans();

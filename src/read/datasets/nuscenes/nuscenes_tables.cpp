@@ -270,10 +270,17 @@ std::vector<std::string> list_scenes(const fs::path& table_folder) {
 SceneTables read_scene(const fs::path& table_folder, const std::string& scene_name) {
     SceneTables scene;
     scene.name = scene_name;
-    std::string scene_token;
+    const bool has_logs = does_path_exist(table_folder / "log.json");
+    std::string scene_token, log_token;
     for_each_record(table_folder / "scene.json", [&](const JsonRecord& record) {
-        if (record.read_text("name") == scene_name) scene_token = record.read_text("token");
+        if (record.read_text("name") != scene_name) return;
+        scene_token = record.read_text("token");
+        if (has_logs) log_token = record.read_text("log_token");
     });
+    if (has_logs)
+        for_each_record(table_folder / "log.json", [&](const JsonRecord& record) {
+            if (record.read_text("token") == log_token) scene.location = record.read_text("location");
+        });
     // The keyframes select the LiDAR files and labels that belong to the scene.
     const TokenMap<std::int64_t> samples = read_keyframes(table_folder, scene_token);
     scene.lidars = read_scene_lidars(table_folder, samples);

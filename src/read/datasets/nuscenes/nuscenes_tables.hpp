@@ -41,6 +41,7 @@ struct SceneTables {
     std::vector<Pose> world_from_ego;  ///< vehicle poses at the times of the first LiDAR's sweeps
     /// labels of keyframes in the world frame; seconds after the first sweep
     std::vector<BoxLabel> labels;
+    std::string location;  ///< name of the map; empty if unknown
     /// class of each category index of nuScenes-lidarseg
     std::array<SurfaceClass, 256> classes{};
 

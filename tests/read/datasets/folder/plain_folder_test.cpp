@@ -25,6 +25,7 @@ Log make_rich_street() {
     test::add_second_returns(street, 7, 2.5f, 77.0f);
     street.notes = {"a first note", {"speed", -1, "found again by each load"}, "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
+    street.georeference = {{49.01, 8.42, 112.9}, {457123.4, 5428765.3, 112.9}, "EPSG:32632"};
     return street;
 }
 
@@ -48,6 +49,8 @@ void expect_same_log(const Log& sequence, const Log& truth) {
     EXPECT_EQ(list_saved_notes(sequence.notes), list_saved_notes(truth.notes));
     EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
+    ASSERT_EQ(sequence.georeference.has_value(), truth.georeference.has_value());
+    if (truth.georeference) EXPECT_EQ(sequence.georeference->point_m, truth.georeference->point_m);
     // The positions are 5000 km from the origin, so the tolerance is the last digit.
     expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());

@@ -122,6 +122,21 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), kPi / 2 + 0.5, 1e-9);
 }
 
+TEST(KittiRaw, KnowsItsPlaceOnTheEarth) {
+    if (!has_proj()) GTEST_SKIP() << "built without PROJ";
+    const Log log = KittiDrive("place").load({.frames = {1, -1}});
+    ASSERT_TRUE(log.georeference);
+    // The IMU is at T in the frame of the sensor.
+    const glm::dvec3 imu_m =
+        log.world_from_vehicle.pose[1] * glm::dvec3(-0.8, 0.3, -0.8) + log.world_offset_m;
+    const GeoConverter earth(*log.georeference);
+    EXPECT_NE(earth.wkt(), "") << "the world has the coordinates of the projection";
+    const GeodeticPosition found = earth.to_geodetic(imu_m);
+    EXPECT_NEAR(found.latitude_deg, 60.0, 1e-10);
+    EXPECT_NEAR(found.longitude_deg, 8.0 + 2e-5, 1e-10);
+    EXPECT_NEAR(found.height_m, 100.5, 1e-6);
+}
+
 TEST(KittiRaw, PosesFileInTumOrder) {
     const KittiDrive drive("tum");
     const auto write = [&](const char* order) {  // drives to the north
@@ -154,6 +169,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
     EXPECT_TRUE(log.boxes.empty());
     EXPECT_EQ(log.world_offset_m, glm::dvec3(5, 6, 7));
+    EXPECT_FALSE(log.georeference) << "the poses are those of the user";
     const glm::dvec3 x = log.world_from_vehicle.pose[1].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(x.y, 1.0, 1e-12);
     EXPECT_EQ(drive.load({.frames = {2, -1}, .poses_file = poses}).frames.size(), 1u);

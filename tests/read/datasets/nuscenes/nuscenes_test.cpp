@@ -91,6 +91,24 @@ void write_categories(const NuscenesFolder& data) {
     test::write_text(data.table("lidarseg"), "[" + table + "]");
 }
 
+// In Boston, 0.001 degrees of latitude are 111.32 m.
+TEST(Nuscenes, KnowsThePlacesOfItsMaps) {
+    const NuscenesFolder data("maps");
+    EXPECT_FALSE(load(data).georeference);
+    test::write_records(
+        data.table("scene"),
+        {R"("token": "s1", "name": "scene-0103", "first_sample_token": "k0", "log_token": "b")"});
+    test::write_records(data.table("log"), {R"("token": "a", "location": "singapore-queenstown")",
+                                            R"("token": "b", "location": "boston-seaport")"});
+    const Log log = load(data);
+    ASSERT_TRUE(log.georeference);
+    EXPECT_EQ(log.georeference->point_m, glm::dvec3(0.0));
+    if (!has_proj()) GTEST_SKIP() << "built without PROJ";
+    const glm::dvec3 corner =
+        GeoConverter(*log.georeference).to_dataset({42.337849169438615, -71.05785369873047});
+    EXPECT_LT(glm::distance(corner, glm::dvec3(0.0, 1e-3 * kPi / 180.0 * 6378137.0, 0.0)), 1e-3);
+}
+
 TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
     const NuscenesFolder data("lidarseg");
     write_categories(data);
