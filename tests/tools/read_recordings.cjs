@@ -56,7 +56,7 @@ function checkCloud(what, sensor, i, message, frames, shift) {
     const { points: said, scans } = sensor.own, inWorld = said.frame === "world";
     const own = plyOf(sensor.own, i), there = plyOf(sensor.world, i);
     check(`${what}: ${rows.length} points, expected ${own.length}, more than 10`, rows.length === own.length && own.length > 10);
-    check(`${what}: frame ${frame}`, frame === (inWorld ? "world" : sensor.frame));
+    check(`${what}: frame ${frame}`, frame === (!inWorld ? sensor.frame : sensor.own.world_offset_m ? "map" : "world"));
     const start = 1e-9 * Number(stamp) - shift - scans[i].time_s;
     check(`${what}: a point fired ${1e-9 * Number(stamp - message.time)} s after it was logged`,
           rows.every((row) => Number(message.time - stamp) * 1e-9 >= row.seconds - 1e-8 && row.seconds >= 0));
@@ -67,7 +67,7 @@ function checkCloud(what, sensor, i, message, frames, shift) {
     let largest = 0, sum = 0;
     rows.forEach((row, k) => {
         const time = said.deskewed ? stamp : stamp + BigInt(Math.round(1e9 * row.seconds));
-        const off = difference(inWorld ? xyz(row) : frames.toWorld(frame, time, xyz(row)), xyz(there[k]));
+        const off = difference(frames.toWorld(frame, time, xyz(row)), xyz(there[k]));
         largest = Math.max(largest, off), sum += off;
     });
     if (process.env.SHOW) console.log(what, largest);

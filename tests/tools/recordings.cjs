@@ -157,6 +157,7 @@ function readPly(name) {
     const count = Number(header.find((l) => l.startsWith("element vertex")).split(" ")[2]);
     const readers = {
         float: [4, (at) => bytes.readFloatLE(at)],
+        double: [8, (at) => bytes.readDoubleLE(at)],
         int: [4, (at) => bytes.readInt32LE(at)],
         uint16: [2, (at) => bytes.readUInt16LE(at)],
         uint8: [1, (at) => bytes.readUInt8(at)],

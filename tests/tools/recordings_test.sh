@@ -77,6 +77,14 @@ compare bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --
 compare rig_of_log "$rig" --frames 3:6 --sensor rig.json
 compare merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
+# Coordinates of a map, for which single precision has steps of 0.25 m.
+cp -r run mapped
+node -e 'const fs = require("fs"), run = JSON.parse(fs.readFileSync("mapped/scene.json"));
+    run.world_offset_m = [500000, 4000000, 100], fs.writeFileSync("mapped/scene.json", JSON.stringify(run))'
+run=mapped
+compare map "$alone" --frames 2:4
+run=run
+
 # LiDARs are mounted in base_link, and each topic contains the name of its LiDAR.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
 train two run_of_two

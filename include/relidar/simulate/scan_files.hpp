@@ -78,6 +78,7 @@ struct ScanOutputOptions {
     /// list_standing() of the run. Their boxes are stored like those of actors.
     std::vector<BoxTrack> standing;
     glm::dvec3 world_offset_m{0.0};
+    std::optional<Georeference> georeference = {};  ///< Log::georeference
     /// File with the poses of the sensor. If empty, the poses of the log's sensor are
     /// used.
     std::string trajectory;
@@ -99,6 +100,9 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
 /// frame, with `deskew`, or without a rolling shutter. Otherwise each point is in the
 /// sensor frame at its firing time.
 bool has_common_frame(const ScanOutputOptions& options);
+/// Returns the origin of points in the world frame in files of single precision (bin,
+/// exr, recordings): world_offset_m, or 0 if floats have steps below 1 mm there.
+glm::dvec3 points_origin_m(const ScanOutputOptions& options);
 /// Sets the topic and the frame id of a sensor to /lidar/NAME/points, with
 /// to_topic_name(), and NAME. An empty name gives /lidar/points and lidar.
 void name_topics(ScanOutputOptions& options, const std::string& sensor_name);

@@ -108,6 +108,15 @@ const std::initializer_list<ProtobufMessageType> kMessageTypes = {
       {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
 };
 
+const std::initializer_list<ProtobufMessageType> kFixTypes = {
+    {"LocationFix",
+     {{1, "latitude", kDouble},
+      {2, "longitude", kDouble},
+      {3, "altitude", kDouble},
+      {6, "timestamp", kMessage, kTimestampType},
+      {7, "frame_id", kString}}},
+};
+
 const std::initializer_list<ProtobufEnumType> kEnumTypes = {
     {"NumericType", {"UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"}},
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
@@ -337,15 +346,27 @@ std::vector<RecordedMessage> vehicle_transforms(const RecordedSweep& moment) {
     return messages;
 }
 
-/// Returns one message with the poses of all sensors on the vehicle. Each scan repeats
-/// this message, so that playback can start anywhere. Concatenated protobuf messages are
-/// one message with all list entries.
+/// Returns one message with the poses of all sensors on the vehicle, and of the map. Each
+/// scan repeats this message, so that playback can start anywhere. Concatenated protobuf
+/// messages are one message with all list entries.
 std::vector<RecordedMessage> sensor_transforms(const RecordedRig& rig, const RecordedSweep& moment) {
     std::string bytes;
-    for (const RecordedSensor& sensor : rig.sensors)
-        bytes +=
-            encode_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+    for (const auto& [parent, child, parent_from_child] : rig.static_transforms())
+        bytes += encode_transform(moment.first_ns, parent, child, parent_from_child);
     return {{moment.first_ns, bytes}};
+}
+
+/// Returns a foxglove.LocationFix with the position of base_link on the earth.
+std::vector<RecordedMessage> location_fixes(const RecordedSweep& moment) {
+    if (!moment.fix) return {};
+    const auto& [time_ns, position] = *moment.fix;
+    return {{time_ns, encode([&](pbf_writer& writer) {
+                 writer.add_double(1, position.latitude_deg);
+                 writer.add_double(2, position.longitude_deg);
+                 writer.add_double(3, position.height_m);
+                 writer.add_message(6, encode_time(time_ns));
+                 writer.add_string(7, kVehicleFrame);
+             })}};
 }
 
 std::vector<RecordedMessage> scene_updates(const RecordedSweep& moment) {
@@ -355,12 +376,17 @@ std::vector<RecordedMessage> scene_updates(const RecordedSweep& moment) {
 }  // namespace
 
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
-    // All topics have the same definition: a FileDescriptorSet with all message types.
+    // All topics except /fix have the same definition: a FileDescriptorSet with all other
+    // types.
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
-    std::string definition;
-    pbf_writer writer(definition);
-    writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
-    writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, kMessageTypes, kEnumTypes));
+    const auto describe = [&](std::initializer_list<ProtobufMessageType> messages,
+                              std::initializer_list<ProtobufEnumType> enums) {
+        return encode([&](pbf_writer& writer) {
+            writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
+            writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, messages, enums));
+        });
+    };
+    const std::string definition = describe(kMessageTypes, kEnumTypes);
     const std::string transforms = "foxglove.FrameTransforms";
     // {name, message type, definition, metadata, messages of a sweep}
     std::vector<RecordedTopic> topics{
@@ -371,8 +397,10 @@ std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
          [rig](const RecordedSweep& moment) { return sensor_transforms(rig, moment); }},
         {"/tf", transforms, definition, {}, vehicle_transforms},
         {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
+    if (rig.earth)
+        topics.push_back({"/fix", "foxglove.LocationFix", describe(kFixTypes, {}), {}, location_fixes});
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
-        const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
+        const std::string frame = rig.cloud_frame(s);
         topics.push_back(
             {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedSweep& moment) {
                  return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};

@@ -75,9 +75,24 @@ SweepInterval check_times(std::span<const RenderedScan> scans, std::int64_t time
          all.last_s + 1e-9 * double(time_shift_ns));
 }
 
+std::string RecordedRig::cloud_frame(std::size_t sensor) const {
+    if (has_map_frame()) return kMapFrame;
+    return world ? kWorldFrame : sensors[sensor].frame_id;
+}
+
+std::vector<StaticTransform> RecordedRig::static_transforms() const {
+    std::vector<StaticTransform> transforms;
+    for (const RecordedSensor& sensor : sensors)
+        transforms.push_back({kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor});
+    if (has_map_frame()) transforms.push_back({kWorldFrame, kMapFrame, {{1, 0, 0, 0}, points_origin_m}});
+    return transforms;
+}
+
 RecordedRig SweepRecorder::recorded_rig() const {
     RecordedRig rig;
     rig.world = sensors_.front().frame == PointCoordinateFrame::world;
+    rig.points_origin_m = points_origin_m(sensors_.front());
+    if (sensors_.front().georeference && has_proj()) rig.earth.emplace(*sensors_.front().georeference);
     for (const ScanOutputOptions& format : sensors_)
         rig.sensors.push_back({format.topic, format.frame_id, format.vehicle_from_lidar * format.offset});
     return rig;
@@ -109,6 +124,10 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
         merge_actors(moment.actors, recorded_actors(scans[s], all.first_s));
     }
     moment.poses = vehicle_poses(scans[0], std::move(times_s));
+    if (earth_ && !moment.poses.empty()) {
+        const auto& [time_ns, pose, velocity] = moment.poses.front();
+        moment.fix = {time_ns, earth_->to_geodetic(pose.translation)};
+    }
     return moment;
 }
 

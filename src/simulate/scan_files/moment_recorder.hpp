@@ -9,7 +9,8 @@ namespace relidar::scan_files {
 
 class SweepRecorder {
 public:
-    explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}
+    explicit SweepRecorder(std::vector<ScanOutputOptions> sensors)
+        : sensors_(std::move(sensors)), earth_(recorded_rig().earth) {}
     RecordedRig recorded_rig() const;
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
@@ -17,6 +18,7 @@ public:
 
 private:
     std::vector<ScanOutputOptions> sensors_;
+    std::optional<GeoConverter> earth_;  ///< RecordedRig::earth
     std::optional<double> last_scan_s_;  ///< time of the previous scan in the log
     std::optional<std::uint64_t> last_pose_ns_;
 

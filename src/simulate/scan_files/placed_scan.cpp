@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "placed_scan.hpp"
 
+#include <relidar/base/float_step.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 namespace relidar::scan_files {
 
 std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed) {
-    if (format.frame == PointCoordinateFrame::world) return Pose{};
+    if (format.frame == PointCoordinateFrame::world) return Pose{{1, 0, 0, 0}, points_origin_m(format)};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;
 }
 
@@ -37,9 +38,25 @@ const PlacedRays& ScanInOutputFrame::rays() {
     return *rays_;
 }
 
+std::optional<glm::dvec3> ScanInOutputFrame::world_origin_m() const {
+    if (format.frame == PointCoordinateFrame::sensor) return {};
+    return points_origin_m(format);
+}
+
 const LidarPoints& ScanInOutputFrame::points() {
     if (!points_) points_ = place_points(scan, format.config, dataset_from_points_);
     return *points_;
 }
 
 }  // namespace relidar::scan_files
+
+namespace relidar {
+
+glm::dvec3 points_origin_m(const ScanOutputOptions& options) {
+    constexpr double kMaxStep_m = 0.5e-3;
+    const glm::dvec3 size_m = glm::abs(options.world_offset_m);
+    const double farthest_m = std::max({size_m.x, size_m.y, size_m.z});
+    return float_step_m(farthest_m) > kMaxStep_m ? options.world_offset_m : glm::dvec3(0.0);
+}
+
+}  // namespace relidar

@@ -9,7 +9,8 @@
 
 namespace relidar::scan_files {
 
-/// Rays and their optional channels, [n] each, in the coordinate frame of the files.
+/// Rays and their optional channels, [n] each, in the coordinate frame of the files. In
+/// the world frame, positions are relative to points_origin_m().
 struct PlacedRays {
     std::vector<glm::vec3> origin, direction, end_m;
     std::vector<ScanChannel> channels;
@@ -26,8 +27,11 @@ public:
     /// @throws DataError if check_channels() finds an invalid
     /// channel
     const PlacedRays& rays();
-    /// Returns one point for each return of the scan.
+    /// Returns one point for each return of the scan. In the world frame, positions are
+    /// relative to points_origin_m().
     const LidarPoints& points();
+    /// Returns points_origin_m() in the world frame, and no value in the sensor frame.
+    std::optional<glm::dvec3> world_origin_m() const;
 
     const RenderedScan& scan;
     const ScanOutputOptions& format;
@@ -69,9 +73,9 @@ void for_each_channel(ScanInOutputFrame& placed_scan, Visit&& visit) {
     }
 }
 
-/// Returns the pose of the frame that all points share: the world (identity), or the
-/// sensor frame at one time. Returns no value if each point is written in the sensor
-/// frame at the firing time of its ray.
+/// Returns the pose of the frame that all points share: the world at points_origin_m(),
+/// or the sensor frame at one time. Returns no value if each point is written in the
+/// sensor frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed
 std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed);

@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes point clouds as PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin. PLY
-// and PCD files contain the same packed points after different headers. KITTI files have
-// no header and no additional fields. Fields have the names and types that readers of
-// LiDAR data expect: intensity, ring (uint16), time (float32, seconds).
+// Writes point clouds as PLY (binary little-endian), PCD 0.7 (binary), LAS 1.4 and KITTI
+// .bin. PLY and PCD files contain the same packed points after different headers. KITTI
+// files have no header and no additional fields. Fields have the names and types that
+// readers of LiDAR data expect: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/simulate/point_files.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -27,10 +31,12 @@ struct PointFileField {
 
 /// Lists the fields of a file. Leaves out unknown values, except in a file without
 /// points, so that all files of a folder have the same fields.
-std::vector<PointFileField> list_fields(const LidarPoints& points) {
+std::vector<PointFileField> list_fields(const LidarPoints& points, bool has_doubles) {
     const bool is_empty = points.size() == 0;
     std::vector<PointFileField> fields;
-    for (const char* name : {"x", "y", "z", "intensity"}) fields.push_back({name, "float", 4, 'F'});
+    for (const char* name : {"x", "y", "z"})
+        fields.push_back({name, has_doubles ? "double" : "float", has_doubles ? 8 : 4, 'F'});
+    fields.push_back({"intensity", "float", 4, 'F'});
     if (is_empty || !points.ring.empty()) fields.push_back({"ring", "uint16", 2, 'U'});
     if (is_empty || !points.time_offset_s.empty()) fields.push_back({"time", "float", 4, 'F'});
     if (is_empty || !points.instance.empty()) fields.push_back({"instance", "int", 4, 'I'});
@@ -56,7 +62,7 @@ void check_lengths(const LidarPoints& points) {
 }
 
 /// Packs points without gaps, in the order of list_fields().
-std::string pack_records(const LidarPoints& points) {
+std::string pack_records(const LidarPoints& points, const std::optional<glm::dvec3>& world_origin_m) {
     std::string bytes;
     // 12 + 4 + 2 + 4 + 4 bytes with ring, time and instance
     bytes.reserve(points.size() * 26);
@@ -64,7 +70,8 @@ std::string pack_records(const LidarPoints& points) {
         if (!values.empty()) append_raw(bytes, values[index]);
     };
     for (std::size_t i = 0; i < points.size(); ++i) {
-        append_raw(bytes, points.position_m[i]);
+        if (world_origin_m) append_raw(bytes, *world_origin_m + glm::dvec3(points.position_m[i]));
+        else append_raw(bytes, points.position_m[i]);
         append_raw(bytes, points.intensity[i]);
         append_if_present(points.ring, i);
         append_if_present(points.time_offset_s, i);
@@ -75,27 +82,107 @@ std::string pack_records(const LidarPoints& points) {
     return bytes;
 }
 
+// Sizes and numbers of the LAS 1.4 specification.
+constexpr std::uint16_t kLasHeaderBytes = 375, kLasRecordBytes = 30, kLasWktEncoding = 16;
+constexpr std::uint16_t kLasWktRecord = 2112, kLasExtraBytesRecord = 4, kLasNotesRecord = 1;
+constexpr std::uint8_t kLasPointFormat = 6;
+constexpr double kLasStep_m = 1e-4;
+
+void append_padded(std::string& bytes, std::string text, std::size_t length) {
+    text.resize(length);
+    bytes += text;
+}
+
+/// Returns a variable length record of a LAS file.
+std::string las_record(const char* user, std::uint16_t number, std::string data) {
+    if (data.size() > UINT16_MAX) data.resize(UINT16_MAX);
+    std::string bytes(2, '\0');
+    append_padded(bytes, user, 16);
+    append_raw(bytes, number);
+    append_raw(bytes, std::uint16_t(data.size()));
+    append_padded(bytes, "", 32);
+    return bytes + data;
+}
+
+/// Describes a field that follows the standard fields of each LAS point.
+std::string describe_extra(const PointFileField& field) {
+    constexpr char kUint16 = 3, kInt32 = 6, kFloat = 9;
+    std::string bytes(2, '\0');
+    bytes += field.bytes == 2 ? kUint16 : field.pcd_type == 'I' ? kInt32 : kFloat;
+    bytes += '\0';
+    append_padded(bytes, field.name.substr(0, 31), 32);
+    append_padded(bytes, "", 192 - bytes.size());
+    return bytes;
+}
+
+struct LasPoints {
+    glm::dvec3 offset_m{0.0}, min_m{INFINITY}, max_m{-INFINITY};
+    std::array<std::uint64_t, 15> n_by_return{};
+    std::string records = {};
+};
+
+LasPoints pack_las(const LidarPoints& points, const glm::dvec3& origin_m) {
+    constexpr double kMaxDistance_m = 200'000.0;  // limit of 32-bit steps
+    LasPoints las{.offset_m = glm::round(origin_m)};
+    const auto return_number = [&](std::size_t i) {
+        return i < points.return_number.size() ? points.return_number[i] : std::uint8_t(1);
+    };
+    for (std::size_t i = 0, n_returns = 1; i < points.size(); ++i) {
+        const glm::dvec3 p = origin_m - las.offset_m + glm::dvec3(points.position_m[i]);
+        glm::dvec3 rounded_m;
+        for (int axis = 0; axis < 3; ++axis) {
+            if (!(std::abs(p[axis]) < kMaxDistance_m))
+                fail("cannot write LAS: point {} is {} m from the origin, expected less than {} m", i,
+                     p[axis], kMaxDistance_m);
+            const auto step = std::int32_t(std::lround(p[axis] / kLasStep_m));
+            append_raw(las.records, step);
+            rounded_m[axis] = las.offset_m[axis] + kLasStep_m * step;
+        }
+        las.min_m = glm::min(las.min_m, rounded_m);
+        las.max_m = glm::max(las.max_m, rounded_m);
+        const std::uint8_t number = return_number(i);
+        // Returns of a ray follow each other, so the last of them has their number.
+        if (number == 1)
+            for (n_returns = 1; i + n_returns < points.size() && return_number(i + n_returns) > 1;)
+                ++n_returns;
+        ++las.n_by_return[number - 1u];
+        const float intensity = std::clamp(points.intensity[i], 0.0f, 1.0f);
+        append_raw(las.records, std::uint16_t(std::lround(65535.0f * intensity)));
+        append_raw(las.records, std::uint8_t(number | n_returns << 4));
+        append_padded(las.records, "", 7);  // flags, class, user data, scan angle, source
+        append_raw(las.records,
+                   points.time_s + (points.time_offset_s.empty() ? 0.0 : double(points.time_offset_s[i])));
+        if (!points.ring.empty()) append_raw(las.records, points.ring[i]);
+        if (!points.instance.empty()) append_raw(las.records, points.instance[i]);
+        append_values(las.records, points.channels, i);
+    }
+    if (points.size() == 0) las.min_m = las.max_m = las.offset_m;
+    return las;
+}
+
 }  // namespace
 
-void write_ply(const fs::path& path, const LidarPoints& points, const FileMetadata& notes) {
+void write_ply(const fs::path& path, const LidarPoints& points, const FileMetadata& notes,
+               const std::optional<glm::dvec3>& world_origin_m) {
     check_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : notes) text += fmt::format("comment {}\n", codecs::metadata_line(note));
     text += fmt::format("element vertex {}\n", points.size());
-    for (const PointFileField& field : list_fields(points)) {
+    for (const PointFileField& field : list_fields(points, world_origin_m.has_value())) {
         std::string ply_name = field.name;
         for (const char* axis : {"x", "y", "z"})  // normals have the names nx, ny and nz
             if (field.name == std::string("normal_") + axis) ply_name = std::string("n") + axis;
         text += fmt::format("property {} {}\n", field.ply_type, ply_name);
     }
-    codecs::write_file(path, text + "end_header\n" + pack_records(points));
+    codecs::write_file(path, text + "end_header\n" + pack_records(points, world_origin_m));
 }
 
-void write_pcd(const fs::path& path, const LidarPoints& points, const FileMetadata& notes) {
+void write_pcd(const fs::path& path, const LidarPoints& points, const FileMetadata& notes,
+               const std::optional<glm::dvec3>& world_origin_m) {
     check_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
     for (const auto& note : notes) header += fmt::format("# {}\n", codecs::metadata_line(note));
-    for (const PointFileField& field : list_fields(points)) {
+    for (const PointFileField& field : list_fields(points, world_origin_m.has_value())) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
@@ -104,18 +191,62 @@ void write_pcd(const fs::path& path, const LidarPoints& points, const FileMetada
     const std::size_t n = points.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
     // Sensor pose of the points: translation, then quaternion (w x y z).
-    const glm::dvec3& t = points.world_from_points.translation;
-    const glm::dquat& q = points.world_from_points.rotation;
+    const Pose view = world_origin_m ? Pose{} : points.world_from_points;
+    const glm::dvec3& t = view.translation;
+    const glm::dquat& q = view.rotation;
     std::vector<std::string> viewpoint;
     for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) viewpoint.push_back(fmt::format("{}", v));
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
                           fmt::join(viewpoint, " "), n);
-    codecs::write_file(path, header + pack_records(points));
+    codecs::write_file(path, header + pack_records(points, world_origin_m));
+}
+
+void write_las(const fs::path& path, const LidarPoints& points, const FileMetadata& notes,
+               const std::optional<glm::dvec3>& world_origin_m, const std::string& wkt) {
+    check_lengths(points);
+    std::string text, extra, records;
+    for (const auto& note : notes) text += codecs::metadata_line(note) + "\n";
+    std::uint16_t record_bytes = kLasRecordBytes;
+    std::uint32_t n_records = 1;
+    for (const PointFileField& field : list_fields(points, false)) {
+        constexpr std::array kStandard{"x", "y", "z", "intensity", "time", "return"};
+        if (std::ranges::find(kStandard, field.name) != kStandard.end()) continue;
+        extra += describe_extra(field);
+        record_bytes = std::uint16_t(record_bytes + field.bytes);
+    }
+    records += las_record("relidar", kLasNotesRecord, text);
+    if (!extra.empty()) records += las_record("LASF_Spec", kLasExtraBytesRecord, extra), ++n_records;
+    if (!wkt.empty()) records += las_record("LASF_Projection", kLasWktRecord, wkt + '\0'), ++n_records;
+    const LasPoints las = pack_las(points, world_origin_m.value_or(glm::dvec3(0.0)));
+    std::string bytes = "LASF";
+    append_raw(bytes, std::uint16_t(0));
+    append_raw(bytes, kLasWktEncoding);
+    append_padded(bytes, "", 16);
+    bytes += {1, 4};  // version
+    append_padded(bytes, "relidar", 32);
+    append_padded(bytes, "relidar " RELIDAR_VERSION, 32);
+    append_padded(bytes, "", 4);  // no date, so that equal points give equal files
+    append_raw(bytes, kLasHeaderBytes);
+    append_raw(bytes, std::uint32_t(kLasHeaderBytes + records.size()));
+    append_raw(bytes, n_records);
+    append_raw(bytes, kLasPointFormat);
+    append_raw(bytes, record_bytes);
+    append_padded(bytes, "", 24);  // counts of older versions
+    append_raw(bytes, glm::dvec3(kLasStep_m));
+    append_raw(bytes, las.offset_m);
+    for (int axis = 0; axis < 3; ++axis) {
+        append_raw(bytes, las.max_m[axis]);
+        append_raw(bytes, las.min_m[axis]);
+    }
+    append_padded(bytes, "", 20);  // no waveforms and no extended records
+    append_raw(bytes, std::uint64_t(points.size()));
+    append_raw(bytes, las.n_by_return);
+    codecs::write_file(path, bytes + records + las.records);
 }
 
 void write_kitti_bin(const fs::path& path, const LidarPoints& points) {
     check_lengths(points);
-    codecs::write_file(path, pack_records({points.position_m, points.intensity}));
+    codecs::write_file(path, pack_records({points.position_m, points.intensity}, {}));
 }
 
 }  // namespace relidar

@@ -9,6 +9,7 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/log/georeference.hpp>
 #include <relidar/read/points.hpp>
 
 namespace relidar {
@@ -20,14 +21,26 @@ namespace relidar::scan_files {
 
 inline constexpr const char* kWorldFrame = "world";
 inline constexpr const char* kVehicleFrame = "base_link";
+/// Frame of points in the world whose coordinates are too large for floats.
+inline constexpr const char* kMapFrame = "map";
 
 struct RecordedSensor {
     std::string topic, frame_id;
     Pose vehicle_from_sensor;
 };
+struct StaticTransform {
+    std::string parent, child;
+    Pose parent_from_child;
+};
 struct RecordedRig {
     std::vector<RecordedSensor> sensors;
     bool world = false;
+    glm::dvec3 points_origin_m{0.0};    ///< of points in the world
+    std::optional<GeoConverter> earth;  ///< empty if the place of the world is unknown
+
+    bool has_map_frame() const { return world && points_origin_m != glm::dvec3(0.0); }
+    std::string cloud_frame(std::size_t sensor) const;
+    std::vector<StaticTransform> static_transforms() const;
 };
 
 /// The components are along the axes of the object.
@@ -38,6 +51,11 @@ struct RecordedPose {
     std::uint64_t time_ns;
     Pose world_from_vehicle;
     Velocity velocity;
+};
+/// Position of the vehicle on the earth.
+struct RecordedFix {
+    std::uint64_t time_ns;
+    GeodeticPosition position;
 };
 struct BoxState {
     std::uint64_t time_ns;
@@ -81,6 +99,7 @@ struct RecordedSweep {
     std::vector<RecordedCloud> clouds;
     /// each actor once, at the time first_ns
     std::vector<RecordedActor> actors;
+    std::optional<RecordedFix> fix = {};
 };
 
 }  // namespace relidar::scan_files

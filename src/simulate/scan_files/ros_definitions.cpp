@@ -36,6 +36,10 @@ const std::map<std::string, std::string>& message_texts() {
          "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool "
          "is_bigendian\nuint32 point_step\n"
          "uint32 row_step\nuint8[] data\nbool is_dense\n"},
+        {"sensor_msgs/NavSatStatus", "int8 status\nuint16 service\n"},
+        {"sensor_msgs/NavSatFix",
+         "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 "
+         "longitude\nfloat64 altitude\nfloat64[9] position_covariance\nuint8 position_covariance_type\n"},
         {"nav_msgs/Odometry",
          "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance "
          "pose\ngeometry_msgs/TwistWithCovariance twist\n"},

@@ -105,7 +105,7 @@ std::string encode_cloud2(const RecordedCloud& recorded, const std::string& fram
 
 std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
     const std::string& topic = rig.sensors[sensor].topic;
-    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
+    const std::string frame = rig.cloud_frame(sensor);
     const auto of_type = [&](const std::string& name, const RosPointType& type) {
         return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{

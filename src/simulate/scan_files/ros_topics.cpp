@@ -45,12 +45,31 @@ RecordedTopic pose_topic(const char* name, const char* type,
 RecordedTopic static_tf_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedSweep& moment) {
         codecs::CdrWriter cdr;
-        cdr.add_number(std::uint32_t(rig.sensors.size()));
-        for (const RecordedSensor& sensor : rig.sensors)
-            add_transform(cdr, moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+        const std::vector<StaticTransform> transforms = rig.static_transforms();
+        cdr.add_number(std::uint32_t(transforms.size()));
+        for (const auto& [parent, child, parent_from_child] : transforms)
+            add_transform(cdr, moment.first_ns, parent, child, parent_from_child);
         return std::vector<RecordedMessage>{{moment.first_ns, cdr.take_message()}};
     };
     return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", message, true);
+}
+
+/// Writes the position of base_link on the earth, once for each scan.
+RecordedTopic fix_topic() {
+    constexpr std::int8_t kHasFix = 0;
+    constexpr std::uint16_t kGps = 1;
+    constexpr int kPositionCovariances = 9;
+    return make_ros_topic("/fix", "sensor_msgs/msg/NavSatFix", [](const RecordedSweep& moment) {
+        if (!moment.fix) return std::vector<RecordedMessage>{};
+        codecs::CdrWriter cdr;
+        add_header(cdr, moment.fix->time_ns, kVehicleFrame);
+        cdr.add_number(kHasFix).add_number(kGps);
+        const GeodeticPosition& p = moment.fix->position;
+        cdr.add_number(p.latitude_deg).add_number(p.longitude_deg).add_number(p.height_m);
+        for (int i = 0; i < kPositionCovariances; ++i) cdr.add_number(0.0);
+        cdr.add_number(std::uint8_t(0));  // unknown covariance
+        return std::vector<RecordedMessage>{{moment.fix->time_ns, cdr.take_message()}};
+    });
 }
 
 }  // namespace
@@ -83,6 +102,7 @@ std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
             add_covariance(cdr);
             add_velocity(cdr, pose.velocity);
         })};
+    if (rig.earth) topics.push_back(fix_topic());
     for (RecordedTopic& topic : ros_actor_topics()) topics.push_back(std::move(topic));
     for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
         for (RecordedTopic& topic : ros_cloud_topics(rig, sensor)) topics.push_back(std::move(topic));

@@ -47,6 +47,13 @@ FileMetadata scan_metadata(const ScanOutputOptions& format, int frame, const Ren
             {"units", kUnitsText}};
 }
 
+/// Adds the origin of positions to the metadata of a file in single precision.
+FileMetadata add_origin(FileMetadata notes, const std::optional<glm::dvec3>& origin_m) {
+    if (origin_m && *origin_m != glm::dvec3(0.0))
+        notes.push_back({"world_offset_m", fmt::format("{} {} {}", origin_m->x, origin_m->y, origin_m->z)});
+    return notes;
+}
+
 template <class T>
 NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)},
@@ -60,6 +67,18 @@ NamedArray image_array(const std::string& name, const RangeImage& image, const s
                       first, xyz.size() * 3);
 }
 
+/// Returns positions in the world in double precision, others unchanged.
+NamedArray position_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& xyz,
+                          const std::optional<glm::dvec3>& world_origin_m) {
+    if (!world_origin_m) return image_array(name, image, xyz);
+    std::vector<double> values;
+    values.reserve(xyz.size() * 3);
+    for (const glm::vec3& p : xyz)
+        for (int axis = 0; axis < 3; ++axis) values.push_back((*world_origin_m)[axis] + double(p[axis]));
+    return make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(),
+                      values.size());
+}
+
 std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const RenderedScan& scan = output_scan.scan;
     const ScanOutputOptions& format = output_scan.format;
@@ -68,10 +87,11 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const bool world = format.frame == PointCoordinateFrame::world;
     const std::int32_t number = output_scan.frame, deskewed = has_common_frame(format) ? 1 : 0;
     const scan_files::PlacedRays& rays = output_scan.rays();
+    const std::optional<glm::dvec3> origin_m = output_scan.world_origin_m();
     std::vector<NamedArray> arrays{make_text_array("instance_names", format.instance_names),
                                    image_array("directions", image, rays.direction),
-                                   image_array("origin", image, rays.origin),
-                                   image_array("points", image, rays.end_m),
+                                   position_array("origin", image, rays.origin, origin_m),
+                                   position_array("points", image, rays.end_m, origin_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
@@ -106,14 +126,21 @@ void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     for_each_channel(output_scan,
                      [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = output_scan.scan.image;
-    write_exr(path, image.rows, image.columns, channels, output_scan.notes);
+    write_exr(path, image.rows, image.columns, channels,
+              add_origin(output_scan.notes, output_scan.world_origin_m()));
 }
 
 void write_ply_file(const fs::path& path, ScanInOutputFrame& scan) {
-    write_ply(path, scan.points(), scan.notes);
+    write_ply(path, scan.points(), scan.notes, scan.world_origin_m());
 }
 void write_pcd_file(const fs::path& path, ScanInOutputFrame& scan) {
-    write_pcd(path, scan.points(), scan.notes);
+    write_pcd(path, scan.points(), scan.notes, scan.world_origin_m());
+}
+void write_las_file(const fs::path& path, ScanInOutputFrame& scan) {
+    const std::optional<Georeference>& place = scan.format.georeference;
+    const bool is_on_earth = scan.world_origin_m() && place && has_proj();
+    write_las(path, scan.points(), scan.notes, scan.world_origin_m(),
+              is_on_earth ? GeoConverter(*place).wkt() : "");
 }
 void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
 void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
@@ -138,6 +165,9 @@ Metres, seconds.)",
     {"ply", kPointsHelp, write_ply_file},
     {"pcd", kPointsHelp, write_pcd_file},
     {"bin", kPointsHelp, write_bin_file},
+    {"las", R"(LAS 1.4, point format 6, with ring, instance and channels as extra bytes; GPS time is
+the log's time. With --frame world and a georeference it names the coordinate system.)",
+     write_las_file},
     {"png", "pictures of range, intensity and drop_prob.", write_png_file}};
 
 }  // namespace
@@ -189,6 +219,7 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     if (scene.models.front().count > 0 || !scene.blocks.empty())
         format.standing = list_standing(scene, run.sequence, run.config.init);
     format.world_offset_m = run.sequence.world_offset_m;
+    format.georeference = run.sequence.georeference;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
     format.rolling_shutter = is_rolling(sensor, run.config);

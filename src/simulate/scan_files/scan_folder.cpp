@@ -176,6 +176,8 @@ void ScanFolderWriter::write_summary() const {
         json["vehicle"]["base_link_height_m"] =
             format_.base_link_height_m ? Json(*format_.base_link_height_m) : Json();
     }
+    if (const glm::dvec3 origin_m = points_origin_m(format_); world && origin_m != glm::dvec3(0.0))
+        json["world_offset_m"] = {origin_m.x, origin_m.y, origin_m.z};
     if (recordings_) json["recordings"] = recordings_->list_file_names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text_file(folder_ / kSummaryName, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");

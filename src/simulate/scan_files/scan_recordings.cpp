@@ -106,6 +106,7 @@ bool is_topic_name(const std::string& topic) {
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
 void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
+    if (rig.has_map_frame()) used_frame_ids.insert(scan_files::kMapFrame);
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_topic_name(sensor.topic))
             fail<UsageError>(

@@ -14,7 +14,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kTolerance_m = 2e-5;  // precision of floats at 40 m
+constexpr double kTolerance_m = 2e-5;     // precision of floats at 40 m
+constexpr double kLasTolerance_m = 1e-4;  // its steps are 0.1 mm
 
 const std::vector<glm::dvec3>& places() {
     static const std::vector<glm::dvec3> points = {{30, 5, 1}, {-20, 8, 3}, {4, -25, 0}, {12, 30, -1}};
@@ -22,19 +23,20 @@ const std::vector<glm::dvec3>& places() {
 }
 
 /// Moves at 16 m/s and turns by 40 degrees per second: 0.8 m and 2 degrees.
-RenderedScan make_lane_change() {
+/// @param origin_m of places() in the dataset's world
+RenderedScan make_lane_change(const glm::dvec3& origin_m = {}) {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
         const double t_s = 2.9 + 0.05 * i;
         scan.track.time_s.push_back(t_s);
-        scan.track.pose.push_back(
-            {make_rotation(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
+        scan.track.pose.push_back({make_rotation(0.7 * (t_s - 3.0), 0.02, 0.01),
+                                   origin_m + glm::dvec3(16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5)});
     }
     scan.time_s = 3.0;
     scan.world_from_sensor = scan.track.pose_at(scan.time_s);
     scan.time_offset_s = {-0.05f, -0.0125f, 0.0075f, 0.05f};
     for (std::size_t i = 0; i < places().size(); ++i) {
-        const glm::dvec3 point_in_sensor_m = inverse(scan.firing_pose(i)) * places()[i];
+        const glm::dvec3 point_in_sensor_m = inverse(scan.firing_pose(i)) * (origin_m + places()[i]);
         const glm::vec3 origin(0.1f, 0.0f, 0.05f);
         const glm::dvec3 vector_m = point_in_sensor_m - glm::dvec3(origin);
         scan.image.origin.push_back(origin);
@@ -44,10 +46,12 @@ RenderedScan make_lane_change() {
     return test::complete(std::move(scan));
 }
 
-glm::dvec3 point(const std::vector<float>& numbers, std::size_t index) {
+template <class T>
+glm::dvec3 point(const std::vector<T>& numbers, std::size_t index) {
     return {numbers[index], numbers[index + 1], numbers[index + 2]};
 }
 
+template <class T>
 std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
                                            const std::string& end_of_header) {
     const std::string bytes = read_contents(path);
@@ -55,10 +59,33 @@ std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
     const std::size_t stride = (bytes.size() - begin) / places().size();
     std::vector<glm::dvec3> points;
     for (std::size_t i = 0; i < places().size(); ++i) {
-        std::vector<float> xyz(3);
-        std::memcpy(xyz.data(), bytes.data() + begin + i * stride, 3 * sizeof(float));
+        std::vector<T> xyz(3);
+        std::memcpy(xyz.data(), bytes.data() + begin + i * stride, 3 * sizeof(T));
         points.push_back(point(xyz, 0));
     }
+    return points;
+}
+
+/// Reads a LAS file by the byte offsets of its specification.
+std::vector<glm::dvec3> read_las(const std::filesystem::path& path) {
+    const std::string bytes = read_contents(path);
+    const auto at = [&]<class T>(std::size_t offset, T value) {
+        std::memcpy(&value, bytes.data() + offset, sizeof value);
+        return value;
+    };
+    const std::size_t begin = at(96, std::uint32_t()), stride = at(105, std::uint16_t());
+    EXPECT_EQ(bytes.substr(0, 4), "LASF");
+    EXPECT_EQ(at(247, std::uint64_t()), places().size());
+    EXPECT_EQ(bytes.size(), begin + stride * places().size());
+    std::vector<glm::dvec3> points(places().size());
+    for (std::size_t i = 0; i < points.size(); ++i)
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            points[i][int(axis)] =
+                at(131 + 8 * axis, 0.0) * at(begin + i * stride + 4 * axis, std::int32_t()) +
+                at(155 + 8 * axis, 0.0);
+            EXPECT_LE(points[i][int(axis)], at(179 + 16 * axis, 0.0) + 1e-9);
+            EXPECT_GE(points[i][int(axis)], at(187 + 16 * axis, 0.0) - 1e-9);
+        }
     return points;
 }
 
@@ -80,59 +107,91 @@ protected:
         return folder / (std::string("frame_000000.") + extension);
     }
 
+    glm::dvec3 origin_m{0.0};  ///< of places() in the world
+
     void write(PointCoordinateFrame frame, bool deskew) const {
         ScanOutputOptions format;
-        format.formats = {"npz", "exr", "ply", "pcd", "bin"};
+        format.formats = {"npz", "exr", "ply", "pcd", "bin", "las"};
+        format.world_offset_m = origin_m;
         format.frame = frame;
         format.deskew = deskew;
         ScanFolderWriter scans(folder, format);
-        scans.write_scan(0, make_lane_change());
+        scans.write_scan(0, make_lane_change(origin_m));
         scans.finish();
     }
-    static void expect_places(const std::string& description, const Pose& world_from_points,
-                              const std::vector<glm::dvec3>& points) {
+    void expect_places(const std::string& description, const Pose& world_from_points,
+                       const std::vector<glm::dvec3>& points, double tolerance_m = kTolerance_m) const {
         for (std::size_t i = 0; i < places().size(); ++i)
-            EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
+            EXPECT_LT(glm::distance(world_from_points * points[i], origin_m + places()[i]), tolerance_m)
                 << description << ", point " << i;
     }
     /// @param world_from_points transform of a file's points, from the pose in the file
-    void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
+    /// @param T type of positions in npz, ply and pcd
+    /// @param float_origin_m add to positions in exr and bin
+    template <class T>
+    void expect_all(const std::function<Pose(const Pose&)>& world_from_points,
+                    const glm::dvec3& float_origin_m = {}) const {
         const auto arrays = read_npz(file("npz"));
         const Pose of_npz = make_pose(find_array(arrays, "pose")->to_doubles());
         const std::vector<float> range_m = find_array(arrays, "range")->to_floats(),
-                                 origin = find_array(arrays, "origin")->to_floats(),
                                  direction = find_array(arrays, "directions")->to_floats();
+        const std::vector<double> origin = find_array(arrays, "origin")->to_doubles(),
+                                  end = find_array(arrays, "points")->to_doubles();
+        EXPECT_EQ(find_array(arrays, "points")->bytes.size(), end.size() * sizeof(T));
         const ExrImage exr = read_exr(file("exr"));
-        std::vector<glm::dvec3> in_npz, in_exr;
+        std::vector<glm::dvec3> in_npz, npz_points, in_exr;
         for (std::size_t i = 0; i < places().size(); ++i) {
             in_npz.push_back(point(origin, 3 * i) + double(range_m[i]) * point(direction, 3 * i));
+            npz_points.push_back(point(end, 3 * i));
             const auto vector = [&](const std::string& name) {
                 return glm::dvec3(exr.channels.at(name + ".x")[i], exr.channels.at(name + ".y")[i],
                                   exr.channels.at(name + ".z")[i]);
             };
-            in_exr.push_back(vector("origin") + double(exr.channels.at("range")[i]) * vector("direction"));
+            in_exr.push_back(float_origin_m + vector("origin") +
+                             double(exr.channels.at("range")[i]) * vector("direction"));
         }
         expect_places("npz", world_from_points(of_npz), in_npz);
+        expect_places("npz points", world_from_points(of_npz), npz_points);
         expect_places(
             "exr", world_from_points(make_pose(read_numbers_behind(exr.notes.at("world_from_sensor"), ""))),
             in_exr);
         const Pose of_ply = make_pose(read_numbers_behind(read_contents(file("ply")), "world_from_sensor "));
-        expect_places("ply", world_from_points(of_ply), read_points_behind(file("ply"), "end_header\n"));
-        expect_places("bin", world_from_points(of_npz), read_points_behind(file("bin"), ""));
+        expect_places("ply", world_from_points(of_ply), read_points_behind<T>(file("ply"), "end_header\n"));
+        std::vector<glm::dvec3> in_bin = read_points_behind<float>(file("bin"), "");
+        for (glm::dvec3& p : in_bin) p += float_origin_m;
+        expect_places("bin", world_from_points(of_npz), in_bin);
+        expect_places("las", world_from_points(of_npz), read_las(file("las")), kLasTolerance_m);
         const std::vector<double> v = read_numbers_behind(read_contents(file("pcd")), "VIEWPOINT ");
         expect_places("pcd", {glm::dquat(v[3], v[4], v[5], v[6]), {v[0], v[1], v[2]}},
-                      read_points_behind(file("pcd"), "DATA binary\n"));
+                      read_points_behind<T>(file("pcd"), "DATA binary\n"));
     }
 };
 
 TEST_F(PlacedScans, DeskewedPointsComeToTheWorldByThePoseOfTheirFile) {
     write(PointCoordinateFrame::sensor, true);
-    expect_all([](const Pose& world_from_sensor) { return world_from_sensor; });
+    expect_all<float>([](const Pose& world_from_sensor) { return world_from_sensor; });
 }
 
 TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     write(PointCoordinateFrame::world, false);
-    expect_all([](const Pose&) { return Pose{}; });
+    expect_all<double>([](const Pose&) { return Pose{}; });
+    EXPECT_EQ(read_contents(folder / "scans.json").find("world_offset_m"), std::string::npos);
+}
+
+TEST_F(PlacedScans, KeepMillimetresAtLargeCoordinates) {
+    for (const glm::dvec3& origin :
+         {glm::dvec3(500000.25, 4000000.1, 100.0), glm::dvec3(6378137.0, 0.3, -0.7)}) {
+        origin_m = origin;
+        write(PointCoordinateFrame::world, false);
+        // The files of single precision have a local origin, which they name.
+        const std::vector<double> v =
+            read_numbers_behind(read_exr(file("exr")).notes.at("world_offset_m"), "");
+        EXPECT_EQ(glm::dvec3(v[0], v[1], v[2]), origin);
+        EXPECT_NE(read_contents(folder / "scans.json").find("\"world_offset_m\""), std::string::npos);
+        expect_all<double>([](const Pose&) { return Pose{}; }, origin);
+        write(PointCoordinateFrame::sensor, true);
+        expect_all<float>([](const Pose& world_from_sensor) { return world_from_sensor; });
+    }
 }
 
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/read/dataset.hpp>
+#include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
@@ -202,6 +203,29 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
         const Log log = load_sequence((folder / name).string(), {});
         expect_same(log, true);
         expect_actors(log, format.world_offset_m);
+    }
+}
+
+// The recording has the position of the vehicle on the earth, from which the place of the
+// world is found again.
+TEST_F(RecordedLog, KnowsItsPlaceOnTheEarth) {
+    if (!has_proj()) GTEST_SKIP() << "built without PROJ";
+    constexpr int kScans = 10;
+    ScanOutputOptions format;
+    format.formats = {"mcap", "rosbag"};
+    format.vehicle_from_lidar = kMounting;
+    const GeodeticPosition origin{49.015, 8.434, 116.0};
+    format.georeference = {origin, {3.0, -4.0, 5.0}, local_tangent_crs(origin), make_rotation(0.6, 0.0, 0.0)};
+    const GeoConverter truth(*format.georeference);
+    ScanFolderWriter scans(folder, format);
+    for (int k = 0; k < kScans; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
+    scans.finish();
+    for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
+        const Log log = load_sequence((folder / name).string(), {});
+        ASSERT_TRUE(log.georeference) << name << testing::PrintToString(log.notes);
+        const GeoConverter found(*log.georeference);
+        for (const glm::dvec3& p : {glm::dvec3(0.0), glm::dvec3(50.0, -80.0, 2.0)})
+            EXPECT_LT(glm::distance(truth.to_dataset(found.to_geodetic(p)), p), 1e-3) << name;
     }
 }
 

@@ -343,14 +343,15 @@ void run_render(const RenderOptions& command_options) {
     check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
-    const PoseTrack track =
-        drives ? mount_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // The lock removes a folder that stays empty.
     if (ranks.is_first()) folder.emplace(options.out);
     check_settings_used(options.sets, render_settings(), "render");
     Run run = load_run(options.run);
     apply_settings(run.config, options.sets);
+    const PoseTrack track =
+        drives ? mount_track(read_trajectory(options.trajectory.file, run.sequence.georeference), offset)
+               : PoseTrack{};
     run.config = with_max_range(std::move(run.config), run.sequence);
     if (options.channels) set_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
@@ -381,7 +382,6 @@ void run_render(const RenderOptions& command_options) {
     if (std::ranges::any_of(parse_formats(options.formats), is_recording))
         note_time_shift(run.sequence, options.time_shift_ns);
     if (options.sample) note_missing_noise(run, lidar);
-    note_rounding(run, track, parse_frame(options.point_frame));
     note_weather(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets) note_sensor(run, renderer, w.sensor);
     install_handlers();
@@ -407,7 +407,8 @@ void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
                     "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
-                    "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
+                    "the dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in "
+                    "the run's georeference; `relidar export RUN --out FILE.csv` writes the "
                     "path of the log; --offset shifts the sensor from the path; rays have the nominal angles "
                     "of the sensor, unlike those of --frames, which repeat a recorded scan")
         ->type_name("FILE.csv");

@@ -9,7 +9,6 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/float_step.hpp>
 #include <relidar/log/log_time.hpp>
 #include "console.hpp"
 
@@ -37,24 +36,6 @@ void note_missing_noise(const Run& run, int lidar) {
     print_warning(
         fmt::format("run {} has no model of the intensity noise, so --sample adds no noise to intensities",
                     run.folder.string()));
-}
-
-/// Prints a note if points in the world frame are so far from its origin that single
-/// precision rounds them to more than 1 cm.
-void note_rounding(const Run& run, const PoseTrack& dataset_from_sensor, PointCoordinateFrame frame) {
-    constexpr double kLeastStep_m = 0.01;
-    if (frame != PointCoordinateFrame::world) return;
-    const PoseTrack track = dataset_from_sensor.pose.empty()
-                                ? shift_track(run.sequence.world_from_vehicle, run.sequence.world_offset_m)
-                                : dataset_from_sensor;
-    double largest_m = 0.0;
-    for (const Pose& pose : track.pose)
-        for (int axis = 0; axis < 3; ++axis)
-            largest_m = std::max(largest_m, std::abs(pose.translation[axis]));
-    if (const double step_m = float_step_m(largest_m); step_m > kLeastStep_m)
-        print_note(
-            fmt::format("--frame world: single precision has steps of {:.3g} m at coordinates of {:.0f} m",
-                        step_m, largest_m));
 }
 
 void note_time_shift(const Log& log, std::int64_t time_shift_ns) {

@@ -14,9 +14,6 @@ void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSe
 
 void note_missing_noise(const Run& run, int lidar);
 
-/// Far from the world's origin, single precision is coarse.
-/// @param dataset_from_sensor  path of the sensor; empty: the path of the log
-void note_rounding(const Run& run, const PoseTrack& dataset_from_sensor, PointCoordinateFrame frame);
 void note_time_shift(const Log& log, std::int64_t time_shift_ns);
 
 void note_weather(const Weather& weather);
