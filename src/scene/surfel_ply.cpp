@@ -402,11 +402,11 @@ void write_file(const fs::path& path, const Surfels& surfels, const std::vector<
 
 }  // namespace
 
-void write_surfels(const fs::path& path, const Scene& scene) {
+void write_surfels(const fs::path& path, const Scene& scene, const FileMetadata& comments) {
     check_layout(scene);
     const std::vector<PlyProperty> list = list_properties(scene.surfels.parameters_used());
     write_file(path, scene.surfels, scene.models, list,
-               make_header(scene.surfels, list, "frame of each model"));
+               make_header(scene.surfels, list, "frame of each model", comments));
 }
 
 void write_surfels(const fs::path& path, const Surfels& surfels, const FileMetadata& comments) {

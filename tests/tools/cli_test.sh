@@ -248,11 +248,21 @@ foreign_readers() {
         echo "note: no numpy, npz, ply, pcd and bin are not read by another program"
     else
         good render run --out in_world --format npz,ply --frame world
-        check "a note about steps near the world's origin" test -z "$(grep "single precision" err)"
-        cp -r run mapped  # at UTM coordinates, where float32 has steps of 0.25 m
-        "$python" -c 'import json; s = json.load(open("mapped/scene.json")); s["world_offset_m"] = [5e5, 4e6, 0]; json.dump(s, open("mapped/scene.json", "w"))'
-        good render mapped --out in_map --frames 2:3 --frame world
-        check "no note about steps far from the world's origin" grep -q "0.25 m .* 4000" err
+        # In UTM coordinates, float32 has steps of 0.25 m; in those of the earth 0.5 m.
+        good render run --out in_small --frames all --format npz --frame world --only background
+        local shift
+        for shift in "500000 4000000 100" "6378137 0 0"; do
+            rm -rf mapped && cp -r run mapped
+            "$python" -c 'import json, sys; s = json.load(open("mapped/scene.json")); s["world_offset_m"] = [a + float(b) for a, b in zip(s["world_offset_m"], sys.argv[1].split())]; json.dump(s, open("mapped/scene.json", "w"))' "$shift"
+            good render mapped --out in_map --frames all --format npz,ply,pcd,bin,las --frame world --only background --force
+            good export mapped --points map.las
+            # shellcheck disable=SC2086
+            "$python" "$tests/read_world.py" in_small in_map $shift map.las >err 2>&1
+            check "read_world.py finds faults" test $? = 0
+        done
+        bad 2 "--points map.xyz: " export mapped --points map.xyz
+        bad 2 "--spacing" export mapped --points map.las --spacing 0
+        bad 2 "--out or --points" export mapped
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0

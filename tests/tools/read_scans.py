@@ -17,7 +17,7 @@ import numpy as np
 from checks import check, finish
 
 NORMAL_FIELDS = {"ply": ("nx", "ny", "nz"), "pcd": ("normal_x", "normal_y", "normal_z")}
-PLY_TYPES = {"float": "<f4", "uint16": "<u2", "int": "<i4"}
+PLY_TYPES = {"float": "<f4", "double": "<f8", "uint16": "<u2", "int": "<i4"}
 def read_ply(path):
     data = open(path, "rb").read()
     header, body = data.split(b"end_header\n", 1)
@@ -113,10 +113,11 @@ def check_frames(plain, world, deskewed, scan):
     check(f"{world}/{name}: origins", np.abs(npz["origin"] - pose[:3, 3]).max() < 5)
 
 
-summary = json.load(open(sys.argv[1] + "/scans.json"))
-for scan in summary["scans"]:
-    check_scan(sys.argv[1], summary, scan)
-    if len(sys.argv) > 3:
-        check_frames(*sys.argv[1:4], scan)
-check("scans.json names no scan", len(summary["scans"]) > 0)
-finish()
+if __name__ == "__main__":
+    summary = json.load(open(sys.argv[1] + "/scans.json"))
+    for scan in summary["scans"]:
+        check_scan(sys.argv[1], summary, scan)
+        if len(sys.argv) > 3:
+            check_frames(*sys.argv[1:4], scan)
+    check("scans.json names no scan", len(summary["scans"]) > 0)
+    finish()

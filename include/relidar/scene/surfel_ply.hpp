@@ -28,8 +28,9 @@ enum class PrimitiveType;
 ///   model                 index of the model; not in the original layout
 ///
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
+/// @param comments comments in the file header
 /// @throws DataError for the reasons listed at write_atomically()
-void write_surfels(const std::filesystem::path& path, const Scene& scene);
+void write_surfels(const std::filesystem::path& path, const Scene& scene, const FileMetadata& comments = {});
 /// Writes surfels that are all in the same coordinate frame. The file has no property
 /// `model`, so that read_surfel_ply() does not read it as a complete scene.
 /// @param comments comments in the file header

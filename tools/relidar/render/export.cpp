@@ -19,6 +19,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "render/choose_frames.hpp"
+#include "render/export_map.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -28,6 +29,9 @@ struct ExportOptions {
     std::string out;
     std::optional<std::string> frames;
     std::optional<std::string> track;
+    std::string points;
+    std::optional<double> spacing_m;
+    DeviceCommandOptions device;
     bool quiet = false;
 };
 
@@ -68,6 +72,13 @@ const PoseTrack& path_of(const Log& log, const PoseTrack& sensor_path,
 }
 
 void run_export(const ExportOptions& options) {
+    if (options.points.empty() == options.out.empty()) throw UsageError("expected either --out or --points");
+    if (!options.points.empty()) {
+        if (options.track) throw UsageError("--points and --track cannot be used together");
+        return export_map({options.run, options.points, options.spacing_m.value_or(MapOptions{}.spacing_m),
+                           options.frames, options.device, options.quiet});
+    }
+    if (options.spacing_m) throw UsageError("--spacing needs --points");
     const std::filesystem::path out = options.out;
     if (options.track && (options.frames || out.extension() != ".csv"))
         fail<UsageError>("--out {}: expected a name that ends in .csv and no --frames, because of --track",
@@ -90,7 +101,9 @@ void run_export(const ExportOptions& options) {
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     std::string written;
     if (*format == ".ply") {
-        write_surfels(out, with_all_blocks(run.scene));
+        const glm::dvec3& offset = run.sequence.world_offset_m;
+        write_surfels(out, with_all_blocks(run.scene),
+                      {{"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
         written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
                               run.scene.models.size() == 1 ? "" : "s");
     } else {
@@ -107,15 +120,19 @@ constexpr const char* kExportHelp =
     R"(Common viewers can show the PLY file: intensity as colour, surfels as flat ellipsoids. Additional
 float properties (hit_0..15, drop_0..15, model) let `relidar edit --from-ply` restore exactly the
 same scene. If an editor drops them, it must keep the positions of the surfels. Each actor is
-stored in the frame of its box, at the origin and not deformed. With --frames all surfels are in
+stored in the frame of its box, at the origin and not deformed. add_to_positions_m in the header is
+the origin of the background in the dataset's world. With --frames all surfels are in
 world coordinates; `relidar edit` cannot read such files.
 The path has the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world. render
 --trajectory and edit --trajectory read it. With --track it has the centre of the actor's box.
+--points merges the points of the log's LiDARs without actors to a map in the dataset's world. It has
+the mean point of each cell. .las names the coordinate system if the run has a georeference.
 Examples:
   relidar export run --out scene.ply
   relidar export run --out frames --frames 10:20
   relidar export run --out trajectory.csv
-  relidar export run --out car.csv --track 0)";
+  relidar export run --out car.csv --track 0
+  relidar export run --points map.las --spacing 0.05)";
 
 }  // namespace
 
@@ -127,8 +144,13 @@ void add_export(CLI::App& app, ParsedCommand& call) {
     command
         ->add_option("--out", options->out,
                      "output file: .ply for surfels or .csv for the sensor's path; with --frames a folder")
-        ->required()
         ->type_name("FILE.ply|FILE.csv|FOLDER");
+    command
+        ->add_option("--points", options->points,
+                     "write a map of the points of all scans (or of --frames) to a .las, .ply or .pcd file")
+        ->type_name("FILE");
+    command->add_option("--spacing", options->spacing_m, "size of the cells of --points (default: 0.05)")
+        ->type_name("METRES");
     command
         ->add_option("--frames", options->frames,
                      "for each of these frames (FIRST:END, test, train or all), write one file with the "
@@ -137,6 +159,7 @@ void add_export(CLI::App& app, ParsedCommand& call) {
     command
         ->add_option("--track", options->track, "write the path of this actor to the .csv, not the sensor's")
         ->type_name("NAME");
+    add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
