@@ -40,8 +40,7 @@ Log load_mulran(const std::filesystem::path& folder, const DatasetOptions& optio
 
 /// Loads a sequence of NCore v4. Frames are the sweeps of the first LiDAR by name, and
 /// simultaneous sweeps of other LiDARs. The world frame is the frame "world" of the
-/// sequence. DatasetOptions::sequence selects one of several sequences in a folder by the
-/// first characters of its name.
+/// sequence.
 /// @param path  a store (*.zarr.itar or a folder *.zarr), or a folder of stores
 Log load_ncore(const std::filesystem::path& path, const DatasetOptions& options);
 

@@ -54,7 +54,7 @@ constexpr DatasetKind kDatasetKinds[] = {
     {"boreas", "applanix", "a Boreas sequence", load_boreas},
     {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
     {"once", "lidar_roof", "a ONCE sequence", load_once},
-    {"ncore", ".zarr.itar .zarr .zmetadata.cbor.xz", "a sequence of NCore", load_ncore, true},
+    {"ncore", ".zarr.itar .zarr .zmetadata.cbor.xz", "a sequence of NCore", load_ncore},
     {"folder", "sequence.json", "a plain folder", load_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag .mcap.zstd .db3.zstd metadata.yaml", "a ROS bag", load_ros_bag},

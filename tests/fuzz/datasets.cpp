@@ -4,9 +4,11 @@
 
 #include <cstdlib>
 
+#include "base/codecs/blosc.hpp"
 #include "base/codecs/feather.hpp"
 #include "changed_files.hpp"
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
+#include "read/datasets/ncore/ncore_folder.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
 #include "read/scans/stamped_folders.hpp"
 
@@ -81,6 +83,34 @@ struct Once {
     void load() const { load_sequence("once:" + log.folder.string(), {}); }
 };
 
+struct Ncore {
+    test::NcoreFolder log{"fuzz"};
+    fs::path frame = log.frames("top").front();
+    ChangedFiles files{
+        {log.main / ".zattrs", log.main / "poses/default/static_poses/.zattrs",
+         log.main / "poses/default/dynamic_poses/.zattrs", log.main / "intrinsics/default/lidars/top/.zattrs",
+         log.main / "cuboids/default/cuboids/.zattrs", log.lidars / "top/frames/.zattrs",
+         frame / "ray_bundle/direction/.zarray", frame / "ray_bundle/direction/0.0",
+         frame / "ray_bundle/timestamp_us/0", frame / "ray_bundle/model_element/0.0",
+         frame / "ray_bundle_returns/distance_m/0.0", frame / "ray_bundle_returns_valid_mask_packed/0"}};
+    void load() const { load_sequence("ncore:" + log.folder.string(), {}); }
+};
+
+/// The input is an archive, or a chunk of an array.
+void read_itar(std::string_view input, const fs::path& folder) {
+    put(folder / "input.zarr.itar", input);
+    if (!input.starts_with('\2')) load_sequence("ncore:" + (folder / "input.zarr.itar").string(), {});
+    else decompress_blosc(input);
+}
+
+std::vector<std::string> make_itar_seeds(const fs::path&) {
+    const fs::path file = test::ncore_fixture("street.ncore4.zarr.itar");
+    const ZarrStore store(test::ncore_fixture("street.ncore4-lidars.zarr.itar"));
+    const std::string frame = "lidars/top/frames/" + store.list_children("lidars/top/frames")[0];
+    return {read_contents(file), store.read_value(frame + "/ray_bundle/direction/0.0"),
+            store.read_value(frame + "/ray_bundle/model_element/0.0")};
+}
+
 template <class Dataset>
 const Dataset& dataset_in(const fs::path& folder) {
     ::setenv("TEST_TMPDIR", folder.c_str(), 1);
@@ -106,7 +136,9 @@ std::vector<Harness> list_dataset_harnesses() {
             make_harness<Nuscenes>("nuscenes"),
             make_harness<Boreas>("boreas"),
             make_harness<Mulran>("mulran"),
-            make_harness<Once>("once")};
+            make_harness<Once>("once"),
+            make_harness<Ncore>("ncore"),
+            {"itar", make_itar_seeds, read_itar, false}};
 }
 
 }  // namespace relidar::fuzz

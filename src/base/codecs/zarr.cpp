@@ -44,15 +44,6 @@ std::optional<std::uint64_t> parse_octal(std::string_view text) {
     return value;
 }
 
-/// Checks the sum of all bytes of a tar header, in which the checksum itself counts as
-/// blanks.
-bool is_tar_header(std::string_view header) {
-    std::uint64_t sum = 0;
-    for (std::size_t i = 0; i < header.size(); ++i)
-        sum += i >= 148 && i < 156 ? std::uint64_t(' ') : std::uint64_t(std::uint8_t(header[i]));
-    return parse_octal(header.substr(148, 8)) == sum;
-}
-
 /// Returns the value of "path" in an extended header, which has lines "LENGTH KEY=VALUE".
 std::string extended_path(const std::string& records) {
     const std::size_t key = records.find(" path=");
@@ -61,46 +52,11 @@ std::string extended_path(const std::string& records) {
     return records.substr(begin, records.find('\n', begin) - begin);
 }
 
-std::size_t size_product(const std::vector<std::size_t>& shape, const std::string& where) {
-    std::size_t product = 1;
-    for (const std::size_t n : shape) {
-        if (n > 0 && product > (std::size_t(1) << 36) / n) fail("{}: the shape is too large", where);
-        product *= n;
-    }
-    return product;
-}
-
 std::vector<std::size_t> read_shape(const JsonField& field) {
     std::vector<std::size_t> shape;
     for (std::size_t i = 0; i < field.size(); ++i)
         shape.push_back(std::size_t(field.at(i).integer_in(0, std::int64_t(1) << 32)));
     return shape;
-}
-
-/// Copies a chunk to its place in the array, line by line. A line is the last dimension.
-void copy_chunk(const std::string& chunk, const std::vector<std::size_t>& chunk_shape,
-                const std::vector<std::size_t>& chunk_index, const std::vector<std::size_t>& shape,
-                std::size_t element_bytes, std::string& bytes) {
-    const std::size_t n_dims = shape.size(), last = n_dims - 1;
-    const std::size_t first_column = chunk_index[last] * chunk_shape[last],
-                      n_columns = std::min(chunk_shape[last], shape[last] - first_column);
-    const std::size_t n_lines = chunk.size() / element_bytes / chunk_shape[last];
-    for (std::size_t line = 0; line < n_lines; ++line) {
-        std::size_t rest = line, at = 0, stride = shape[last];
-        bool is_inside = true;
-        for (std::size_t d = last; d-- > 0;) {
-            const std::size_t i = chunk_index[d] * chunk_shape[d] + rest % chunk_shape[d];
-            rest /= chunk_shape[d];
-            is_inside = is_inside && i < shape[d];
-            at += i * stride;
-            stride *= shape[d];
-        }
-        if (!is_inside) continue;
-        const std::size_t begin = (at + first_column) * element_bytes;
-        // Grows with the chunks, so that a damaged shape does not use much memory.
-        bytes.resize(std::max(bytes.size(), begin + n_columns * element_bytes));
-        chunk.copy(bytes.data() + begin, n_columns * element_bytes, line * chunk_shape[last] * element_bytes);
-    }
 }
 
 }  // namespace
@@ -128,22 +84,15 @@ void ZarrStore::list_members() {
         const std::string header = read_bytes(in, at, kTarBlock);
         if (header.find_first_not_of('\0') == std::string::npos) break;
         const std::string_view view = header;
-        const auto n_bytes = header.size() == kTarBlock ? parse_octal(view.substr(124, 12)) : std::nullopt;
-        if (!n_bytes || !is_tar_header(view)) fail("{}: the tar header at byte {} is damaged", name(), at);
+        const auto n_bytes = parse_octal(view.substr(124, 12));
         at += kTarBlock;
-        if (*n_bytes > size - at)
-            fail("{}: the member at byte {} has {} bytes, found {}", name(), at, *n_bytes, size - at);
-        const char kind = header[156];
-        if (kind == 'x' || kind == 'L') {  // name of the next member
-            const std::string text = read_bytes(in, at, std::min(*n_bytes, kMaxPathBytes));
-            long_name = kind == 'x' ? extended_path(text) : std::string(until_zero(text));
+        if (view.substr(257, 5) != "ustar" || !n_bytes || *n_bytes > size - at)
+            fail("{}: the tar header at byte {} is damaged", name(), at - kTarBlock);
+        if (header[156] == 'x') {  // extended header with the name of the next member
+            long_name = extended_path(read_bytes(in, at, std::min(*n_bytes, kMaxPathBytes)));
         } else {
             std::string key = std::exchange(long_name, "");
-            if (key.empty()) {
-                const std::string_view folder = until_zero(view.substr(345, 155));
-                key = std::string(folder) + (folder.empty() ? "" : "/") +
-                      std::string(until_zero(view.substr(0, 100)));
-            }
+            if (key.empty()) key = until_zero(view.substr(0, 100));
             members_[key] = {at, *n_bytes};
         }
         at += (*n_bytes + kTarBlock - 1) / kTarBlock * kTarBlock;
@@ -162,12 +111,6 @@ std::string ZarrStore::read_value(const std::string& key) const {
     std::string bytes = read_bytes(in, range.begin, range.size);
     if (bytes.size() != range.size) fail("cannot read {}: '{}'", name(), quote(key));
     return bytes;
-}
-
-std::vector<std::string> ZarrStore::list_keys() const {
-    std::vector<std::string> keys;
-    for (const auto& [key, range] : members_) keys.push_back(key);
-    return keys;
 }
 
 std::vector<std::string> ZarrStore::list_children(const std::string& group) const {
@@ -215,33 +158,27 @@ std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, con
         fail("{}: the codec is '{}', expected blosc", where,
              quote(head.at("compressor").at("id").short_text(99)));
     const std::vector<std::size_t> chunk_shape = read_shape(head.at("chunks"));
-    const std::string separator =
-        head.has_member("dimension_separator") ? head.at("dimension_separator").short_text(1) : ".";
-    const std::size_t element_bytes = std::size_t(type.back() - '0');
-    const std::size_t n_bytes = size_product(shape, where) * element_bytes;
-    if (chunk_shape.size() != shape.size() || shape.empty() ||
-        (n_bytes > 0 && std::ranges::find(chunk_shape, 0u) != chunk_shape.end()))
-        fail("{}: the shape of a chunk is {}, expected {} numbers above 0", where, chunk_shape, shape.size());
+    if (chunk_shape.size() != shape.size() || shape.empty() || (shape[0] > 0 && chunk_shape[0] == 0) ||
+        !std::equal(shape.begin() + 1, shape.end(), chunk_shape.begin() + 1))
+        fail("{}: the shape of a chunk is {}, expected {} except for the first number", where, chunk_shape,
+             shape);
+    std::size_t line_bytes = std::size_t(type.back() - '0');  // bytes of an entry of the first dimension
+    for (std::size_t d = 1; d < shape.size(); ++d) line_bytes *= shape[d];
     std::string bytes;
-    std::vector<std::size_t> index(shape.size(), 0);
-    while (n_bytes > 0) {
-        const std::string chunk_name = fmt::format("{}/{}", path, fmt::join(index, separator));
-        std::string chunk = store.read_value(chunk_name);
+    for (std::size_t line = 0; line < shape[0]; line += chunk_shape[0]) {
+        std::string name = fmt::format("{}/{}", path, line / chunk_shape[0]);
+        for (std::size_t d = 1; d < shape.size(); ++d) name += ".0";
+        std::string chunk = store.read_value(name);
         try {
             if (is_compressed) chunk = decompress_blosc(chunk);
         } catch (const DataError& error) {
-            fail("{}: {}: {}", store.name(), chunk_name, error.what());
+            fail("{}: {}: {}", store.name(), name, error.what());
         }
-        if (chunk.size() != size_product(chunk_shape, where) * element_bytes)
-            fail("{}: {}: the chunk has {} bytes, expected {}", store.name(), chunk_name, chunk.size(),
-                 size_product(chunk_shape, where) * element_bytes);
-        copy_chunk(chunk, chunk_shape, index, shape, element_bytes, bytes);
-        std::size_t d = shape.size();
-        while (d-- > 0) {
-            if (++index[d] * chunk_shape[d] < shape[d]) break;
-            index[d] = 0;
-            if (d == 0) return bytes;
-        }
+        if (chunk.size() != chunk_shape[0] * line_bytes)
+            fail("{}: {}: the chunk has {} bytes, expected {}", store.name(), name, chunk.size(),
+                 chunk_shape[0] * line_bytes);
+        // The last chunk can be longer than the array.
+        bytes.append(chunk, 0, std::min(chunk_shape[0], shape[0] - line) * line_bytes);
     }
     return bytes;
 }

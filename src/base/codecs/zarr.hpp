@@ -30,7 +30,6 @@ public:
     std::string read_value(const std::string& key) const;
     /// Returns the names of the groups and arrays in a group, sorted. "": the root
     std::vector<std::string> list_children(const std::string& group) const;
-    std::vector<std::string> list_keys() const;  ///< Returns the keys of an archive, sorted.
 
 private:
     struct ByteRange {
@@ -53,7 +52,7 @@ struct ZarrJson {
 /// Reads the attributes of a group or array. Returns an empty object if it has none.
 ZarrJson read_zarr_attributes(const ZarrStore& store, const std::string& path);
 
-/// Reads an array in the order of C.
+/// Reads an array, whose chunks may divide only its first dimension.
 /// @param type  type of the elements as numpy names it, for example "<f4"
 /// @param shape  expected shape
 /// @throws DataError if type, shape or compression differ, or if a chunk is missing

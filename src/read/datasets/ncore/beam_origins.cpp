@@ -14,10 +14,10 @@
 namespace relidar::ncore {
 namespace {
 
-constexpr double kLeastRho_m = 1.0;          // nearer points have inaccurate directions
-constexpr double kMaxSlopeError_m = 0.005;  // largest standard error of an origin
-constexpr std::size_t kFewestReturns = 50;  // of a row
-constexpr int kPasses = 4;                  // fits without the outliers of the fit before
+constexpr double kLeastRho_m = 1.0;                        // nearer points have inaccurate directions
+constexpr double kMaxSlopeError_m = 0.005;                 // largest standard error of an origin
+constexpr std::size_t kFewestReturns = 50;                 // of a row
+constexpr int kPasses = 4;                                 // fits without the outliers of the fit before
 constexpr double kOutlier = 3.0, kSigmaOfMedian = 1.4826;  // in standard deviations; of normal errors
 // Origins are used if they make the angle between rays and points clearly smaller.
 constexpr double kClearly = 0.8, kLeastMisfit_rad = 1e-4;
@@ -97,8 +97,11 @@ FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const Spinni
         for (std::size_t i = 0; i < bundle.element.size() / 2 && !bundle.range_m.empty(); ++i) {
             const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
             if (row >= rows.size() || column >= model.azimuth_rad.size()) continue;
-            const RowPoint point{double(bundle.range_m[0][i]) * bundle.direction[i], model.azimuth_rad[column]};
-            if (point.rho_m() >= kLeastRho_m) rows[row].push_back(point);
+            const RowPoint point{double(bundle.range_m[0][i]) * bundle.direction[i],
+                                 model.azimuth_rad[column]};
+            if (point.rho_m() < kLeastRho_m) continue;
+            rows[row].push_back(point);
+            ++fitted.n_returns;
         }
     fitted.beams = of_model;
     for (std::size_t row = 0; row < rows.size(); ++row) {
@@ -119,8 +122,8 @@ FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const Spinni
     }
     fitted.model_misfit_rad = median_misfit(of_model, rows);
     fitted.misfit_rad = median_misfit(fitted.beams, rows);
-    fitted.is_better = fitted.model_misfit_rad > kLeastMisfit_rad &&
-                       fitted.misfit_rad < kClearly * fitted.model_misfit_rad;
+    fitted.is_better =
+        fitted.model_misfit_rad > kLeastMisfit_rad && fitted.misfit_rad < kClearly * fitted.model_misfit_rad;
     if (!fitted.is_better) fitted.beams = of_model;
     return fitted;
 }

@@ -46,7 +46,7 @@ struct NcoreLidar {
 class NcoreLoader {
 public:
     NcoreLoader(const fs::path& path, const DatasetOptions& options)
-        : options_(options), sequence_(path, options.sequence), graph_(sequence_, sequence_.notes) {
+        : options_(options), sequence_(path), graph_(sequence_, sequence_.notes) {
         log_.name = "NCore " + sequence_.id;
         log_.source = path.string();
     }
@@ -244,7 +244,7 @@ private:
     }
 
     /// Returns the model of a LiDAR if its rays become an image: each ray has a row and a
-    /// column of the model and nearly its direction. Sets the sensor of the LiDAR.
+    /// column of the model, and nearly its direction. Then sets the sensor of the LiDAR.
     std::optional<SpinningModel> choose_model(std::size_t l, read::LidarScanLayout& layout) {
         SpinningSensor& sensor = log_.lidars[l].sensor;
         const std::string& name = lidars_[l].component.name;
@@ -252,32 +252,22 @@ private:
         sensor.max_range_m = options_.max_range_m;
         std::optional<SpinningModel> model = read_model(sequence_, name);
         if (!model) return std::nullopt;
-        const std::vector<RayBundle> samples = read_samples(l);
-        const FittedBeams fitted = fit_beam_origins(samples, *model);
-        const bool has_elements =
-            std::ranges::any_of(samples, [](const RayBundle& sample) { return !sample.element.empty(); });
-        const bool fits = fitted.model_misfit_rad < kMaxMisfit_rad;
+        const FittedBeams fitted = fit_beam_origins(read_samples(l), *model);
         const std::optional<SpinningSensor> of_model = to_sensor(*model, fitted.beams);
-        if (has_elements)
-            log_.notes.push_back(fmt::format(
-                "{}: the rays differ by {:.3f} degrees (median) from NCore's model{}", name,
-                fitted.model_misfit_rad * kDegrees,
-                fitted.is_better ? fmt::format(", and by {:.3f} degrees from beams whose directions and "
-                                               "origins are fitted to the points",
-                                               fitted.misfit_rad * kDegrees)
-                                 : ""));
-        if (!of_model || !fits) {
-            log_.notes.push_back(
-                fmt::format("{}: NCore's model is not used, because {}", name,
-                            fits ? "its columns are not in equal steps" : "the rays have other directions"));
-            return std::nullopt;
-        }
+        const bool fits = of_model && fitted.n_returns > 0 && fitted.model_misfit_rad < kMaxMisfit_rad;
+        log_.notes.push_back(fmt::format(
+            "{}: the rays differ by {:.3f} degrees (median) from NCore's model, and by {:.3f} degrees from "
+            "beams whose directions and origins are fitted to the points; {}",
+            name, fitted.model_misfit_rad * kDegrees, fitted.misfit_rad * kDegrees,
+            !fits              ? "NCore's model is not used"
+            : fitted.is_better ? "these beams are used"
+                               : "NCore's model is used"));
+        if (!fits) return std::nullopt;
         layout.has_beams = true;
-        const std::string sensor_name = sensor.name;
-        sensor = *of_model;
+        const std::string sensor_name = std::exchange(sensor, *of_model).name;
         sensor.name = sensor_name;
         sensor.max_range_m = options_.max_range_m;
-        return has_elements ? std::move(model) : std::nullopt;
+        return model;
     }
 
     void read_scans() {

@@ -60,6 +60,7 @@ struct FittedBeams {
     double model_misfit_rad = 0.0;  ///< median angle between rays of the model and returns
     double misfit_rad = 0.0;        ///< the same for the fitted beams
     bool is_better = false;
+    std::size_t n_returns = 0;  ///< number of returns with an element of the model
 };
 /// Fits directions and origins of beams to the returns of some frames.
 FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model);

@@ -35,33 +35,25 @@ std::optional<std::string> sequence_name(const fs::path& path) {
     return name.substr(0, name.rfind(".ncore4"));
 }
 
-/// Returns the stores of the sequence that a path or a name selects.
-std::vector<fs::path> find_stores(const fs::path& path, const std::string& requested_name, Notes& notes) {
+/// Returns the stores of the sequence of a store, or of the only sequence in a folder.
+std::vector<fs::path> find_stores(const fs::path& path) {
     const fs::path full = fs::canonical(path);
-    const auto own_name = sequence_name(full);
-    if (!own_name && !fs::is_directory(full)) fail("{}: expected a file *{}", path.string(), kArchiveEnding);
-    std::map<std::string, std::vector<fs::path>> sequences;
-    for (const fs::path& entry : list_folder(own_name ? full.parent_path() : full)) {
+    std::optional<std::string> chosen = sequence_name(full);
+    const bool is_store = chosen.has_value(), is_folder = fs::is_directory(full);
+    std::vector<fs::path> stores;
+    for (const fs::path& entry : list_folder(is_store ? full.parent_path() : full)) {
         const auto name = sequence_name(entry);
         // A folder can have a sequence in both forms.
-        if (name && (!own_name || (name == own_name && fs::is_directory(entry) == fs::is_directory(full))))
-            sequences[*name].push_back(entry);
+        if (!name || (is_store && (name != chosen || fs::is_directory(entry) != is_folder))) continue;
+        if (chosen && name != chosen)
+            fail("{} has the sequences {} and {}; select one of its files", path.string(), quote(*chosen),
+                 quote(*name));
+        chosen = name;
+        stores.push_back(entry);
     }
-    if (sequences.empty()) {
-        if (!does_path_exist(full / ".zgroup"))
-            fail("{} contains no store of NCore, expected *{}", path.string(), kArchiveEnding);
-        return {full};  // a store with another name
-    }
-    const auto chosen = std::ranges::find_if(
-        sequences, [&](const auto& sequence) { return sequence.first.starts_with(requested_name); });
-    if (chosen == sequences.end())
-        fail<UsageError>("dataset.sequence: found '{}', which selects none of the {} sequences in {}",
-                         quote(requested_name), sequences.size(), path.string());
-    if (sequences.size() > 1 && requested_name.empty())
-        notes.push_back(fmt::format(
-            "the first of {} sequences is read; select another one with dataset.sequence", sequences.size()));
-    std::ranges::sort(chosen->second);
-    return chosen->second;
+    if (stores.empty()) fail("{} contains no store of NCore, expected *{}", path.string(), kArchiveEnding);
+    std::ranges::sort(stores);
+    return stores;
 }
 
 /// Splits a key "('source', 'target')", which Python wrote.
@@ -104,8 +96,9 @@ PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence)
 
 std::int64_t read_time_us(const JsonField& field) { return field.integer_in(0, kLatestTime_us); }
 
-NcoreSequence::NcoreSequence(const fs::path& path, const std::string& requested_name) {
-    for (const fs::path& store : find_stores(path, requested_name, notes)) stores_.emplace_back(store);
+NcoreSequence::NcoreSequence(const fs::path& path) {
+    for (const fs::path& store : find_stores(path)) stores_.emplace_back(store);
+    std::vector<std::string> unread;
     for (const ZarrStore& store : stores_) {
         const ZarrJson attributes = read_zarr_attributes(store, "");
         const JsonField root = attributes.root();
@@ -117,23 +110,16 @@ NcoreSequence::NcoreSequence(const fs::path& path, const std::string& requested_
                  quote(id));
         id = name;
         start_us = read_time_us(root.at("sequence_timestamp_interval_us").at("start"));
+        for (const std::string& kind : store.list_children(""))
+            if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
+                unread.push_back(
+                    fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
         if (&store == &stores_.front() && root.has_member("generic_meta_data") &&
             !attributes.json["generic_meta_data"].empty())
             notes.push_back("meta data of the sequence: " +
                             quote(attributes.json["generic_meta_data"].dump(
                                 -1, ' ', true, nlohmann::json::error_handler_t::replace)));
     }
-    note_unread();
-}
-
-/// Adds a note that names the components that are not read.
-void NcoreSequence::note_unread() {
-    std::vector<std::string> unread;
-    for (const ZarrStore& store : stores_)
-        for (const std::string& kind : store.list_children(""))
-            if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
-                unread.push_back(
-                    fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
     if (!unread.empty())
         notes.push_back(fmt::format("these components are not read: {}", fmt::join(unread, ", ")));
 }

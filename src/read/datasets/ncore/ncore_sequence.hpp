@@ -30,8 +30,7 @@ class NcoreSequence {
 public:
     /// Opens all stores of a sequence.
     /// @param path  a store, or a folder of stores
-    /// @param requested_name  beginning of the name of one of several sequences in a folder
-    NcoreSequence(const std::filesystem::path& path, const std::string& requested_name);
+    explicit NcoreSequence(const std::filesystem::path& path);
 
     std::string id;
     std::int64_t start_us = 0;  ///< time 0 of the log
@@ -44,8 +43,6 @@ public:
 
 private:
     std::vector<ZarrStore> stores_;
-
-    void note_unread();
 };
 
 /// A time in the attributes of a store: microseconds.

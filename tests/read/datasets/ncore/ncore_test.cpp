@@ -118,7 +118,8 @@ TEST(Ncore, Folders) {
     expect_street(data.load());
     EXPECT_EQ(detect_kind(data.main), "ncore");
     expect_street(load_sequence(data.main.string(), {}));
-    EXPECT_THROW(data.load({.sequence = "other"}), UsageError);
+    fs::copy(data.main, data.folder / "other.ncore4.zarr", fs::copy_options::recursive);
+    data.expect_error("log ... other ... street");
 }
 
 /// Keeps the rays whose column `select` returns in another numbering.
