@@ -24,11 +24,42 @@ def encode_scan(scan):
     return image.permute(2, 0, 1), F.pad(torch.exp(-way.square().sum(-1)), (0, 1)).amax(1).view(64, 64)
 
 
-def compute_loss(logit, target):
-    """Focal loss: cells that are already right count less, and cells near a centre are not negative."""
+def compute_loss(logit, target, labelled):
+    """Focal loss: cells that are already right count less, and cells near a centre are not negative.
+    labelled: 1 where all objects have a label, 0 where a cell without a label says nothing."""
     p, centre = logit.sigmoid(), target > 0.6
-    loss = torch.where(centre, (1 - p) ** 2 * F.softplus(-logit), (1 - target) ** 4 * p**2 * F.softplus(logit))
+    loss = torch.where(centre, (1 - p) ** 2 * F.softplus(-logit), labelled * (1 - target) ** 4 * p**2 * F.softplus(logit))
     return loss.sum() / centre.sum().clamp(min=1)
+
+
+def train_network(images, targets, labelled, n_epochs):
+    """Trains a network on images [n,10,64,64], targets [n,64,64] and labelled cells. Returns it with the loss
+    of each step."""
+    layers, losses = [], []
+    for n, reach in ((10, 1), (16, 1), (16, 2), (16, 4), (16, 1)):
+        layers += [torch.nn.Conv2d(n, 16, 3, padding=reach, dilation=reach), torch.nn.BatchNorm2d(16), torch.nn.ReLU()]
+    network = torch.nn.Sequential(*layers, torch.nn.Conv2d(16, 1, 1), torch.nn.Flatten(0, 1))
+    network[-2].bias.data.fill_(-3)   # most cells have no centre
+    batches = [batch for _ in range(n_epochs) for batch in torch.randperm(len(images)).split(4)]
+    optimiser = torch.optim.Adam(network.parameters(), lr=5e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 5e-3, len(batches))
+    for batch in batches:
+        mirrored = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
+        loss = compute_loss(network(images[batch].flip(mirrored)), *(part[batch].flip(mirrored) for part in (targets, labelled)))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+        losses.append(loss.item())
+    return network.eval(), losses
+
+
+def find_objects(network, image):
+    """Returns the centres of detected objects, [k,2] in metres, and the score of each cell, [64,64]."""
+    with torch.no_grad():
+        logit = network(image[None])
+    peaks = ((logit > -0.5) & (logit == F.max_pool2d(logit, 5, 1, 2)))[0].nonzero() + 0.5
+    return peaks * CELL_M[:2] + LOW_M[:2], logit[0].sigmoid()
 
 
 def draw_edit(run, rng):
@@ -43,33 +74,16 @@ def draw_edit(run, rng):
 
 def main(run_folder, n_edits="60", n_epochs="20"):
     """Returns the loss of each step, and recall and precision of centres in held-out edits, within 1 m."""
-    run, rng, losses, matches = relidar.Run.load(run_folder), random.Random(1), [], []
+    run, rng, matches = relidar.Run.load(run_folder), random.Random(1), []
     edits, frames = [draw_edit(run, rng) for _ in range(int(n_edits))], [(time, None) for time in run.times[::4]]
     n_held_out = max(1, len(edits) // 6)
     held_out, trained = (relidar.torch.ScanDataset(run, None, frames, part, sample=1, min_points=10)
                          for part in (edits[:n_held_out], edits[n_held_out:]))
     images, targets = (torch.stack(part) for part in zip(*map(encode_scan, trained)))
-    layers = []
-    for n, reach in ((10, 1), (16, 1), (16, 2), (16, 4), (16, 1)):
-        layers += [torch.nn.Conv2d(n, 16, 3, padding=reach, dilation=reach), torch.nn.BatchNorm2d(16), torch.nn.ReLU()]
-    network = torch.nn.Sequential(*layers, torch.nn.Conv2d(16, 1, 1), torch.nn.Flatten(0, 1))
-    network[-2].bias.data.fill_(-3)   # most cells have no centre
-    batches = [batch for _ in range(int(n_epochs)) for batch in torch.randperm(len(images)).split(4)]
-    optimiser = torch.optim.Adam(network.parameters(), lr=5e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 5e-3, len(batches))
-    for batch in batches:
-        mirrored = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
-        loss = compute_loss(network(images[batch].flip(mirrored)), targets[batch].flip(mirrored))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
-        losses.append(loss.item())
-    network.eval()
+    network, losses = train_network(images, targets, torch.ones_like(targets), int(n_epochs))
     for scan in held_out:
-        logit = network(encode_scan(scan)[0][None])
-        peaks = ((logit > -0.5) & (logit == F.max_pool2d(logit, 5, 1, 2)))[0].nonzero() + 0.5
-        near = torch.cdist(peaks * CELL_M[:2] + LOW_M[:2], scan["boxes"][:, :2]) < 1
+        centres, _ = find_objects(network, encode_scan(scan)[0])
+        near = torch.cdist(centres, scan["boxes"][:, :2]) < 1
         matches.append((near.any(0), near.any(1)))
     recall, precision = (torch.cat(part).float().mean().item() for part in zip(*matches))
     print(f"{len(held_out)} held-out scans: recall {recall:.2f}, precision {precision:.2f}, last loss {losses[-1]:.3f}")
