@@ -68,15 +68,18 @@ private:
 
 class ScanReader {
 public:
-    ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source, bool has_poses,
-               ScanErrorCollector& broken)
+    ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source,
+               const DatasetOptions& options, ScanErrorCollector& broken)
         : sequence_(sequence),
           layout_(layout),
           source_(source),
-          has_poses_(has_poses),
+          has_poses_(options.poses_file != kNoPoses),
+          recovers_firings_(options.rolling_shutter),
           broken_(broken),
           plans_(sequence.lidars.size()),
           time_limits_(sequence.lidars.size()),
+          firings_(sequence.lidars.size()),
+          moved_to_s_(sequence.lidars.size()),
           counts_(sequence.frames.size()) {}
 
     /// Plans the scans of all LiDARs. Sets their sensors.
@@ -111,6 +114,7 @@ public:
         try {
             points =
                 sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
+            if (sample == samples_.end()) restore(frame_index, points);
         } catch (const MostTimesWrong& error) {
             broken_.record_broken(frame_index, error.what());
         }
@@ -142,11 +146,14 @@ private:
     Log& sequence_;
     const ScanLayout& layout_;
     const ScanProvider& source_;
-    const bool has_poses_;
+    const bool has_poses_, recovers_firings_;
     ScanErrorCollector& broken_;
-    std::vector<ScanPlan> plans_;          ///< [lidars]
-    std::vector<TimeLimits> time_limits_;  ///< [lidars]
-    std::vector<PointCounts> counts_;      ///< [frames]
+    std::vector<ScanPlan> plans_;                     ///< [lidars]
+    std::vector<TimeLimits> time_limits_;             ///< [lidars]
+    std::vector<std::optional<FiringPlan>> firings_;  ///< [lidars] recovered times of points
+    /// [lidars] time after the frame to which the points were moved; empty if they were not
+    std::vector<std::optional<double>> moved_to_s_;
+    std::vector<PointCounts> counts_;  ///< [frames]
     /// [frames] points that were already read to estimate the beams
     std::map<std::size_t, LidarPoints> samples_;
 
@@ -206,6 +213,37 @@ private:
         return samples;
     }
 
+    /// Searches how the points of a LiDAR were moved, if the log does not say it. Restores
+    /// the samples then.
+    void recover_firings(int lidar_index, std::map<std::size_t, LidarPoints>& by_frame, double sweep_s) {
+        const auto l = std::size_t(lidar_index);
+        if (!recovers_firings_ || !layout_.lidars[l].spins) return;
+        std::vector<CompensatedSweep> sweeps;
+        for (const auto& [frame, points] : by_frame)
+            sweeps.push_back({points, sequence_.frames[frame].time_s});
+        const bool has_times = std::ranges::any_of(
+            sweeps, [](const CompensatedSweep& sweep) { return !sweep.points.time_offset_s.empty(); });
+        const Lidar& lidar = sequence_.lidars[l];
+        CompensatedSensor sensor{
+            .period_s = sweep_s,
+            .forward = inverse(lidar.vehicle_from_sensor).rotation * glm::dvec3(1, 0, 0)};
+        if (has_poses_) sensor.world_from_sensor = sequence_.lidar_track(lidar_index);
+        if (layout_.motion_compensated && !has_times) firings_[l] = plan_firings(std::move(sweeps), sensor);
+        if (!layout_.motion_compensated && has_times && has_poses_)
+            moved_to_s_[l] = find_moved_time(sweeps, *sensor.world_from_sensor);
+        for (auto& [frame, points] : by_frame) restore(frame, points);
+    }
+
+    /// Moves points back to their firing times, if recover_firings() found how they were
+    /// moved.
+    void restore(std::size_t frame_index, LidarPoints& points) const {
+        const Frame& frame = sequence_.frames[frame_index];
+        const auto l = std::size_t(frame.lidar);
+        if (firings_[l]) firings_[l]->restore(points, frame.time_s);
+        if (moved_to_s_[l])
+            undo_deskew_to(points, sequence_.lidar_track(frame.lidar), frame.time_s, *moved_to_s_[l]);
+    }
+
     /// Decides from a few sample scans how the scans of a LiDAR are read. Points with
     /// wrong times are removed first, because they would disturb the fit of the sensor.
     void plan_lidar(int lidar_index, const std::vector<std::size_t>& frame_indices) {
@@ -217,6 +255,7 @@ private:
             return samples;
         };
         const double sweep_s = find_sweep_s(sequence_, layout_, lidar_index);
+        recover_firings(lidar_index, by_frame, sweep_s);
         time_limits_[l] = find_time_limits(list_samples(), sweep_s);
         for (auto sample = by_frame.begin(); sample != by_frame.end();)
             sample = remove_late(sample->first, sample->second) ? std::next(sample) : by_frame.erase(sample);
@@ -224,11 +263,13 @@ private:
         Lidar& lidar = sequence_.lidars[l];
         plans_[l] = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
                                has_poses_);
+        plans_[l].undo |= firings_[l].has_value();
         if (plans_[l].is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
                  sequence_.source, lidar.name, plans_[l].problem);
         lidar.sensor = plans_[l].sensor;
         note_plan(sequence_, layout_, lidar_index, plans_[l], samples);
+        note_recovery(sequence_, lidar_index, firings_[l], moved_to_s_[l]);
         samples_.merge(by_frame);
     }
 
@@ -276,7 +317,7 @@ std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
 void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
-    ScanReader reader(sequence, layout, scan_provider, options.poses_file != kNoPoses, broken);
+    ScanReader reader(sequence, layout, scan_provider, options, broken);
     reader.plan_lidars();
     const std::vector<std::size_t> frames = select_frames(sequence, options.max_scans);
     progress_for(frames.size(), options.progress, "reading scans", [&](std::size_t index) {

@@ -52,6 +52,18 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
             "all rays start at the sensor's position at the time of the frame");
 }
 
+void note_recovery(Log& sequence, int lidar_index, const std::optional<FiringPlan>& firings,
+                   std::optional<double> moved_to_s) {
+    if (firings) add_lidar_note(sequence, lidar_index, describe_recovery(firings->recovery));
+    if (moved_to_s)
+        add_lidar_note(
+            sequence, lidar_index,
+            fmt::format("the points were moved to the time {:.4f} s after the frame, because their "
+                        "beams then have constant elevations; relidar moved each point back to its "
+                        "firing time",
+                        *moved_to_s));
+}
+
 void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts) {
     std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, worst = 0;
     for (std::size_t i = 0; i < counts.size(); ++i) {

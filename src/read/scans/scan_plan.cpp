@@ -68,7 +68,39 @@ void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     if (!plan.is_ordered) plan.order.reset();
 }
 
+/// Sets rings for the recovery of firing times, if the points have none.
+void number_rings(const FiringPlan& plan, LidarPoints& points) {
+    if (!points.ring.empty()) return;
+    if (plan.order) plan.order->number_rings(points);
+    else if (!plan.beams.empty()) assign_rings(points, plan.beams);
+}
+
 }  // namespace
+
+void FiringPlan::restore(LidarPoints& points, double frame_time_s) const {
+    const bool has_rings = !points.ring.empty();
+    number_rings(*this, points);
+    restore_firings(points, recovery, frame_time_s);
+    if (!has_rings) points.ring.clear();
+}
+
+std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps,
+                                       const CompensatedSensor& sensor) {
+    if (sweeps.empty()) return std::nullopt;
+    FiringPlan plan;
+    if (sweeps[0].points.ring.empty()) {
+        std::vector<LidarPoints> samples;
+        for (const CompensatedSweep& sweep : sweeps) samples.push_back(sweep.points);
+        const RingOrderDetector order(samples);
+        if (order.is_ring_by_ring()) plan.order = order;
+        else if (plan.beams = estimate_beams(samples); plan.beams.empty()) return std::nullopt;
+        for (CompensatedSweep& sweep : sweeps) number_rings(plan, sweep.points);
+    }
+    std::optional<FiringRecovery> recovery = find_firings(sweeps, sensor);
+    if (!recovery) return std::nullopt;
+    plan.recovery = std::move(*recovery);
+    return plan;
+}
 
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s) {
     constexpr double kOffsetMargin = 1.5;

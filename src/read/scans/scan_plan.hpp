@@ -12,6 +12,7 @@
 #include <relidar/read/clouds.hpp>
 
 #include "read/files/file_order.hpp"
+#include "read/scans/firing_recovery.hpp"
 
 namespace relidar {
 
@@ -52,6 +53,21 @@ struct ScanLayout {
 
 /// Where the ring of a point comes from.
 enum class RingSource { file, elevation, order };
+
+/// Recovered firing times of the points of a LiDAR, and where the rings for this come
+/// from.
+struct FiringPlan {
+    FiringRecovery recovery;
+    std::optional<RingOrderDetector> order = {};  ///< finds rings by the order of the file
+    std::vector<Beam> beams = {};                 ///< finds rings by elevation
+
+    /// Sets the times of points and moves them to their firing times.
+    void restore(LidarPoints& points, double frame_time_s) const;
+};
+/// Searches the firing times of points that have none. Returns nothing if they show no
+/// clear optimum.
+/// @param sweeps  some sweeps
+std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps, const CompensatedSensor& sensor);
 
 /// How the points of one LiDAR are converted to scans.
 struct ScanPlan {
@@ -100,6 +116,10 @@ struct PointCounts {
 /// @param samples  points of some scans
 void note_plan(Log& sequence, const ScanLayout& layout, int lidar, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples);
+/// Adds a note for the user if the motion compensation of points was undone.
+/// @param moved_to_s  result of find_moved_time()
+void note_recovery(Log& sequence, int lidar, const std::optional<FiringPlan>& firings,
+                   std::optional<double> moved_to_s);
 /// Adds notes for the user about points that are skipped.
 /// @param counts  [frames]
 void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts);

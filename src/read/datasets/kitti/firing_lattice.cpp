@@ -20,9 +20,6 @@
 namespace relidar::kitti {
 namespace {
 
-// ticks of the encoder per revolution of an HDL-64E, measured on KITTI
-// (2011_09_26_drive_0005)
-constexpr int kEncoderTicks = 4000;
 // maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
 // A firing has returns of at least this many beams. Fewer can be stray points.

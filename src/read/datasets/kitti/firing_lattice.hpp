@@ -17,6 +17,10 @@
 
 namespace relidar::kitti {
 
+/// ticks of the encoder per revolution of an HDL-64E, measured on KITTI
+/// (2011_09_26_drive_0005)
+inline constexpr int kEncoderTicks = 4000;
+
 /// Azimuths at which the head can fire, and for each beam its azimuth relative to the
 /// head and its distance from the spin axis.
 struct FiringGrid {

@@ -22,6 +22,8 @@ struct RingScan {
     std::vector<std::uint8_t> ring;
     int n_rings = 0;                    ///< number of rings in the file; 64 in a complete scan
     std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
+    /// [points] times after the frame; empty if they follow from the azimuths
+    std::vector<float> time_offset_s = {};
 };
 
 /// cone of a beam: z = z0 + tan_el * distance from the spin axis

@@ -80,9 +80,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
         "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
-    sequence.notes = {"this log has no labels",
-                      "the scans are motion-compensated, so all rays start at the position of the sensor at "
-                      "the time of the frame"};
+    sequence.notes = {"this log has no labels"};
     sequence.notes.insert(sequence.notes.end(), pose_notes.begin(), pose_notes.end());
     if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;

@@ -19,6 +19,8 @@
 #include "read/datasets/kitti/firing_lattice.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/firing_recovery.hpp"
+#include "read/scans/scan_plan.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -54,7 +56,34 @@ LidarPoints to_lidar_points(const RingScan& raw_scan) {
     }
     points.ring.assign(raw_scan.ring.begin(), raw_scan.ring.end());
     points.classes = raw_scan.classes;
+    points.time_offset_s = raw_scan.time_offset_s;
     return points;
+}
+
+/// Moves the points of motion-compensated scans back to their firing times, if they show
+/// how the head turned. Adds a note and sets the rolling shutter then.
+void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, bool has_poses) {
+    std::vector<read::CompensatedSweep> samples;
+    for (const RingScan* scan : pick_even_scans(raw_scans, kFitScans))
+        if (scan->n_rings == kRings || scan->n_rings == kRings + 1)
+            samples.push_back(
+                {to_lidar_points(*scan), sequence.frames[std::size_t(scan - raw_scans.data())].time_s});
+    read::CompensatedSensor sensor{read::find_sweep_s(sequence, {.lidars = {{}}}, 0), {}, kEncoderTicks};
+    if (has_poses) sensor.world_from_sensor = sequence.lidar_track(0);
+    const std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
+    if (!recovery) return;
+    parallel_for(int(raw_scans.size()), [&](int index) {
+        RingScan& scan = raw_scans[std::size_t(index)];
+        LidarPoints points = to_lidar_points(scan);
+        read::restore_firings(points, *recovery, sequence.frames[std::size_t(index)].time_s);
+        for (std::size_t i = 0; i < points.size(); ++i)
+            scan.points[i] = glm::vec4(points.position_m[i], scan.points[i].w);
+        scan.time_offset_s = std::move(points.time_offset_s);
+    });
+    sequence.rolling_shutter = true;
+    sequence.lidars[0].sensor.period_s = sensor.period_s;
+    sequence.lidars[0].sensor.clockwise = recovery->turn.clockwise;
+    sequence.notes.push_back(read::describe_recovery(*recovery));
 }
 
 /// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
@@ -205,6 +234,13 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
+    if (!sequence.rolling_shutter) {
+        if (options.rolling_shutter) recover_sweeps(sequence, raw, options.poses_file != kNoPoses);
+        if (!sequence.rolling_shutter)
+            sequence.notes.push_back(
+                "the scans are motion-compensated, so all rays start at the position of the sensor at the "
+                "time of the frame");
+    }
     const BeamCones cones = fit_ring_cones(pick_even_scans(raw, kFitScans), scan_folder.string());
     parallel_for(int(raw.size()), [&](int index) { correct_rings(raw[std::size_t(index)], cones); });
     const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));

@@ -1,0 +1,735 @@
+// SPDX-License-Identifier: Apache-2.0
+// The motion of the sensor in a sweep has two constant twists, before and after the time
+// of the frame, because many programs interpolate between the poses of frames. With the
+// turn u since this time, the twist (v, w) of a full turn gives the point
+//   x = R(-w u) (p - v u)
+// in the frame at its firing time. Gauss-Newton steps with Geman-McClure weights minimise
+//   e = (z - z0) / rho - slope
+// over the cones of all rings and the twists of all sweeps. The rotation about z does not
+// change e. It follows from the azimuths, which are multiples of a tick of the head.
+#include "read/scans/firing_recovery.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <Eigen/Dense>
+
+#include "base/fail.hpp"
+#include "base/median.hpp"
+#include "base/parallel.hpp"
+
+namespace relidar::read {
+namespace {
+
+constexpr double kFullTurn_rad = 2.0 * kPi;
+// Nearer points are often on the vehicle, and rounded coordinates make them inaccurate.
+constexpr double kMinDistance_m = 2.0;
+// numbers of points of a sweep in the coarse and the fine search, and in the fit of a
+// motion
+constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 8000;
+constexpr int kSeams = 16, kReferences = 5;  // hypotheses of the coarse search
+// If no hypothesis reduces the spread by this factor, the search ends.
+constexpr double kPromisingRatio = 0.9;
+constexpr double kFinestStep = 1.0 / 4096.0;  // of the fine search, in turns
+// The search is successful if it reduces the spread at least by this factor, and if
+// distant seams have a larger spread by the other factor.
+constexpr double kMaxSpreadRatio = 0.75, kMinOtherSeam = 1.2;
+// A smaller spread is due to rounded coordinates, and not to motion.
+constexpr double kMinSpread_rad = 3e-5;
+// Poses explain the compensation if their spread is at most this factor above the best.
+constexpr double kMaxPoseSpread = 1.15;
+// limits of the found motion relative to that of the poses
+constexpr double kMinMotion = 0.8, kMaxMotion = 1.25;
+// Without poses, the direction of rotation follows from the driving direction, so the
+// vehicle must drive at least this far in a turn.
+constexpr double kMinForward_m = 0.05;
+constexpr double kMadToSigma = 1.4826;
+// Clouds with more rings are not scans of a spinning LiDAR.
+constexpr std::size_t kMaxRecoveredRings = 512;
+constexpr int kMotionParameters = 5;  // of a twist, without the rotation about z
+
+/// Twists of a full turn, before and after the time of the frame.
+using SweepMotion = std::array<Twist, 2>;
+
+/// Points of a sweep in the frame of the log.
+struct SweepPoints {
+    std::vector<glm::dvec3> position_m;
+    std::vector<std::size_t> ring;
+};
+
+/// A point in the frame at its firing time, and its share of the turn.
+struct FiredPoint {
+    glm::dvec3 position_m;
+    double turn = 0.0;
+};
+
+double azimuth_rad_of(const glm::dvec3& p) { return std::atan2(p.y, p.x); }
+
+/// Returns the poses of the sensor relative to the time of the frame. Times are turns.
+PoseTrack make_track(const SweepMotion& motion) {
+    const auto pose_after = [](const Twist& twist, double sign) {
+        Twist signed_twist = twist;
+        for (double& value : signed_twist) value *= sign;
+        return apply_twist({}, signed_twist);
+    };
+    return {{-1.0, 0.0, 1.0}, {pose_after(motion[0], -1.0), {}, pose_after(motion[1], 1.0)}};
+}
+
+/// Returns the same for the poses of the log.
+PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s) {
+    const std::vector<double>& times = world_from_sensor.time_s;
+    // One pose beyond the sweep on each side, so that the interpolation stays the same.
+    const auto first = std::ranges::lower_bound(times, time_s - period_s) - times.begin(),
+               last = std::ranges::upper_bound(times, time_s + period_s) - times.begin();
+    const Pose frame_from_world = inverse(world_from_sensor.pose_at(time_s));
+    PoseTrack track;
+    for (auto i = std::max<std::ptrdiff_t>(first - 2, 0);
+         i < std::min<std::ptrdiff_t>(last + 2, std::ssize(times)); ++i)
+        track.append((times[std::size_t(i)] - time_s) / period_s,
+                     frame_from_world * world_from_sensor.pose[std::size_t(i)]);
+    return track;
+}
+
+/// Returns the twists that a track has in the turn before and after time 0.
+SweepMotion twists_of(const PoseTrack& track) {
+    const Twist before = compute_twist({}, track.pose_at(-1.0)),
+                after = compute_twist({}, track.pose_at(1.0));
+    SweepMotion motion{before, after};
+    for (double& value : motion[0]) value = -value;
+    return motion;
+}
+
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn) {
+    return inverse(track.pose_at(turn)) * point_m;
+}
+
+/// Fast version for fits, with a rotation of second order. The error is below 1e-5 rad
+/// for rotations below 0.04 rad.
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
+    const Twist& twist = motion[turn < 0.0 ? 0 : 1];
+    const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
+                     once = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), p),
+                     twice = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), once);
+    return p + once + 0.5 * twice;
+}
+
+/// Computes the firing of a point. The azimuth at the firing time differs from that of
+/// the moved point, so the function iterates.
+template <class Motion>
+FiredPoint find_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn) {
+    FiredPoint fired{point_m, 0.0};
+    for (int pass = 0; pass < 3; ++pass) {
+        fired.turn = turn.turn_at(azimuth_rad_of(fired.position_m));
+        fired.position_m = undo_motion(point_m, motion, fired.turn);
+    }
+    return fired;
+}
+
+/// Selects at most `n_points` first returns, evenly.
+SweepPoints pick_points(const LidarPoints& points, std::size_t n_points) {
+    std::vector<std::size_t> usable;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::vec3& p = points.position_m[i];
+        const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
+        if (is_first && std::hypot(double(p.x), double(p.y)) > kMinDistance_m) usable.push_back(i);
+    }
+    SweepPoints picked;
+    const std::size_t n = std::min(n_points, usable.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = usable[k * usable.size() / n];
+        picked.position_m.emplace_back(points.position_m[i]);
+        picked.ring.push_back(points.ring[i]);
+    }
+    return picked;
+}
+
+/// Cones and motions that fit the points of some sweeps, for an assumed turn.
+struct LatticeFit {
+    HeadTurn turn;
+    std::vector<RingCone> rings;
+    std::vector<SweepMotion> motions;  ///< [sweeps]
+    double spread_rad = INFINITY;
+};
+
+class LatticeFitter {
+public:
+    LatticeFitter(std::vector<SweepPoints> sweeps, std::size_t n_rings)
+        : sweeps_(std::move(sweeps)), n_rings_(n_rings) {}
+
+    /// Improves a fit. Starts with the median slopes if the fit has no cones.
+    /// @param has_free_rings,has_free_motion  which values change
+    void improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const {
+        for (int step = 0; step < n_steps; ++step) {
+            const Firings firings = compute_firings(fit.motions, fit);
+            if (fit.rings.empty()) set_median_slopes(fit, firings);
+            fit.spread_rad = spread_of(fit, firings);
+            const Eigen::VectorXd change = solve_step(fit, firings, has_free_rings, has_free_motion);
+            apply_change(fit, change, has_free_rings, has_free_motion);
+        }
+        fit.spread_rad = spread_of(fit, compute_firings(fit.motions, fit));
+    }
+
+    /// Fits only the cones, for known motions.
+    void fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const {
+        const Firings firings = compute_firings(tracks, fit);
+        set_median_slopes(fit, firings);
+        for (int step = 0; step < n_steps; ++step) {
+            fit.spread_rad = spread_of(fit, firings);
+            apply_change(fit, solve_step(fit, firings, true, false), true, false);
+        }
+        fit.spread_rad = spread_of(fit, firings);
+    }
+
+    /// Returns the mean robust error of all points, from 0 to 1.
+    double cost(const LatticeFit& fit, double scale_rad) const {
+        double sum = 0.0, n = 0.0;
+        for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit.motions, fit)))
+            for (const double e : errors) {
+                sum += e * e / (e * e + scale_rad * scale_rad);
+                n += 1.0;
+            }
+        return sum / std::max(n, 1.0);
+    }
+
+private:
+    using Firings = std::vector<std::vector<FiredPoint>>;  // [sweeps][points]
+
+    std::vector<SweepPoints> sweeps_;
+    std::size_t n_rings_;
+
+    template <class Motion>
+    Firings compute_firings(const std::vector<Motion>& motions, const LatticeFit& fit) const {
+        Firings firings(sweeps_.size());
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (const glm::dvec3& p : sweeps_[s].position_m)
+                firings[s].push_back(find_firing(p, motions[s], fit.turn));
+        return firings;
+    }
+
+    void set_median_slopes(LatticeFit& fit, const Firings& firings) const {
+        std::vector<std::vector<double>> slopes(n_rings_);
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (std::size_t i = 0; i < firings[s].size(); ++i) {
+                const glm::dvec3& p = firings[s][i].position_m;
+                slopes[sweeps_[s].ring[i]].push_back(p.z / std::hypot(p.x, p.y));
+            }
+        fit.rings.assign(n_rings_, {0.0, NAN});
+        for (std::size_t r = 0; r < n_rings_; ++r)
+            if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
+    }
+
+    /// Returns the elevation error of each point, in radians at a slope of 0.
+    std::vector<std::vector<double>> errors_of(const LatticeFit& fit, const Firings& firings) const {
+        std::vector<std::vector<double>> errors(sweeps_.size());
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (std::size_t i = 0; i < firings[s].size(); ++i) {
+                const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
+                const glm::dvec3& p = firings[s][i].position_m;
+                errors[s].push_back((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+            }
+        return errors;
+    }
+
+    double spread_of(const LatticeFit& fit, const Firings& firings) const {
+        std::vector<double> all;
+        for (const std::vector<double>& errors : errors_of(fit, firings))
+            for (const double e : errors)
+                if (std::isfinite(e)) all.push_back(std::abs(e));
+        return all.empty() ? INFINITY : kMadToSigma * compute_median(std::move(all));
+    }
+
+    /// Returns the index of a twist in the equations, after the cones.
+    std::size_t motion_index(std::size_t sweep, std::size_t half) const {
+        return 2 * n_rings_ + (2 * sweep + half) * kMotionParameters;
+    }
+
+    /// Returns the Gauss-Newton step: z0 and slope of each ring, then the twists
+    /// (v, w.x, w.y) of each sweep before and after the frame.
+    Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
+                               bool has_free_motion) const {
+        constexpr std::size_t kValues = 2 + kMotionParameters;
+        const std::size_t n = motion_index(sweeps_.size(), 0);
+        Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(Eigen::Index(n), Eigen::Index(n));
+        Eigen::VectorXd gradient = Eigen::VectorXd::Zero(Eigen::Index(n));
+        const double scale = 2.0 * std::max(fit.spread_rad, 1e-9);
+        const auto errors = errors_of(fit, firings);
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (std::size_t i = 0; i < firings[s].size(); ++i) {
+                const std::size_t ring = sweeps_[s].ring[i];
+                const auto& [p, u] = firings[s][i];
+                const double rho = std::hypot(p.x, p.y), e = errors[s][i], slope = fit.rings[ring].slope;
+                if (!(rho > 0.0) || !std::isfinite(e)) continue;
+                const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
+                const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
+                // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
+                const std::array<double, kValues> j = {-1.0 / rho,
+                                                       -1.0,
+                                                       scaled * slope * c,
+                                                       scaled * slope * d,
+                                                       -scaled,
+                                                       -scaled * (p.y + slope * p.z * d),
+                                                       scaled * (p.x + slope * p.z * c)};
+                const std::size_t motion = motion_index(s, u < 0.0 ? 0 : 1);
+                for (std::size_t a = has_free_rings ? 0 : 2; a < (has_free_motion ? kValues : 2); ++a) {
+                    const auto row = Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
+                    gradient[row] += weight * j[a] * e;
+                    for (std::size_t b = has_free_rings ? 0 : 2; b <= a; ++b)
+                        normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) +=
+                            weight * j[a] * j[b];
+                }
+            }
+        if (has_free_motion) join_halves(fit, normal, gradient);
+        for (Eigen::Index i = 0; i < normal.rows(); ++i) normal(i, i) += 1e-8 * normal(i, i) + 1e-12;
+        return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
+    }
+
+    /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
+    /// without points equals the other one.
+    void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const {
+        constexpr double kPenalty = 1e-4;
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (std::size_t k = 0; k < kMotionParameters; ++k) {
+                const auto before = Eigen::Index(motion_index(s, 0) + k),
+                           after = Eigen::Index(motion_index(s, 1) + k);
+                const double penalty = kPenalty * (normal(before, before) + normal(after, after)),
+                             difference = fit.motions[s][0][k] - fit.motions[s][1][k];
+                normal(before, before) += penalty;
+                normal(after, after) += penalty;
+                normal(after, before) -= penalty;
+                gradient[before] += penalty * difference;
+                gradient[after] -= penalty * difference;
+            }
+    }
+
+    void apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
+                      bool has_free_motion) const {
+        for (std::size_t r = 0; has_free_rings && r < n_rings_; ++r) {
+            fit.rings[r].z0_m += change[Eigen::Index(2 * r)];
+            fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];
+        }
+        for (std::size_t s = 0; has_free_motion && s < sweeps_.size(); ++s)
+            for (std::size_t half = 0; half < 2; ++half)
+                for (std::size_t k = 0; k < kMotionParameters; ++k)
+                    fit.motions[s][half][k] += change[Eigen::Index(motion_index(s, half) + k)];
+    }
+};
+
+/// Moves the seam and keeps the azimuth of the head at the time of the frame.
+HeadTurn move_seam(HeadTurn turn, double share) {
+    turn.seam_rad =
+        std::remainder(turn.seam_rad + (turn.clockwise ? -share : share) * kFullTurn_rad, kFullTurn_rad);
+    turn.reference -= share;
+    return turn;
+}
+
+HeadTurn move_reference(HeadTurn turn, double share) {
+    turn.reference += share;
+    return turn;
+}
+
+/// Fits all hypotheses of seam and reference. The head turns clockwise, because the other
+/// direction with the opposite motion fits equally well.
+std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_sweeps) {
+    std::vector<LatticeFit> fits(std::size_t(kSeams * kReferences));
+    parallel_for(int(fits.size()), [&](int index) {
+        LatticeFit& fit = fits[std::size_t(index)];
+        fit.turn = {true, kFullTurn_rad * (index % kSeams) / kSeams - kPi,
+                    double(index / kSeams) / (kReferences - 1)};
+        fit.motions.resize(n_sweeps);
+        fitter.improve(fit, 4, true, true);
+    });
+    return fits;
+}
+
+/// Improves seam and reference until their steps are small.
+void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
+    fitter.improve(best, 8, true, true);
+    for (double step = 1.0 / 64.0; step >= kFinestStep;) {
+        const double scale_rad = 2.0 * best.spread_rad, best_cost = fitter.cost(best, scale_rad);
+        std::array<LatticeFit, 4> near;
+        std::array<double, 4> costs{};
+        parallel_for(4, [&](int index) {
+            const double share = index % 2 == 0 ? step : -step;
+            LatticeFit& fit = near[std::size_t(index)] = best;
+            fit.turn = index < 2 ? move_seam(best.turn, share) : move_reference(best.turn, share);
+            fitter.improve(fit, 2, true, true);
+            costs[std::size_t(index)] = fitter.cost(fit, scale_rad);
+        });
+        const auto least = std::ranges::min_element(costs);
+        if (*least < best_cost) best = near[std::size_t(least - costs.begin())];
+        else step *= 0.5;
+    }
+    fitter.improve(best, 5, true, true);
+}
+
+/// Returns the same turn in the opposite direction of rotation. The motions are then
+/// opposite, too.
+HeadTurn reverse_turn(HeadTurn turn) {
+    turn.clockwise = !turn.clockwise;
+    turn.reference = 1.0 - turn.reference;
+    return turn;
+}
+
+glm::dvec3 velocity_of(const SweepMotion& motion) {
+    return {0.5 * (motion[0][0] + motion[1][0]), 0.5 * (motion[0][1] + motion[1][1]),
+            0.5 * (motion[0][2] + motion[1][2])};
+}
+
+/// Sum over the sweeps of the products of both motions, relative to the squared length of
+/// `reference`.
+double motion_share(const std::vector<SweepMotion>& motions, const std::vector<SweepMotion>& reference) {
+    double product = 0.0, squares = 0.0;
+    for (std::size_t s = 0; s < motions.size(); ++s) {
+        product += glm::dot(velocity_of(motions[s]), velocity_of(reference[s]));
+        squares += glm::dot(velocity_of(reference[s]), velocity_of(reference[s]));
+    }
+    return squares > 0.0 ? product / squares : 0.0;
+}
+
+/// Chooses the direction of rotation, and whether the poses of the log explain the
+/// compensation. Returns false if the motion contradicts the poses.
+bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const LatticeFitter& fitter,
+                      const std::vector<CompensatedSweep>& sweeps) {
+    const CompensatedSensor& sensor = recovery.sensor;
+    recovery.turn = best.turn;
+    recovery.rings = best.rings;
+    recovery.spread_rad = best.spread_rad;
+    if (!sensor.world_from_sensor) {
+        double forward = 0.0;
+        for (const SweepMotion& motion : best.motions)
+            forward += glm::dot(velocity_of(motion), sensor.forward);
+        if (forward < 0.0) recovery.turn = reverse_turn(best.turn);
+        return std::abs(forward) > kMinForward_m * double(best.motions.size());
+    }
+    std::vector<PoseTrack> tracks;
+    std::vector<SweepMotion> of_poses;
+    for (const CompensatedSweep& sweep : sweeps) {
+        tracks.push_back(make_track(*sensor.world_from_sensor, sweep.time_s, sensor.period_s));
+        of_poses.push_back(twists_of(tracks.back()));
+    }
+    const double share = motion_share(best.motions, of_poses);
+    if (share < 0.0) recovery.turn = reverse_turn(best.turn);
+    // Inverse poses look as if the vehicle drives backward. They would reverse the turn.
+    double forward = 0.0;
+    for (const SweepMotion& motion : of_poses) forward += glm::dot(velocity_of(motion), sensor.forward);
+    if (forward < 0.0 || std::abs(share) < kMinMotion || std::abs(share) > kMaxMotion) return false;
+    LatticeFit fit{recovery.turn, {}, {}, 0.0};
+    fitter.fit_rings(fit, tracks, 5);
+    recovery.uses_poses = fit.spread_rad <= kMaxPoseSpread * best.spread_rad;
+    if (recovery.uses_poses) {
+        recovery.rings = fit.rings;
+        recovery.spread_rad = fit.spread_rad;
+    }
+    return true;
+}
+
+/// A rotation rate about z that was measured with the azimuths of points.
+struct YawFit {
+    std::array<double, 2> turned_rad{};  ///< in a turn, before and after the time of the frame
+    double coherence = 0.0;              ///< 1 if all azimuths are multiples of the tick
+};
+
+/// Measures the rotation about z that the compensation added to the azimuths. The
+/// phases of n_ticks * azimuth then drift in the turn. Compares the phases of bins that
+/// are more and more distant.
+YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
+               const HeadTurn& turn, int n_ticks) {
+    constexpr std::size_t kBins = 256;
+    const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
+    std::vector<std::complex<double>> phases(n_rings * kBins);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::dvec3& p = points[i].position_m;
+        if (std::hypot(p.x, p.y) < 2.0 * kMinDistance_m) continue;
+        const auto bin = std::size_t(std::clamp((points[i].turn + turn.reference) * kBins, 0.0, kBins - 1.0));
+        phases[rings[i] * kBins + bin] += std::polar(1.0, n_ticks * azimuth_rad_of(p));
+    }
+    const auto reference_bin = std::size_t(std::clamp(turn.reference * kBins, 0.0, double(kBins)));
+    YawFit fit;
+    double joint = 0.0, possible = 0.0;
+    for (std::size_t half = 0; half < 2; ++half) {
+        const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
+        for (std::size_t lag = 1; lag <= 32 && 2 * lag <= end - begin; lag *= 2) {
+            std::complex<double> sum = 0.0;
+            double lengths = 0.0;
+            for (std::size_t r = 0; r < n_rings; ++r)
+                for (std::size_t b = begin; b + lag < end; ++b) {
+                    const std::complex<double> first = phases[r * kBins + b],
+                                               second = phases[r * kBins + b + lag];
+                    sum += second * std::conj(first);
+                    lengths += std::abs(first) * std::abs(second);
+                }
+            const double turns = double(lag) / kBins, expected = n_ticks * fit.turned_rad[half] * turns,
+                         rest = std::arg(sum * std::polar(1.0, -expected));
+            fit.turned_rad[half] += rest / (n_ticks * turns);
+            if (lag * 2 > 32 || 4 * lag > end - begin) {
+                joint += std::abs(sum);
+                possible += lengths;
+            }
+        }
+    }
+    // A half without points turns like the other one.
+    if (reference_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
+    if (reference_bin + 2 > kBins) fit.turned_rad[1] = fit.turned_rad[0];
+    fit.coherence = possible > 0.0 ? joint / possible : 0.0;
+    return fit;
+}
+
+// minimum coherence with which azimuths show the rotation
+constexpr double kMinCoherence = 0.1;
+
+/// Fits the motion of one sweep to its points.
+/// @param rings  [points] rings of the points
+SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
+    const LatticeFitter fitter({pick_points(points, kMotionPoints)}, recovery.rings.size());
+    LatticeFit fit{recovery.turn, recovery.rings, {SweepMotion{}}, 0.0};
+    fitter.improve(fit, 8, false, true);
+    if (recovery.sensor.n_ticks == 0) return fit.motions[0];
+    // The rotation changes the firing times a little, so the fit is repeated.
+    for (int pass = 0; pass < 2; ++pass) {
+        std::vector<FiredPoint> fired;
+        for (const glm::vec3& p : points.position_m)
+            fired.push_back(find_firing(glm::dvec3(p), fit.motions[0], recovery.turn));
+        const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks);
+        if (yaw.coherence < kMinCoherence) break;
+        for (std::size_t half = 0; half < 2; ++half) fit.motions[0][half][5] += yaw.turned_rad[half];
+        fitter.improve(fit, 3, false, true);
+    }
+    return fit.motions[0];
+}
+
+/// Returns the restored points of a sweep with their places in the turn.
+std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn& turn) {
+    std::vector<FiredPoint> fired;
+    for (const glm::vec3& p : restored.position_m)
+        fired.push_back({glm::dvec3(p), turn.turn_at(azimuth_rad_of(glm::dvec3(p)))});
+    return fired;
+}
+
+/// Returns the number of ticks in a turn. A yaw that all sweeps have cannot be separated
+/// from another number of ticks. So the function uses the yaw of the poses, or prefers
+/// round numbers near the number without yaw.
+/// @param restored  [sweeps] points at their firing times, without correction of the yaw
+int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<LidarPoints>& restored,
+               const FiringRecovery& recovery) {
+    const auto is_coherent = [&](int n_ticks) {
+        return fit_yaw(list_firings(restored[0], recovery.turn), restored[0].ring, recovery.turn, n_ticks)
+                   .coherence >= kMinCoherence;
+    };
+    if (recovery.sensor.n_ticks > 0 && is_coherent(recovery.sensor.n_ticks)) return recovery.sensor.n_ticks;
+    int n_ticks = 0;
+    try {
+        n_ticks = fit_spinning_sensor(restored, recovery.sensor.period_s).sensor.columns;
+    } catch (const DataError&) {
+        return 0;
+    }
+    std::vector<double> counts;
+    for (std::size_t s = 0; s < sweeps.size(); ++s) {
+        const YawFit yaw =
+            fit_yaw(list_firings(restored[s], recovery.turn), restored[s].ring, recovery.turn, n_ticks);
+        if (yaw.coherence < kMinCoherence) continue;
+        double turned_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
+        if (recovery.sensor.world_from_sensor) {
+            const SweepMotion motion = twists_of(
+                make_track(*recovery.sensor.world_from_sensor, sweeps[s].time_s, recovery.sensor.period_s));
+            turned_rad -= 0.5 * (motion[0][5] + motion[1][5]);
+        }
+        const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
+        counts.push_back(n_ticks * (1.0 + sign * turned_rad / kFullTurn_rad));
+    }
+    if (counts.empty()) return 0;
+    const double count = compute_median(std::move(counts));
+    // A turn of 0.25 rad/s at 10 Hz changes the number of ticks by 0.4 %.
+    constexpr double kMaxYaw = 0.007;
+    if (!recovery.sensor.world_from_sensor)
+        for (const double round : {128.0, 100.0})
+            if (const double near = std::round(count / round) * round;
+                near > 0.0 && std::abs(near - count) < kMaxYaw * count)
+                return int(near);
+    return int(std::lround(count));
+}
+
+/// Computes the firing of a point at the seam, where the azimuth does not show whether
+/// the point is at the start or at the end of the sweep. Chooses the end at which the
+/// point is nearer to its cone.
+FiredPoint find_seam_firing(const glm::dvec3& point_m, const PoseTrack& track, const HeadTurn& turn,
+                            const RingCone& cone) {
+    FiredPoint best = find_firing(point_m, track, turn);
+    double least = INFINITY;
+    for (const double end : {-turn.reference, 1.0 - turn.reference}) {
+        FiredPoint fired{point_m, end};
+        for (int pass = 0; pass < 3; ++pass) {
+            fired.position_m = inverse(track.pose_at(fired.turn)) * point_m;
+            const double at = turn.turn_at(azimuth_rad_of(fired.position_m));
+            // the same azimuth, near this end of the sweep
+            fired.turn = at + std::round(end - at);
+        }
+        fired.position_m = inverse(track.pose_at(fired.turn)) * point_m;
+        const bool is_inside = fired.turn >= -turn.reference && fired.turn <= 1.0 - turn.reference;
+        const glm::dvec3& p = fired.position_m;
+        const double error = std::abs((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+        if (!is_inside || !(error < least)) continue;
+        least = error;
+        best = fired;
+    }
+    return best;
+}
+
+/// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
+/// and with some of the points in between.
+double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<CompensatedSweep>& sweeps,
+                         double seam_rad) {
+    constexpr double kFar_rad = kPi / 3.0, kMinShare = 0.1;
+    const auto share_between = [&](double other_rad) {
+        const double arc_rad = std::remainder(other_rad - seam_rad, kFullTurn_rad);
+        double n = 0.0, n_between = 0.0;
+        for (const CompensatedSweep& sweep : sweeps)
+            for (std::size_t i = 0; i < sweep.points.size(); i += 50, n += 1.0) {
+                const double from_seam_rad = std::remainder(
+                    azimuth_rad_of(glm::dvec3(sweep.points.position_m[i])) - seam_rad, kFullTurn_rad);
+                n_between += from_seam_rad * arc_rad > 0.0 && std::abs(from_seam_rad) < std::abs(arc_rad);
+            }
+        return n_between / std::max(n, 1.0);
+    };
+    double least = INFINITY;
+    for (const LatticeFit& fit : fits)
+        if (fit.spread_rad < least &&
+            std::abs(std::remainder(fit.turn.seam_rad - seam_rad, kFullTurn_rad)) >= kFar_rad &&
+            share_between(fit.turn.seam_rad) >= kMinShare)
+            least = fit.spread_rad;
+    return least;
+}
+
+}  // namespace
+
+double HeadTurn::turn_at(double azimuth_rad) const {
+    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / kFullTurn_rad;
+    return share - std::floor(share) - reference;
+}
+
+std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& sweeps,
+                                           const CompensatedSensor& sensor) {
+    std::size_t n_rings = 0;
+    std::vector<SweepPoints> coarse, fine;
+    for (const CompensatedSweep& sweep : sweeps) {
+        coarse.push_back(pick_points(sweep.points, kCoarsePoints));
+        fine.push_back(pick_points(sweep.points, kFinePoints));
+        for (const std::uint16_t ring : sweep.points.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
+    }
+    if (n_rings == 0 || n_rings > kMaxRecoveredRings) return std::nullopt;
+    const LatticeFitter coarse_fitter(std::move(coarse), n_rings), fitter(std::move(fine), n_rings);
+    LatticeFit still{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
+    fitter.improve(still, 6, true, false);
+    if (!(still.spread_rad > kMinSpread_rad)) return std::nullopt;
+    const std::vector<LatticeFit> fits = try_turns(coarse_fitter, sweeps.size());
+    LatticeFit best = *std::ranges::min_element(fits, {}, &LatticeFit::spread_rad);
+    if (best.spread_rad > kPromisingRatio * still.spread_rad) return std::nullopt;
+    refine_turn(fitter, best);
+    FiringRecovery recovery{sensor,
+                            best.turn,
+                            best.rings,
+                            false,
+                            best.spread_rad,
+                            still.spread_rad,
+                            other_seam_spread(fits, sweeps, best.turn.seam_rad)};
+    if (best.spread_rad > kMaxSpreadRatio * still.spread_rad ||
+        recovery.other_seam_rad < kMinOtherSeam * best.spread_rad ||
+        !choose_direction(recovery, best, fitter, sweeps))
+        return std::nullopt;
+    if (!recovery.uses_poses) {
+        FiringRecovery without_yaw = recovery;
+        without_yaw.sensor.n_ticks = 0;
+        std::vector<LidarPoints> restored;
+        for (const CompensatedSweep& sweep : sweeps) {
+            restored.push_back(sweep.points);
+            restore_firings(restored.back(), without_yaw, sweep.time_s);
+            restored.back().time_offset_s.clear();
+        }
+        recovery.sensor.n_ticks = find_ticks(sweeps, restored, recovery);
+    }
+    return recovery;
+}
+
+std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweeps,
+                                      const PoseTrack& world_from_sensor) {
+    std::vector<double> first_s, last_s;
+    std::size_t n_rings = 0;
+    for (const CompensatedSweep& sweep : sweeps) {
+        const LidarPoints& points = sweep.points;
+        if (points.ring.empty() || points.time_offset_s.empty()) return std::nullopt;
+        const auto [first, last] = std::ranges::minmax(points.time_offset_s);
+        first_s.push_back(double(first));
+        last_s.push_back(double(last));
+        n_rings = std::max(n_rings, std::size_t(std::ranges::max(points.ring)) + 1);
+    }
+    if (sweeps.empty() || n_rings > kMaxRecoveredRings) return std::nullopt;
+    const auto spread_after = [&](std::optional<double> moved_to_s) {
+        std::vector<SweepPoints> picked;
+        for (const CompensatedSweep& sweep : sweeps) {
+            LidarPoints points = sweep.points;
+            if (moved_to_s) undo_deskew_to(points, world_from_sensor, sweep.time_s, *moved_to_s);
+            picked.push_back(pick_points(points, kFinePoints));
+        }
+        LatticeFit fit{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
+        LatticeFitter(std::move(picked), n_rings).improve(fit, 6, true, false);
+        return fit.spread_rad;
+    };
+    const double as_is_rad = spread_after(std::nullopt);
+    if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;
+    double least_rad = kMaxSpreadRatio * as_is_rad;
+    std::optional<double> best;
+    for (const double moved_to_s : {0.0, compute_median(first_s), compute_median(last_s)})
+        if (const double spread_rad = spread_after(moved_to_s); spread_rad < least_rad) {
+            least_rad = spread_rad;
+            best = moved_to_s;
+        }
+    return best;
+}
+
+void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, double frame_time_s,
+                    double moved_to_s) {
+    const auto shift = [&](double by_s) {
+        for (float& t_s : points.time_offset_s) t_s = float(double(t_s) + by_s);
+    };
+    if (moved_to_s != 0.0) shift(-moved_to_s);
+    undo_deskew(points, world_from_sensor, frame_time_s + moved_to_s);
+    if (moved_to_s != 0.0) shift(moved_to_s);
+}
+
+void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s) {
+    // A point within this share of the turn from the seam can be at both ends.
+    constexpr double kSeamShare = 0.05;
+    const CompensatedSensor& sensor = recovery.sensor;
+    const PoseTrack track = recovery.uses_poses
+                                ? make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s)
+                                : make_track(fit_motion(points, recovery));
+    points.time_offset_s.resize(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::dvec3 p(points.position_m[i]);
+        FiredPoint fired = find_firing(p, track, recovery.turn);
+        const double share = fired.turn + recovery.turn.reference;
+        if (std::min(share, 1.0 - share) < kSeamShare && points.ring[i] < recovery.rings.size())
+            fired = find_seam_firing(p, track, recovery.turn, recovery.rings[points.ring[i]]);
+        points.position_m[i] = glm::vec3(fired.position_m);
+        points.time_offset_s[i] = float(fired.turn * sensor.period_s);
+    }
+}
+
+std::string describe_recovery(const FiringRecovery& recovery) {
+    constexpr double kDegrees = 180.0 / kPi;
+    return fmt::format(
+        "the scans are motion-compensated; relidar moved each point back to its firing time. The head turns "
+        "{}, a sweep of {:.4g} s starts at azimuth {:.1f} degrees, and {:.1f} % of it precede the time of "
+        "the "
+        "frame; the motion is that of the {}. The elevations of a beam then differ by {:.4f} instead of "
+        "{:.4f} degrees (other starts: at least {:.4f})",
+        recovery.turn.clockwise ? "clockwise" : "counter-clockwise", recovery.sensor.period_s,
+        recovery.turn.seam_rad * kDegrees, 100.0 * recovery.turn.reference,
+        recovery.uses_poses ? "poses" : "points", recovery.spread_rad * kDegrees,
+        recovery.compensated_spread_rad * kDegrees, recovery.other_seam_rad * kDegrees);
+}
+
+}  // namespace relidar::read

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// Recovers the firing times of motion-compensated scans whose points have no times. The
+// points of a beam are on a cone around the axis of the head:
+//   z = z0 + slope * rho,  rho = hypot(x, y)
+// Compensation moves the points off this cone. find_firings() searches for the turn of
+// the head and the motion of the sensor that move all points back to their cones.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/read/clouds.hpp>
+
+namespace relidar::read {
+
+/// One turn of a head. The unit of shares is a full turn.
+struct HeadTurn {
+    bool clockwise = true;
+    double seam_rad = kPi;   ///< azimuth of the head at the start of the sweep
+    double reference = 0.5;  ///< share of the turn before the time of the frame
+
+    /// Returns the share of the turn between the time of the frame and the time at which
+    /// the head has an azimuth. The sweep is in [-reference, 1 - reference).
+    double turn_at(double azimuth_rad) const;
+};
+
+/// Cone of the points of a beam: z = z0_m + slope * (distance from the axis)
+struct RingCone {
+    double z0_m = 0.0, slope = 0.0;
+};
+
+/// A motion-compensated sweep. Its points have rings, but no times.
+struct CompensatedSweep {
+    LidarPoints points;
+    double time_s = 0.0;  ///< time of the frame
+};
+
+/// What is known about a LiDAR before the search.
+struct CompensatedSensor {
+    double period_s = 0.1;                            ///< duration of a sweep
+    std::optional<PoseTrack> world_from_sensor = {};  ///< empty if the log has no poses
+    int n_ticks = 0;              ///< steps of the head in a turn, multiples of which are fired; 0: unknown
+    glm::dvec3 forward{1, 0, 0};  ///< driving direction in the sensor frame, for logs without poses
+};
+
+/// Turn of the head and beams of a LiDAR, found by find_firings().
+struct FiringRecovery {
+    CompensatedSensor sensor;
+    HeadTurn turn;
+    std::vector<RingCone> rings;  ///< [rings] a ring without points has slope NaN
+    /// True if the poses of the log explain the compensation. Otherwise each sweep gets
+    /// the motion that fits its points best.
+    bool uses_poses = false;
+    /// Robust standard deviation of the elevations of a ring, with the motion undone and
+    /// in the log.
+    double spread_rad = 0.0, compensated_spread_rad = 0.0;
+    double other_seam_rad = 0.0;  ///< smallest spread with a clearly different seam
+};
+
+/// Searches the turn of the head. Some sweeps of a log are enough.
+/// @return nothing if no turn is clearly better than points without motion, or if the
+/// motion contradicts the poses of the log
+std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& sweeps,
+                                           const CompensatedSensor& sensor);
+
+/// Sets the times of points, and moves each point to the sensor frame at its time.
+/// @param points  points with the rings that `recovery` was made of
+void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s);
+
+/// Tests whether points with times were moved to a common time, with the poses of the
+/// log. Compares the elevations of each ring before and after the motion is undone.
+/// @param sweeps  some sweeps with rings and times
+/// @return this time in seconds after the frame: 0, or that of the first or last point.
+/// Nothing if the points are in the frames at their firing times.
+std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweeps,
+                                      const PoseTrack& world_from_sensor);
+/// Moves points with times from the frame at `moved_to_s` after the frame's time to their
+/// firing times.
+void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, double frame_time_s,
+                    double moved_to_s);
+
+/// Returns a note for the user: what was found and how certain it is.
+std::string describe_recovery(const FiringRecovery& recovery);
+
+}  // namespace relidar::read
