@@ -1,12 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The motion of the sensor in a sweep has two constant twists, before and after the time
-// of the frame, because many programs interpolate between the poses of frames. With the
-// turn u since this time, the twist (v, w) of a full turn gives the point
-//   x = R(-w u) (p - v u)
-// in the frame at its firing time. Gauss-Newton steps with Geman-McClure weights minimise
-//   e = (z - z0) / rho - slope
-// over the cones of all rings and the twists of all sweeps. The rotation about z does not
-// change e. It follows from the azimuths, which are multiples of a tick of the head.
+// Searches the start of the sweep and the time of the frame in it with LatticeFitter,
+// first on a coarse grid. The elevations do not show the rotation about z. It follows
+// from the azimuths, which are multiples of a tick of the head.
 #include "read/scans/firing_recovery.hpp"
 
 #include <algorithm>
@@ -21,16 +16,15 @@
 #include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
+#include "read/scans/lattice_fit.hpp"
 
 namespace relidar::read {
 namespace {
 
 constexpr double kFullTurn_rad = 2.0 * kPi;
-// Nearer points are often on the vehicle, and rounded coordinates make them inaccurate.
-constexpr double kMinDistance_m = 2.0;
 // numbers of points of a sweep in the coarse and the fine search, and in the fit of a
 // motion
-constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 8000;
+constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 30000;
 constexpr int kSeams = 16, kReferences = 5;  // hypotheses of the coarse search
 // If no hypothesis reduces the spread by this factor, the search ends.
 constexpr double kPromisingRatio = 0.9;
@@ -47,276 +41,10 @@ constexpr double kMinMotion = 0.8, kMaxMotion = 1.25;
 // Without poses, the direction of rotation follows from the driving direction, so the
 // vehicle must drive at least this far in a turn.
 constexpr double kMinForward_m = 0.05;
-constexpr double kMadToSigma = 1.4826;
+// The azimuths of nearer points are inaccurate, because beams start beside the axis.
+constexpr double kMinYawDistance_m = 4.0;
 // Clouds with more rings are not scans of a spinning LiDAR.
 constexpr std::size_t kMaxRecoveredRings = 512;
-constexpr int kMotionParameters = 5;  // of a twist, without the rotation about z
-
-/// Twists of a full turn, before and after the time of the frame.
-using SweepMotion = std::array<Twist, 2>;
-
-/// Points of a sweep in the frame of the log.
-struct SweepPoints {
-    std::vector<glm::dvec3> position_m;
-    std::vector<std::size_t> ring;
-};
-
-/// A point in the frame at its firing time, and its share of the turn.
-struct FiredPoint {
-    glm::dvec3 position_m;
-    double turn = 0.0;
-};
-
-double azimuth_rad_of(const glm::dvec3& p) { return std::atan2(p.y, p.x); }
-
-/// Returns the poses of the sensor relative to the time of the frame. Times are turns.
-PoseTrack make_track(const SweepMotion& motion) {
-    const auto pose_after = [](const Twist& twist, double sign) {
-        Twist signed_twist = twist;
-        for (double& value : signed_twist) value *= sign;
-        return apply_twist({}, signed_twist);
-    };
-    return {{-1.0, 0.0, 1.0}, {pose_after(motion[0], -1.0), {}, pose_after(motion[1], 1.0)}};
-}
-
-/// Returns the same for the poses of the log.
-PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s) {
-    const std::vector<double>& times = world_from_sensor.time_s;
-    // One pose beyond the sweep on each side, so that the interpolation stays the same.
-    const auto first = std::ranges::lower_bound(times, time_s - period_s) - times.begin(),
-               last = std::ranges::upper_bound(times, time_s + period_s) - times.begin();
-    const Pose frame_from_world = inverse(world_from_sensor.pose_at(time_s));
-    PoseTrack track;
-    for (auto i = std::max<std::ptrdiff_t>(first - 2, 0);
-         i < std::min<std::ptrdiff_t>(last + 2, std::ssize(times)); ++i)
-        track.append((times[std::size_t(i)] - time_s) / period_s,
-                     frame_from_world * world_from_sensor.pose[std::size_t(i)]);
-    return track;
-}
-
-/// Returns the twists that a track has in the turn before and after time 0.
-SweepMotion twists_of(const PoseTrack& track) {
-    const Twist before = compute_twist({}, track.pose_at(-1.0)),
-                after = compute_twist({}, track.pose_at(1.0));
-    SweepMotion motion{before, after};
-    for (double& value : motion[0]) value = -value;
-    return motion;
-}
-
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn) {
-    return inverse(track.pose_at(turn)) * point_m;
-}
-
-/// Fast version for fits, with a rotation of second order. The error is below 1e-5 rad
-/// for rotations below 0.04 rad.
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
-    const Twist& twist = motion[turn < 0.0 ? 0 : 1];
-    const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
-                     once = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), p),
-                     twice = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), once);
-    return p + once + 0.5 * twice;
-}
-
-/// Computes the firing of a point. The azimuth at the firing time differs from that of
-/// the moved point, so the function iterates.
-template <class Motion>
-FiredPoint find_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn) {
-    FiredPoint fired{point_m, 0.0};
-    for (int pass = 0; pass < 3; ++pass) {
-        fired.turn = turn.turn_at(azimuth_rad_of(fired.position_m));
-        fired.position_m = undo_motion(point_m, motion, fired.turn);
-    }
-    return fired;
-}
-
-/// Selects at most `n_points` first returns, evenly.
-SweepPoints pick_points(const LidarPoints& points, std::size_t n_points) {
-    std::vector<std::size_t> usable;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        const glm::vec3& p = points.position_m[i];
-        const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
-        if (is_first && std::hypot(double(p.x), double(p.y)) > kMinDistance_m) usable.push_back(i);
-    }
-    SweepPoints picked;
-    const std::size_t n = std::min(n_points, usable.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        const std::size_t i = usable[k * usable.size() / n];
-        picked.position_m.emplace_back(points.position_m[i]);
-        picked.ring.push_back(points.ring[i]);
-    }
-    return picked;
-}
-
-/// Cones and motions that fit the points of some sweeps, for an assumed turn.
-struct LatticeFit {
-    HeadTurn turn;
-    std::vector<RingCone> rings;
-    std::vector<SweepMotion> motions;  ///< [sweeps]
-    double spread_rad = INFINITY;
-};
-
-class LatticeFitter {
-public:
-    LatticeFitter(std::vector<SweepPoints> sweeps, std::size_t n_rings)
-        : sweeps_(std::move(sweeps)), n_rings_(n_rings) {}
-
-    /// Improves a fit. Starts with the median slopes if the fit has no cones.
-    /// @param has_free_rings,has_free_motion  which values change
-    void improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const {
-        for (int step = 0; step < n_steps; ++step) {
-            const Firings firings = compute_firings(fit.motions, fit);
-            if (fit.rings.empty()) set_median_slopes(fit, firings);
-            fit.spread_rad = spread_of(fit, firings);
-            const Eigen::VectorXd change = solve_step(fit, firings, has_free_rings, has_free_motion);
-            apply_change(fit, change, has_free_rings, has_free_motion);
-        }
-        fit.spread_rad = spread_of(fit, compute_firings(fit.motions, fit));
-    }
-
-    /// Fits only the cones, for known motions.
-    void fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const {
-        const Firings firings = compute_firings(tracks, fit);
-        set_median_slopes(fit, firings);
-        for (int step = 0; step < n_steps; ++step) {
-            fit.spread_rad = spread_of(fit, firings);
-            apply_change(fit, solve_step(fit, firings, true, false), true, false);
-        }
-        fit.spread_rad = spread_of(fit, firings);
-    }
-
-    /// Returns the mean robust error of all points, from 0 to 1.
-    double cost(const LatticeFit& fit, double scale_rad) const {
-        double sum = 0.0, n = 0.0;
-        for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit.motions, fit)))
-            for (const double e : errors) {
-                sum += e * e / (e * e + scale_rad * scale_rad);
-                n += 1.0;
-            }
-        return sum / std::max(n, 1.0);
-    }
-
-private:
-    using Firings = std::vector<std::vector<FiredPoint>>;  // [sweeps][points]
-
-    std::vector<SweepPoints> sweeps_;
-    std::size_t n_rings_;
-
-    template <class Motion>
-    Firings compute_firings(const std::vector<Motion>& motions, const LatticeFit& fit) const {
-        Firings firings(sweeps_.size());
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (const glm::dvec3& p : sweeps_[s].position_m)
-                firings[s].push_back(find_firing(p, motions[s], fit.turn));
-        return firings;
-    }
-
-    void set_median_slopes(LatticeFit& fit, const Firings& firings) const {
-        std::vector<std::vector<double>> slopes(n_rings_);
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (std::size_t i = 0; i < firings[s].size(); ++i) {
-                const glm::dvec3& p = firings[s][i].position_m;
-                slopes[sweeps_[s].ring[i]].push_back(p.z / std::hypot(p.x, p.y));
-            }
-        fit.rings.assign(n_rings_, {0.0, NAN});
-        for (std::size_t r = 0; r < n_rings_; ++r)
-            if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
-    }
-
-    /// Returns the elevation error of each point, in radians at a slope of 0.
-    std::vector<std::vector<double>> errors_of(const LatticeFit& fit, const Firings& firings) const {
-        std::vector<std::vector<double>> errors(sweeps_.size());
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (std::size_t i = 0; i < firings[s].size(); ++i) {
-                const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
-                const glm::dvec3& p = firings[s][i].position_m;
-                errors[s].push_back((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
-            }
-        return errors;
-    }
-
-    double spread_of(const LatticeFit& fit, const Firings& firings) const {
-        std::vector<double> all;
-        for (const std::vector<double>& errors : errors_of(fit, firings))
-            for (const double e : errors)
-                if (std::isfinite(e)) all.push_back(std::abs(e));
-        return all.empty() ? INFINITY : kMadToSigma * compute_median(std::move(all));
-    }
-
-    /// Returns the index of a twist in the equations, after the cones.
-    std::size_t motion_index(std::size_t sweep, std::size_t half) const {
-        return 2 * n_rings_ + (2 * sweep + half) * kMotionParameters;
-    }
-
-    /// Returns the Gauss-Newton step: z0 and slope of each ring, then the twists
-    /// (v, w.x, w.y) of each sweep before and after the frame.
-    Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
-                               bool has_free_motion) const {
-        constexpr std::size_t kValues = 2 + kMotionParameters;
-        const std::size_t n = motion_index(sweeps_.size(), 0);
-        Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(Eigen::Index(n), Eigen::Index(n));
-        Eigen::VectorXd gradient = Eigen::VectorXd::Zero(Eigen::Index(n));
-        const double scale = 2.0 * std::max(fit.spread_rad, 1e-9);
-        const auto errors = errors_of(fit, firings);
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (std::size_t i = 0; i < firings[s].size(); ++i) {
-                const std::size_t ring = sweeps_[s].ring[i];
-                const auto& [p, u] = firings[s][i];
-                const double rho = std::hypot(p.x, p.y), e = errors[s][i], slope = fit.rings[ring].slope;
-                if (!(rho > 0.0) || !std::isfinite(e)) continue;
-                const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
-                const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
-                // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
-                const std::array<double, kValues> j = {-1.0 / rho,
-                                                       -1.0,
-                                                       scaled * slope * c,
-                                                       scaled * slope * d,
-                                                       -scaled,
-                                                       -scaled * (p.y + slope * p.z * d),
-                                                       scaled * (p.x + slope * p.z * c)};
-                const std::size_t motion = motion_index(s, u < 0.0 ? 0 : 1);
-                for (std::size_t a = has_free_rings ? 0 : 2; a < (has_free_motion ? kValues : 2); ++a) {
-                    const auto row = Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
-                    gradient[row] += weight * j[a] * e;
-                    for (std::size_t b = has_free_rings ? 0 : 2; b <= a; ++b)
-                        normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) +=
-                            weight * j[a] * j[b];
-                }
-            }
-        if (has_free_motion) join_halves(fit, normal, gradient);
-        for (Eigen::Index i = 0; i < normal.rows(); ++i) normal(i, i) += 1e-8 * normal(i, i) + 1e-12;
-        return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
-    }
-
-    /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
-    /// without points equals the other one.
-    void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const {
-        constexpr double kPenalty = 1e-4;
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (std::size_t k = 0; k < kMotionParameters; ++k) {
-                const auto before = Eigen::Index(motion_index(s, 0) + k),
-                           after = Eigen::Index(motion_index(s, 1) + k);
-                const double penalty = kPenalty * (normal(before, before) + normal(after, after)),
-                             difference = fit.motions[s][0][k] - fit.motions[s][1][k];
-                normal(before, before) += penalty;
-                normal(after, after) += penalty;
-                normal(after, before) -= penalty;
-                gradient[before] += penalty * difference;
-                gradient[after] -= penalty * difference;
-            }
-    }
-
-    void apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
-                      bool has_free_motion) const {
-        for (std::size_t r = 0; has_free_rings && r < n_rings_; ++r) {
-            fit.rings[r].z0_m += change[Eigen::Index(2 * r)];
-            fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];
-        }
-        for (std::size_t s = 0; has_free_motion && s < sweeps_.size(); ++s)
-            for (std::size_t half = 0; half < 2; ++half)
-                for (std::size_t k = 0; k < kMotionParameters; ++k)
-                    fit.motions[s][half][k] += change[Eigen::Index(motion_index(s, half) + k)];
-    }
-};
 
 /// Moves the seam and keeps the azimuth of the head at the time of the frame.
 HeadTurn move_seam(HeadTurn turn, double share) {
@@ -443,7 +171,7 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
     std::vector<std::complex<double>> phases(n_rings * kBins);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3& p = points[i].position_m;
-        if (std::hypot(p.x, p.y) < 2.0 * kMinDistance_m) continue;
+        if (std::hypot(p.x, p.y) < kMinYawDistance_m) continue;
         const auto bin = std::size_t(std::clamp((points[i].turn + turn.reference) * kBins, 0.0, kBins - 1.0));
         phases[rings[i] * kBins + bin] += std::polar(1.0, n_ticks * azimuth_rad_of(p));
     }
@@ -604,11 +332,6 @@ double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<
 }
 
 }  // namespace
-
-double HeadTurn::turn_at(double azimuth_rad) const {
-    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / kFullTurn_rad;
-    return share - std::floor(share) - reference;
-}
 
 std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& sweeps,
                                            const CompensatedSensor& sensor) {

@@ -10,7 +10,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/read/clouds.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/read/points.hpp>
 
 namespace relidar::read {
 

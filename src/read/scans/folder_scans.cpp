@@ -151,7 +151,7 @@ private:
     std::vector<ScanPlan> plans_;                     ///< [lidars]
     std::vector<TimeLimits> time_limits_;             ///< [lidars]
     std::vector<std::optional<FiringPlan>> firings_;  ///< [lidars] recovered times of points
-    /// [lidars] time after the frame to which the points were moved; empty if they were not
+    /// [lidars] time after the frame to which the points were moved; empty if not
     std::vector<std::optional<double>> moved_to_s_;
     std::vector<PointCounts> counts_;  ///< [frames]
     /// [frames] points that were already read to estimate the beams
@@ -213,8 +213,8 @@ private:
         return samples;
     }
 
-    /// Searches how the points of a LiDAR were moved, if the log does not say it. Restores
-    /// the samples then.
+    /// Searches how the points of a LiDAR were moved, if the log does not say it. Then
+    /// restores the samples.
     void recover_firings(int lidar_index, std::map<std::size_t, LidarPoints>& by_frame, double sweep_s) {
         const auto l = std::size_t(lidar_index);
         if (!recovers_firings_ || !layout_.lidars[l].spins) return;

@@ -1,0 +1,219 @@
+// SPDX-License-Identifier: Apache-2.0
+// The motion of the sensor in a sweep has two constant twists, before and after the time
+// of the frame, because many programs interpolate between the poses of frames. With the
+// turn u since this time, the twist (v, w) of a full turn gives the point
+//   x = R(-w u) (p - v u)
+// in the frame at its firing time. Gauss-Newton steps with Geman-McClure weights minimise
+//   e = (z - z0) / rho - slope
+// over the cones of all rings and the twists of all sweeps.
+#include "read/scans/lattice_fit.hpp"
+
+#include <algorithm>
+
+#include <Eigen/Dense>
+
+#include "base/median.hpp"
+
+namespace relidar::read {
+namespace {
+
+// Nearer points are often on the vehicle, and rounded coordinates make them inaccurate.
+constexpr double kMinDistance_m = 2.0;
+constexpr double kMadToSigma = 1.4826;
+
+}  // namespace
+
+double HeadTurn::turn_at(double azimuth_rad) const {
+    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / (2.0 * kPi);
+    return share - std::floor(share) - reference;
+}
+
+PoseTrack make_track(const SweepMotion& motion) {
+    const auto pose_after = [](const Twist& twist, double sign) {
+        Twist signed_twist = twist;
+        for (double& value : signed_twist) value *= sign;
+        return apply_twist({}, signed_twist);
+    };
+    return {{-1.0, 0.0, 1.0}, {pose_after(motion[0], -1.0), {}, pose_after(motion[1], 1.0)}};
+}
+
+PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s) {
+    const std::vector<double>& times = world_from_sensor.time_s;
+    // One pose beyond the sweep on each side, so that the interpolation stays the same.
+    const auto first = std::ranges::lower_bound(times, time_s - period_s) - times.begin(),
+               last = std::ranges::upper_bound(times, time_s + period_s) - times.begin();
+    const Pose frame_from_world = inverse(world_from_sensor.pose_at(time_s));
+    PoseTrack track;
+    for (auto i = std::max<std::ptrdiff_t>(first - 2, 0);
+         i < std::min<std::ptrdiff_t>(last + 2, std::ssize(times)); ++i)
+        track.append((times[std::size_t(i)] - time_s) / period_s,
+                     frame_from_world * world_from_sensor.pose[std::size_t(i)]);
+    return track;
+}
+
+SweepMotion twists_of(const PoseTrack& track) {
+    const Twist before = compute_twist({}, track.pose_at(-1.0)),
+                after = compute_twist({}, track.pose_at(1.0));
+    SweepMotion motion{before, after};
+    for (double& value : motion[0]) value = -value;
+    return motion;
+}
+
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn) {
+    return inverse(track.pose_at(turn)) * point_m;
+}
+
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
+    const Twist& twist = motion[turn < 0.0 ? 0 : 1];
+    const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
+                     once = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), p),
+                     twice = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), once);
+    return p + once + 0.5 * twice;
+}
+
+SweepPoints pick_points(const LidarPoints& points, std::size_t n_points) {
+    std::vector<std::size_t> usable;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::vec3& p = points.position_m[i];
+        const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
+        if (is_first && std::hypot(double(p.x), double(p.y)) > kMinDistance_m) usable.push_back(i);
+    }
+    SweepPoints picked;
+    const std::size_t n = std::min(n_points, usable.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = usable[k * usable.size() / n];
+        picked.position_m.emplace_back(points.position_m[i]);
+        picked.ring.push_back(points.ring[i]);
+    }
+    return picked;
+}
+
+void LatticeFitter::improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const {
+    for (int step = 0; step < n_steps; ++step) {
+        const Firings firings = compute_firings(fit.motions, fit);
+        if (fit.rings.empty()) set_median_slopes(fit, firings);
+        fit.spread_rad = spread_of(fit, firings);
+        const Eigen::VectorXd change = solve_step(fit, firings, has_free_rings, has_free_motion);
+        apply_change(fit, change, has_free_rings, has_free_motion);
+    }
+    fit.spread_rad = spread_of(fit, compute_firings(fit.motions, fit));
+}
+
+void LatticeFitter::fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const {
+    const Firings firings = compute_firings(tracks, fit);
+    set_median_slopes(fit, firings);
+    for (int step = 0; step < n_steps; ++step) {
+        fit.spread_rad = spread_of(fit, firings);
+        apply_change(fit, solve_step(fit, firings, true, false), true, false);
+    }
+    fit.spread_rad = spread_of(fit, firings);
+}
+
+double LatticeFitter::cost(const LatticeFit& fit, double scale_rad) const {
+    double sum = 0.0, n = 0.0;
+    for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit.motions, fit)))
+        for (const double e : errors) {
+            sum += e * e / (e * e + scale_rad * scale_rad);
+            n += 1.0;
+        }
+    return sum / std::max(n, 1.0);
+}
+
+void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) const {
+    std::vector<std::vector<double>> slopes(n_rings_);
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
+        for (std::size_t i = 0; i < firings[s].size(); ++i) {
+            const glm::dvec3& p = firings[s][i].position_m;
+            slopes[sweeps_[s].ring[i]].push_back(p.z / std::hypot(p.x, p.y));
+        }
+    fit.rings.assign(n_rings_, {0.0, NAN});
+    for (std::size_t r = 0; r < n_rings_; ++r)
+        if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
+}
+
+std::vector<std::vector<double>> LatticeFitter::errors_of(const LatticeFit& fit, const Firings& firings) const {
+    std::vector<std::vector<double>> errors(sweeps_.size());
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
+        for (std::size_t i = 0; i < firings[s].size(); ++i) {
+            const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
+            const glm::dvec3& p = firings[s][i].position_m;
+            errors[s].push_back((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+        }
+    return errors;
+}
+
+double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) const {
+    std::vector<double> all;
+    for (const std::vector<double>& errors : errors_of(fit, firings))
+        for (const double e : errors)
+            if (std::isfinite(e)) all.push_back(std::abs(e));
+    return all.empty() ? INFINITY : kMadToSigma * compute_median(std::move(all));
+}
+
+Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
+                           bool has_free_motion) const {
+    constexpr std::size_t kValues = 2 + kMotionParameters;
+    const std::size_t n = motion_index(sweeps_.size(), 0);
+    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(Eigen::Index(n), Eigen::Index(n));
+    Eigen::VectorXd gradient = Eigen::VectorXd::Zero(Eigen::Index(n));
+    const double scale = 2.0 * std::max(fit.spread_rad, 1e-9);
+    const auto errors = errors_of(fit, firings);
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
+        for (std::size_t i = 0; i < firings[s].size(); ++i) {
+            const std::size_t ring = sweeps_[s].ring[i];
+            const auto& [p, u] = firings[s][i];
+            const double rho = std::hypot(p.x, p.y), e = errors[s][i], slope = fit.rings[ring].slope;
+            if (!(rho > 0.0) || !std::isfinite(e)) continue;
+            const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
+            const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
+            // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
+            const std::array<double, kValues> j = {-1.0 / rho,
+                                                   -1.0,
+                                                   scaled * slope * c,
+                                                   scaled * slope * d,
+                                                   -scaled,
+                                                   -scaled * (p.y + slope * p.z * d),
+                                                   scaled * (p.x + slope * p.z * c)};
+            const std::size_t motion = motion_index(s, u < 0.0 ? 0 : 1);
+            for (std::size_t a = has_free_rings ? 0 : 2; a < (has_free_motion ? kValues : 2); ++a) {
+                const auto row = Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
+                gradient[row] += weight * j[a] * e;
+                for (std::size_t b = has_free_rings ? 0 : 2; b <= a; ++b)
+                    normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) +=
+                        weight * j[a] * j[b];
+            }
+        }
+    if (has_free_motion) join_halves(fit, normal, gradient);
+    for (Eigen::Index i = 0; i < normal.rows(); ++i) normal(i, i) += 1e-8 * normal(i, i) + 1e-12;
+    return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
+}
+
+void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const {
+    constexpr double kPenalty = 1e-4;
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
+        for (std::size_t k = 0; k < kMotionParameters; ++k) {
+            const auto before = Eigen::Index(motion_index(s, 0) + k),
+                       after = Eigen::Index(motion_index(s, 1) + k);
+            const double penalty = kPenalty * (normal(before, before) + normal(after, after)),
+                         difference = fit.motions[s][0][k] - fit.motions[s][1][k];
+            normal(before, before) += penalty;
+            normal(after, after) += penalty;
+            normal(after, before) -= penalty;
+            gradient[before] += penalty * difference;
+            gradient[after] -= penalty * difference;
+        }
+}
+
+void LatticeFitter::apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
+                  bool has_free_motion) const {
+    for (std::size_t r = 0; has_free_rings && r < n_rings_; ++r) {
+        fit.rings[r].z0_m += change[Eigen::Index(2 * r)];
+        fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];
+    }
+    for (std::size_t s = 0; has_free_motion && s < sweeps_.size(); ++s)
+        for (std::size_t half = 0; half < 2; ++half)
+            for (std::size_t k = 0; k < kMotionParameters; ++k)
+                fit.motions[s][half][k] += change[Eigen::Index(motion_index(s, half) + k)];
+}
+
+}  // namespace relidar::read

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fits the cones of beams and the motion of the sensor to motion-compensated points, for
+// an assumed turn of the head.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "read/scans/firing_recovery.hpp"
+
+namespace relidar::read {
+
+/// parameters of a twist that elevations show: all but the rotation about z
+inline constexpr std::size_t kMotionParameters = 5;
+
+/// Twists of a full turn, before and after the time of the frame.
+using SweepMotion = std::array<Twist, 2>;
+
+/// Points of a sweep in the frame of the log.
+struct SweepPoints {
+    std::vector<glm::dvec3> position_m;
+    std::vector<std::size_t> ring;
+};
+
+/// A point in the frame at its firing time, and its share of the turn.
+struct FiredPoint {
+    glm::dvec3 position_m;
+    double turn = 0.0;
+};
+
+inline double azimuth_rad_of(const glm::dvec3& p) { return std::atan2(p.y, p.x); }
+
+/// Returns the poses of the sensor relative to the time of the frame. Times are turns.
+PoseTrack make_track(const SweepMotion& motion);
+/// Returns the same for the poses of the log.
+PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s);
+/// Returns the twists that a track has in the turn before and after time 0.
+SweepMotion twists_of(const PoseTrack& track);
+
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn);
+/// Fast version for fits, with a rotation of second order. The error is below 1e-5 rad
+/// for rotations below 0.04 rad.
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn);
+
+/// Computes the firing of a point. The azimuth at the firing time differs from that of
+/// the moved point, so the function iterates.
+template <class Motion>
+FiredPoint find_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn) {
+    FiredPoint fired{point_m, 0.0};
+    for (int pass = 0; pass < 3; ++pass) {
+        fired.turn = turn.turn_at(azimuth_rad_of(fired.position_m));
+        fired.position_m = undo_motion(point_m, motion, fired.turn);
+    }
+    return fired;
+}
+
+/// Selects at most `n_points` first returns, evenly.
+SweepPoints pick_points(const LidarPoints& points, std::size_t n_points);
+
+/// Cones and motions that fit the points of some sweeps, for an assumed turn.
+struct LatticeFit {
+    HeadTurn turn;
+    std::vector<RingCone> rings;
+    std::vector<SweepMotion> motions;  ///< [sweeps]
+    double spread_rad = INFINITY;
+};
+
+class LatticeFitter {
+public:
+    LatticeFitter(std::vector<SweepPoints> sweeps, std::size_t n_rings)
+        : sweeps_(std::move(sweeps)), n_rings_(n_rings) {}
+
+    /// Improves a fit. Starts with the median slopes if the fit has no cones.
+    /// @param has_free_rings,has_free_motion  which values change
+    void improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const;
+    /// Fits only the cones, for known motions.
+    void fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const;
+    /// Returns the mean robust error of all points, from 0 to 1.
+    double cost(const LatticeFit& fit, double scale_rad) const;
+
+private:
+    using Firings = std::vector<std::vector<FiredPoint>>;  // [sweeps][points]
+
+    std::vector<SweepPoints> sweeps_;
+    std::size_t n_rings_;
+
+    template <class Motion>
+    Firings compute_firings(const std::vector<Motion>& motions, const LatticeFit& fit) const {
+        Firings firings(sweeps_.size());
+        for (std::size_t s = 0; s < sweeps_.size(); ++s)
+            for (const glm::dvec3& p : sweeps_[s].position_m)
+                firings[s].push_back(find_firing(p, motions[s], fit.turn));
+        return firings;
+    }
+
+    void set_median_slopes(LatticeFit& fit, const Firings& firings) const;
+    /// Returns the elevation error of each point, in radians at a slope of 0.
+    std::vector<std::vector<double>> errors_of(const LatticeFit& fit, const Firings& firings) const;
+    double spread_of(const LatticeFit& fit, const Firings& firings) const;
+    /// Returns the index of a twist in the equations, after the cones.
+    std::size_t motion_index(std::size_t sweep, std::size_t half) const {
+        return 2 * n_rings_ + (2 * sweep + half) * kMotionParameters;
+    }
+
+    /// Returns the Gauss-Newton step: z0 and slope of each ring, then the twists
+    /// (v, w.x, w.y) of each sweep before and after the frame.
+    Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
+                               bool has_free_motion) const;
+    /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
+    /// without points equals the other one.
+    void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const;
+    void apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
+                      bool has_free_motion) const;
+};
+
+}  // namespace relidar::read
