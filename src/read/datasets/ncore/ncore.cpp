@@ -224,8 +224,8 @@ private:
         log_.boxes = build_tracks(labels);
     }
 
-    /// Reads a few frames of a LiDAR. Skips unreadable frames, because reading their scans
-    /// reports the error.
+    /// Reads a few frames of a LiDAR. Skips unreadable frames, because reading their
+    /// scans reports the error.
     std::vector<RayBundle> read_samples(std::size_t l) const {
         std::vector<const ScanLocation*> frames;
         for (const ScanLocation& scan : scans_)

@@ -19,7 +19,7 @@ namespace {
 constexpr std::size_t kMostReturns = 8;
 constexpr double kNearest_m = 1e-3;               // A nearer point has no direction from its beam.
 constexpr double kUnitLength = 1e-2;              // tolerance of the length of a direction
-constexpr double kMostUneven = 0.25;              // largest deviation of a column from equal steps, in steps
+constexpr double kMostUneven = 1.0;               // largest deviation of a column from equal steps, in steps
 constexpr std::int64_t kMostLate_us = 1'000'000;  // largest time between a ray and its frame
 
 std::vector<double> read_angles(const JsonField& field, std::size_t n) {
@@ -143,7 +143,7 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
             fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
                  d.z);
         bundle.direction.push_back(glm::normalize(d));
-        // The subtraction of unsigned numbers wraps in the same way as that of signed ones.
+        // The subtraction of unsigned numbers wraps like that of signed numbers.
         const auto late_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
         if (times_us[i] > std::uint64_t(frame.end_us + kMostLate_us) ||
             std::int64_t(times_us[i]) < frame.start_us - kMostLate_us)
@@ -200,7 +200,14 @@ NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vecto
             const double turned = sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad -
                                           model.azimuth_rad.front());
             const auto column = std::size_t((std::lround(turned / (2.0 * kPi) * n) % n + n) % n);
-            if (column < n_columns) ray_of_element_[l][row * n_columns + column] = int(ray);
+            if (column >= n_columns) continue;
+            ray_of_element_[l][row * n_columns + column] = int(ray);
+            // The columns of the sensor are in equal steps, those of the model nearly.
+            const double even_rad = model.azimuth_rad.front() + sign * 2.0 * kPi * double(column) / n;
+            const glm::dquat turn =
+                make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
+            images_[l].direction[ray] = glm::vec3(turn * d);
+            images_[l].origin[ray] = glm::vec3(turn * glm::dvec3(images_[l].origin[ray]));
         }
     }
 }

@@ -55,8 +55,8 @@ public:
 
     struct Edge {
         std::string source, target;
-        /// Poses target_from_source. One pose without a meaning of its time if the edge is
-        /// fixed.
+        /// Poses target_from_source. If the edge is fixed, one pose, whose time is
+        /// meaningless.
         PoseTrack track;
         bool is_fixed = false;
     };

@@ -45,7 +45,7 @@ struct NcoreFolder : LogFolder {
         write_text(file, json.dump());
     }
 
-    /// Replaces an array of shape [lines, rays, values] by some of its rays, uncompressed.
+    /// Keeps some rays of an array of shape [lines, rays, values], uncompressed.
     template <class T>
     static void keep_rays(const std::filesystem::path& frame, const std::string& array,
                           const std::vector<std::size_t>& kept) {

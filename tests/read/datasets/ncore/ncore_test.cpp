@@ -166,20 +166,30 @@ TEST(Ncore, CounterClockwiseModel) {
 
 TEST(Ncore, MissingRaysWereDropped) {
     const NcoreFolder data("ncore-returns");
+    constexpr double kUneven_rad = 0.01;
+    nlohmann::json json = NcoreFolder::read_json(model_file(data));
+    nlohmann::json& azimuth = json["lidar_model_parameters"]["column_azimuths_rad"][10];
+    azimuth = azimuth.get<double>() + kUneven_rad;
+    NcoreFolder::write_json(model_file(data), json);
     change_columns(data, [](int column) { return column % 7 == 3 ? -1 : column; });
     const Log log = data.load(), &street = load_street_log();
     for (std::size_t i = 0; i < log.frames.size(); ++i) {
         if (log.frames[i].lidar != 0) continue;
         const Scan &scan = log.frames[i].scan, &real = street.frames[i].scan;
-        std::size_t n_removed = 0;
+        std::size_t n_removed = 0, n_turned = 0;
         for (std::size_t ray = 0; ray < real.rays.size(); ++ray) {
-            ASSERT_LT(angle_rad(scan.rays.direction[ray], real.rays.direction[ray]), kAngle_rad);
+            const glm::dvec3 d(real.rays.direction[ray]);
+            const glm::vec3 turned(make_rotation(kUneven_rad, 0.0, 0.0) * d);
+            const bool is_turned = angle_rad(scan.rays.direction[ray], turned) < kAngle_rad;
+            ASSERT_TRUE(is_turned || angle_rad(scan.rays.direction[ray], glm::vec3(d)) < kAngle_rad) << ray;
+            n_turned += is_turned;
             ASSERT_NEAR(log.frames[i].time_s + double(scan.rays.time_offset_s[ray]),
                         street.frames[i].time_s + double(real.rays.time_offset_s[ray]) + street_start_s(log),
                         3.0 * kTime_s);
             n_removed += real.range_m[ray] > 0.0f && scan.range_m[ray] == 0.0f;
         }
         EXPECT_GT(n_removed, 100u);
+        EXPECT_EQ(n_turned, real.rays.channel.back() + 1u) << "column 10 of each row";
     }
 }
 
