@@ -27,20 +27,16 @@ Georeference read_georeference(const JsonField& field) {
          field.at("height_m").number_in(-kMaxLength_m, kMaxLength_m)},
         {},
         field.at("crs").short_text(kMaxCrsBytes)};
-    if (field.has_member("world_point_m")) {
-        field.at("world_point_m").numbers<3>();
-        for (int axis = 0; axis < 3; ++axis)
-            g.point_m[axis] =
-                field.at("world_point_m").at(std::size_t(axis)).number_in(-kMaxLength_m, kMaxLength_m);
-    }
-    if (field.has_member("rotation")) {
-        const auto q = field.at("rotation").numbers<4>();
-        g.rotation = {q[0], q[1], q[2], q[3]};
-        if (std::abs(glm::length(g.rotation) - 1.0) > 1e-6)
-            field.at("rotation")
-                .reject(fmt::format("found a length of {}", glm::length(g.rotation)),
-                        "expected a quaternion w x y z of length 1");
-    }
+    field.at("world_point_m").numbers<3>();
+    for (int axis = 0; axis < 3; ++axis)
+        g.point_m[axis] =
+            field.at("world_point_m").at(std::size_t(axis)).number_in(-kMaxLength_m, kMaxLength_m);
+    const auto q = field.at("rotation").numbers<4>();
+    g.rotation = {q[0], q[1], q[2], q[3]};
+    if (std::abs(glm::length(g.rotation) - 1.0) > 1e-6)
+        field.at("rotation")
+            .reject(fmt::format("found a length of {}", glm::length(g.rotation)),
+                    "expected a quaternion w x y z of length 1");
     return g;
 }
 

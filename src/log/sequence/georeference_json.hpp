@@ -11,8 +11,6 @@ namespace relidar {
 class JsonField;
 
 nlohmann::ordered_json georeference_json(const Georeference& georeference);
-/// @param field world_point_m (default: the origin of the world) and rotation (default:
-/// none) may be missing
 Georeference read_georeference(const JsonField& field);
 
 }  // namespace relidar

@@ -2,6 +2,7 @@
 // Finds the place of a recording on the earth from the positions of an antenna.
 #include "read/bag/choose.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "base/fail.hpp"
@@ -32,7 +33,7 @@ FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const Fra
         world_mean_m += world_m.back();
         plane_mean_m += plane_m.back();
     }
-    const double n = double(world_m.size());
+    const double n = std::max(1.0, double(world_m.size()));
     world_mean_m /= n;
     plane_mean_m /= n;
     // Least squares for a rotation about the vertical axis.
