@@ -44,7 +44,7 @@ class Case:
         directions = unit(np.c_[np.ones(40), random.uniform(-0.15, 0.15, (40, 2))])
         self.rays = origins.astype(np.float32), directions.astype(np.float32)
         self.upstream = {name: random.uniform(0.5, 1.5, 40).astype(np.float32) for name in UPSTREAM}
-        self.config = relidar.Config("paper", {"image.sh_direction": direction, "train.deterministic": deterministic})
+        self.config = relidar.Config("paper", {"image.sh_direction": direction, "train.deterministic": deterministic, "loss.likelihood": 1})
         self.model = relidar.Scene(self.surfels, models, instances)
         self.renderer = relidar.DifferentiableRenderer(self.model, self.config, poses=True, rays=True)
         self.renderer.place(self.poses, self.view)

@@ -92,6 +92,21 @@ class Losses(TestCase):
         copies = ("upload_bytes", "download_bytes", "staged_bytes")
         self.assertEqual([device.transfers[c] for c in copies], [plain.transfers[c] for c in copies])
 
+    def test_the_likelihood_of_the_settings(self):
+        """-ln(f + (1 - f) S) of the batch, and its derivative, are those of the loss `likelihood`."""
+        seen = []
+
+        def look(batch):
+            hit = (np.asarray(batch.measured["weight"]) > 0) & (np.asarray(batch.measured["range"]) > 0)
+            explained = 0.01 + 0.99 * np.array(batch.rendered["likelihood"].tolist())
+            expected = np.where(hit, -WEIGHT * 0.99 / batch.n_returned / explained, 0)
+            np.testing.assert_allclose(np.asarray(batch.gradients["likelihood"]), expected, rtol=1e-4)
+            seen.append(-WEIGHT * np.log(explained[hit]).sum() / batch.n_returned)
+            return 0.0
+
+        _, line = train(losses=[look], settings={"loss.likelihood": WEIGHT})
+        self.assertAlmostEqual(line.terms["likelihood"], np.mean(seen[-5:]), delta=1e-4 * seen[-1])   # of a line of the log
+
     def test_an_exception_ends_training_and_keeps_checkpoints(self):
         folder, steps = FOLDER / "loss_checkpoints", []
 

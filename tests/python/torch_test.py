@@ -8,6 +8,7 @@ import subprocess
 import sys
 import unittest
 import warnings
+from unittest import mock
 
 import numpy as np
 
@@ -93,9 +94,9 @@ class Arrays(TestCase):
 class TorchCase(Case):
     """The same scene, in a Scene of relidar.torch and in a DifferentiableRenderer."""
 
-    def __init__(self, direction="ray", device=None):
+    def __init__(self, direction="ray", device=None, training=False):
         super().__init__(direction, deterministic=True)
-        self.scene = relidar.torch.Scene(self.model, self.config, poses=True, rays=True, device=device)
+        self.scene = relidar.torch.Scene(self.model, self.config, poses=True, rays=True, training=training, device=device)
         self.tensor = torch.from_numpy(np.hstack(self.rays))
 
     def expected(self, surfels=None, rays=None, view=None):
@@ -124,7 +125,11 @@ class Torch(TestCase):
     def check_backward(self, case, out, gradients):
         case.loss_of(out).backward()
         for name, stored in self.STORED.items():
-            self.assert_same(getattr(case.scene, name).grad.numpy(), gradients[stored])
+            gradient = getattr(case.scene, name).grad
+            if gradient.is_sparse:   # of the surfels that were hit
+                np.testing.assert_array_equal(gradient._indices()[0].numpy(), np.flatnonzero(gradients["touched"]))
+                gradient = gradient.to_dense()
+            self.assert_same(gradient.numpy(), gradients[stored])
             getattr(case.scene, name).grad = None
 
     def test_equals_the_renderer(self):
@@ -186,11 +191,11 @@ class Torch(TestCase):
         with self.assertRaisesRegex(RuntimeError, "modified by an inplace operation"):
             first.loss_of(out).backward()
 
-    def check_step(self, name, loss, tensor):
+    def check_step(self, name, loss, tensor, length=STEP):
         """Compares dL/d(tensor) with the difference of the loss over a step along the gradient."""
         tensor = tensor.detach().clone().requires_grad_()
         loss(tensor).backward()
-        step = tensor.grad * (STEP / tensor.grad.double().norm())
+        step = tensor.grad * (length / tensor.grad.double().norm())
         with torch.no_grad():
             difference = (loss(tensor + step) - loss(tensor - step)) / 2
         expected = float((step.double() * tensor.grad.double()).sum())
@@ -227,6 +232,88 @@ class Torch(TestCase):
             self.check_step("factor", lambda x: loss(means=scene.means * x), torch.tensor([1.01, 0.99, 1.0]))
             for name in "means", "quats", "scales", "opacities", "features":
                 self.check_step(name, lambda x: loss(**{name: x}), getattr(scene, name))
+
+    def test_likelihood_by_hand(self):
+        """Two surfels face the ray at 5 m and 7 m, and the range 5.02 m was measured."""
+        surfels = {"mean": np.float32([[5, 0, 0], [7, 0, 0]]), "rotation": np.full((2, 4), 0.5, np.float32),
+                   "log_scale": np.zeros((2, 2), np.float32), "opacity_logit": np.float32([0.5, -0.5]), "sh": np.zeros((2, 3, 16), np.float32)}
+        scene, scale = relidar.torch.Scene(relidar.Scene(surfels), relidar.Config("paper", {"loss.likelihood": 1})), 0.05
+        self.assertAlmostEqual(scene.renderer.likelihood_scale_m, scale)
+        rays = torch.tensor([[0.0, 0, 0, 1, 0, 0]] * 2)
+        out = relidar.torch.render(scene, rays, measured=torch.tensor([5.02, 0]))
+        alpha = 1 / (1 + np.exp([-0.5, 0.5]))
+        weight, error = np.array([alpha[0], (1 - alpha[0]) * alpha[1]]), np.array([5, 7]) - 5.02
+        kernel = 1 / (1 + (error / scale) ** 2)
+        np.testing.assert_allclose(out["likelihood"].detach().numpy(), [weight @ kernel, 0], rtol=1e-5)
+        out["likelihood"].sum().backward()
+        np.testing.assert_allclose(scene.means.grad[:, 0].numpy(), -2 * weight * error / scale**2 * kernel**2, rtol=1e-4)
+        slopes = np.array([kernel[0] - alpha[1] * kernel[1], (1 - alpha[0]) * kernel[1]]) * alpha * (1 - alpha)
+        np.testing.assert_allclose(scene.opacity_logits.grad.numpy(), slopes, rtol=1e-4)
+        self.assertNotIn("likelihood", relidar.torch.render(scene, rays))
+        without = relidar.torch.Scene(relidar.Scene(surfels), relidar.Config("paper"))
+        self.assertRaises(relidar.UsageError, relidar.torch.render, without, rays, measured=torch.ones(2))
+
+    def test_likelihood_differences(self):
+        for direction in "ray", "surfel":
+            case = TorchCase(direction)
+            measured = case.render()["median_range"].detach() + 0.02
+            measured[::7] = 0
+            weight = torch.from_numpy(case.upstream["depth"])
+
+            def loss(rays=case.tensor, **arguments):
+                return (case.render(rays, measured=measured, **arguments)["likelihood"] * weight).double().sum()
+
+            for name in "means", "quats", "scales", "opacities":
+                self.check_step(name, lambda x: loss(**{name: x}), getattr(case.scene, name), STEP / 10)
+            self.check_step("origins", lambda x: loss((x, case.tensor[:, 3:])), case.tensor[:, :3], STEP / 10)
+            first, again = case.scene.means, loss()
+            loss(case.tensor.flip(0))   # `again` is rendered again, with its measured ranges
+            self.assertTrue(torch.equal(*(torch.autograd.grad(each, first)[0] for each in (again, loss()))))
+
+    def test_training_scene(self):
+        """Sparse gradients equal dense gradients. The tree is updated only after large changes, which changes no value."""
+        for direction in "ray", "surfel":
+            case = TorchCase(direction, training=True)
+            out = case.render()
+            values, gradients = case.expected()
+            self.check_equal(out, values)
+            self.check_backward(case, out, gradients)
+            scales = case.scene.scales.detach().requires_grad_()
+            case.loss_of(case.render(scales=scales)).backward()   # dense, because it belongs to log(scales)
+            np.testing.assert_allclose(scales.grad.numpy() * scales.detach().numpy(), gradients["log_scale"], rtol=1e-4, atol=1e-6)
+            place, refits = relidar.DifferentiableRenderer.place, []
+
+            def note_refit(renderer, *arguments, **named):
+                refits.extend(named.values())
+                place(renderer, *arguments, **named)
+
+            with mock.patch.object(relidar.DifferentiableRenderer, "place", note_refit):
+                for name, change in (("means", 0.002), ("means", 0.002), ("log_scales", 0.04), ("log_scales", 0.04)):
+                    with torch.no_grad():
+                        getattr(case.scene, name)[-1] += change
+                    self.check_equal(case.render(), case.expected(case.scene.surfels())[0])
+            self.assertEqual(refits, [False, True, False, True])
+
+    def test_adam(self):
+        """Equal to SparseAdam of PyTorch, with other rows in each step."""
+        torch.manual_seed(1)
+        for shape in (50, 3, 16), (50,):
+            actual, expected = (torch.zeros(shape, requires_grad=True) for _ in range(2))
+            optimisers = relidar.torch.Adam([actual], lr=0.1), torch.optim.SparseAdam([expected], lr=0.1, eps=1e-15)
+            for step in range(6):
+                rows = torch.randperm(50)[:20].sort()[0]
+                gradient = torch.sparse_coo_tensor(rows[None], torch.randn(20, *shape[1:]), shape)
+                expected.grad, actual.grad = gradient, gradient.to_dense() if step == 3 else gradient
+                for optimiser in optimisers:
+                    optimiser.step()
+            torch.testing.assert_close(actual, expected)
+        factors = torch.zeros(3, 16)
+        factors[0, :4], factors[1, 1] = 0.5, 1
+        part = torch.zeros(50, 3, 16, requires_grad=True)
+        for values, group in ((part, {"factors": factors}), (actual := torch.zeros(50, 3, 16, requires_grad=True), {})):
+            values.grad = torch.linspace(-1, 1, 2400).view(50, 3, 16)
+            relidar.torch.Adam([{"params": [values], **group}]).step()
+        torch.testing.assert_close(part, actual * factors)
 
     def test_gradcheck(self):
         motion = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)

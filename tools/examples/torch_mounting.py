@@ -6,7 +6,6 @@ one LiDAR.
 
     PYTHONPATH=build/ci/tools/python python3 tools/examples/torch_mounting.py RUN [ITERATIONS]
 """
-import copy
 import sys
 
 import numpy as np
@@ -40,8 +39,7 @@ def find_mounting(run, log, start, iterations=120, n_rays=6000, note=None):
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.01 ** (1 / iterations))
     for step in range(iterations):
         which = step % len(frames)
-        frame, rays = copy.copy(frames[which]), usable[which][torch.randint(len(usable[which]), (n_rays,))]
-        frame.rays, frame.range, frame.shape = frame.rays[rays], frame.range[rays], (1, n_rays)
+        frame = frames[which].select(usable[which][torch.randint(len(usable[which]), (n_rays,))])
         pose = vehicles[which] @ relidar.torch.move(start, torch.cat([shift, turn])) @ to_sensor[which]
         out = relidar.torch.render(scene, frame, sensor=pose)
         error = (out["range"] - frame.range)[out["weight"] > 0.5]

@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Trains a scene with Adam of PyTorch, and nearly the losses and learning rates of the preset `quick`.
+"""Trains a scene in PyTorch, with the losses and learning rates of the preset `quick`.
 `relidar refine RUN` then trains the network that corrects ray drops.
 
     PYTHONPATH=build/ci/tools/python python3 tools/examples/torch_train.py LOG RUN [ITERATIONS [FRAMES]]
 """
-import copy
 import sys
 
 import torch
@@ -19,47 +18,41 @@ def draw_batch(frame, n_rays):
     rows, columns = frame.shape
     stride = max(1, rows * columns // n_rays)
     chosen = torch.arange(columns // 4 * 4).view(-1, 4)[torch.randint(stride, ())::stride].flatten()
-    batch = copy.copy(frame)
-    batch.shape = rows, len(chosen)
-    for name in ("rays", "range", "intensity", "weight"):
-        setattr(batch, name, getattr(frame, name).reshape(rows, columns, -1)[:, chosen].flatten(0, 1).squeeze(1))
-    return batch
+    return frame.select((torch.arange(rows)[:, None] * columns + chosen).flatten(), len(chosen))
 
 
 def compute_loss(out, batch):
     known, hit = batch.weight > 0, (batch.weight > 0) & (batch.range > 0)
-    error = (out["range"][hit] - batch.range[hit]).abs()
-    # The logarithm ignores outliers. It replaces the loss `likelihood`, which needs the hits of a ray.
-    return (0.1 * error.mean() + 0.02 * torch.log1p(error / 0.05).mean()
+    return (0.1 * (out["range"][hit] - batch.range[hit]).abs().mean()
+            - 0.05 * torch.log(0.01 + 0.99 * out["likelihood"][hit]).mean()   # 1 % of the returns are outliers
             + 0.3 / 0.2 * F.huber_loss(out["intensity"][hit], batch.intensity[hit], delta=0.2)
             + 0.1 * (1 - out["weight"][hit]).square().mean()
             + 0.01 * F.binary_cross_entropy_with_logits(out["drop_logits"][known], (~hit[known]).float()))
 
 
-def list_rates(scene):
-    """Returns a list of (name of a parameter, part of it, learning rate)."""
+def list_groups(scene):
+    """Returns the groups of parameters with their learning rates, for an optimiser."""
     extent = 6 * (scene.means - scene.means.mean(0)).norm(dim=1).quantile(0.9).item()
-    rates = [("means", ..., 1e-5 * extent), ("quats", ..., 5e-3), ("log_scales", ..., 6.5e-2), ("opacity_logits", ..., 0.15)]
-    for channels, rate in ((slice(0, 1), 0.04), (slice(1, 3), 0.08)):   # intensity; hit logit and drop logit
-        rates += [("features", (slice(None), channels, 0), rate), ("features", (slice(None), channels, slice(1, 4)), 0.05 * rate)]
-    return rates
+    factors = torch.zeros(3, 16)   # of the rate of each SH coefficient; those above degree 1 stay constant
+    factors[:, :4] = 0.05
+    factors[:, 0] = 1
+    factors[0] *= 0.5   # intensity; the others are the hit logit and the drop logit
+    return [{"params": [scene.means], "lr": 1e-5 * extent}, {"params": [scene.quats], "lr": 5e-3},
+            {"params": [scene.log_scales], "lr": 6.5e-2}, {"params": [scene.opacity_logits], "lr": 0.15},
+            {"params": [scene.features], "lr": 0.08, "factors": factors}]
 
 
 def train(run, log, iterations, n_rays=24576):
     """Returns the run with trained surfels."""
-    scene = relidar.torch.Scene.from_run(run)
+    scene = relidar.torch.Scene.from_run(run, training=True)
     frames = [relidar.torch.Frame(run, log, i).to(scene.device) for i in range(len(log)) if i not in run.held_out]
-    rates = list_rates(scene)
-    views = [getattr(scene, name).detach()[part] for name, part, _ in rates]   # Adam changes the memory of the scene
-    optimiser = torch.optim.Adam([{"params": [view], "lr": rate} for view, (_, _, rate) in zip(views, rates)])
+    optimiser = relidar.torch.Adam(list_groups(scene))
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.05 ** (1 / iterations))
     largest = scene.log_scales.detach().amax(1, keepdim=True) + 2.08   # log(8)
     for _ in range(iterations):
         batch = draw_batch(frames[torch.randint(len(frames), ())], n_rays)
-        loss = compute_loss(relidar.torch.render(scene, batch), batch)
-        gradients = dict(zip(scene.named_parameters(), torch.autograd.grad(loss, scene.parameters())))
-        for view, (name, part, _) in zip(views, rates):
-            view.grad = gradients[name][part]
+        optimiser.zero_grad()
+        compute_loss(relidar.torch.render(scene, batch), batch).backward()
         optimiser.step()
         schedule.step()
         torch.minimum(scene.log_scales.data, largest, out=scene.log_scales.data)

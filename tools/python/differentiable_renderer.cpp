@@ -2,6 +2,7 @@
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
+#include <tuple>
 
 #include <pybind11/stl.h>
 
@@ -23,21 +24,26 @@ struct PythonRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
-    /// Rays that other libraries write. Destroyed before the renderer, which no longer
-    /// uses them, because every call waits for the device.
+    /// Rays and measured values that other libraries write. Destroyed before the renderer,
+    /// which no longer uses them, because every call waits for the device.
     Array<DeviceRay> rays;
+    Array<shared::DeviceTarget> measured;
+    float likelihood_scale_m = 0.0f;  ///< 0 if the renderer does not compute likelihoods.
 };
 
 std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
-                                              bool for_poses, bool for_rays, SharedDevice device) {
+                                              bool for_poses, bool for_rays, bool sparse,
+                                              const std::optional<std::pair<float, float>>& margin,
+                                              SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     // The scene has a fixed primitive, whatever the settings say.
     image.primitive = scene.surfels.primitive;
-    // {acceleration structure, tracing, rays to allocate for, hits to keep}
-    const RendererOptions options{
-        {}, common_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
-    const GradientOptions gradients{backward_options(settings), {.rays = for_rays, .poses = for_poses}};
+    RendererOptions options{.trace = training_options(settings),
+                            .keep_hits = static_cast<std::uint32_t>(settings.trace.keep_hits)};
+    if (margin) std::tie(options.accel.margin_scale, options.accel.margin_m) = *margin;
+    const GradientOptions gradients{
+        backward_options(settings), {.rays = for_rays, .poses = for_poses}, !sparse};
     device = device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
     // Holds the lock only while the renderer uses the device.
@@ -48,6 +54,7 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     auto held = std::make_unique<PythonRenderer>();
     held->differentiable = DeviceObject<DifferentiableRenderer>(device, std::move(made));
     held->placed.resize(scene.instances.size());
+    if (options.trace.likelihood) held->likelihood_scale_m = options.trace.likelihood->scale_m;
     return held;
 }
 
@@ -56,10 +63,21 @@ glm::vec3 read_view(const py::object& view_origin) {
     return {v[0], v[1], v[2]};
 }
 
-/// Places the instances of the scene and sets the origin of the view. Values that are
-/// None keep their previous values.
+/// Places the instances of the scene and sets the origin of the view.
+/// @param refit if true, also updates the acceleration structure
+void place_instances(PythonRenderer& renderer, std::vector<InstancePose>&& placed, const glm::vec3& view,
+                     bool refit) {
+    const DeviceLock use(renderer.differentiable.opened());
+    Renderer& drawn = renderer.differentiable->renderer();
+    // With SH directions of rays, only update() computes the values that rays read.
+    if (refit || drawn.model().sh_direction == ShDirection::ray) drawn.update(placed, view);
+    else drawn.record_poses(placed, view);
+    renderer.placed = std::move(placed);
+}
+
+/// Values that are None keep their previous values.
 void set_poses(PythonRenderer& renderer, const py::object& poses, const py::object& view_origin,
-               const std::optional<std::vector<bool>>& present) {
+               const std::optional<std::vector<bool>>& present, bool refit) {
     std::vector<InstancePose> placed = renderer.placed;
     const auto check_count = [&](std::size_t found, const char* text) {
         if (found != placed.size())
@@ -78,14 +96,13 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
     }
     const glm::vec3 view =
         view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m() : read_view(view_origin);
-    const DeviceLock use(renderer.differentiable.opened());
-    renderer.differentiable->renderer().update(placed, view);
-    renderer.placed = std::move(placed);
+    place_instances(renderer, std::move(placed), view, refit);
 }
 
 /// Places the instances where the tracks of a run have them during a frame.
 void place_frame(PythonRenderer& renderer, const LoadedRun& run,
-                 IntegerArgument<std::uint32_t, "position"> position, const py::object& view_origin) {
+                 IntegerArgument<std::uint32_t, "position"> position, const py::object& view_origin,
+                 bool refit) {
     const Log& log = run.run.sequence;
     if (position >= log.frames.size())
         throw UsageError(fmt::format("place_frame: found the position {}, expected at most {}",
@@ -96,9 +113,7 @@ void place_frame(PythonRenderer& renderer, const LoadedRun& run,
     const Pose& mounting = log.lidar_of(frame).vehicle_from_sensor;
     glm::vec3 view(log.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation);
     if (!view_origin.is_none()) view = read_view(view_origin);
-    const DeviceLock use(renderer.differentiable.opened());
-    renderer.differentiable->renderer().update(placed, view);
-    renderer.placed = std::move(placed);
+    place_instances(renderer, std::move(placed), view, refit);
 }
 
 /// Renders rays from numpy arrays. Returns the values of each ray as numpy arrays.
@@ -215,18 +230,15 @@ py::dict device_parameters(PythonRenderer& renderer) {
                         renderer.differentiable->renderer().scene().surfel_parameters());
 }
 
-/// Returns device memory for the rays of forward_device(). The memory never shrinks.
-DeviceArray device_rays(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
-    if (renderer.rays.size() < n) {
-        // Without firing times, no instance moves during the sweep.
-        const std::vector<DeviceRay> unset(n, DeviceRay{{}, {}, RELIDAR_NO_TIME});
+/// Returns the memory of n structs for forward_device(). The memory never shrinks.
+template <class Row>
+DeviceArray reserve_rows(PythonRenderer& renderer, Array<Row>& rows, std::uint32_t n, const Row& initial) {
+    if (rows.size() < n) {
         const DeviceLock use(renderer.differentiable.opened());
         renderer.differentiable->renderer().stream().submit_and_wait();
-        renderer.rays = {renderer.differentiable.opened().device, unset, "rays"};
+        rows = {renderer.differentiable.opened().device, std::vector<Row>(n, initial), "rays"};
     }
-    // Each row has origin, direction and firing time.
-    return wrap_array<float>(renderer.differentiable.device(), renderer.rays,
-                             {py::ssize_t(n.value), sizeof(DeviceRay) / 4});
+    return wrap_array<float>(renderer.differentiable.device(), rows, {py::ssize_t(n), sizeof(Row) / 4});
 }
 
 /// Fails if a ray was not traced completely. Copies nothing if the host can read the
@@ -240,10 +252,14 @@ void check_truncation(Renderer& renderer) {
 
 /// Renders the first n rays of device_rays(). The results stay in device memory.
 py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n,
-                        IntegerArgument<std::uint32_t, "columns"> columns) {
-    if (n == 0 || n > renderer.rays.size())
-        throw UsageError(fmt::format("cannot render {} rays: expected 1 to {}, the rays of device_rays()",
-                                     n.value, renderer.rays.size()));
+                        IntegerArgument<std::uint32_t, "columns"> columns, bool measured) {
+    const std::size_t n_written =
+        measured ? std::min(renderer.rays.size(), renderer.measured.size()) : renderer.rays.size();
+    if (n == 0 || n > n_written)
+        throw UsageError(fmt::format("cannot render {} rays: expected 1 to {}, the rows of device_rays(){}",
+                                     n.value, n_written, measured ? " and device_measured()" : ""));
+    if (measured && renderer.likelihood_scale_m == 0.0f)
+        throw UsageError("cannot compute likelihoods: found loss.likelihood=0, expected a value above 0");
     if (columns != 0 && n % columns != 0)
         throw UsageError(
             fmt::format("cannot render {} rays in {} columns: expected a multiple", n.value, columns.value));
@@ -251,7 +267,8 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     {
         const DeviceLock use(renderer.differentiable.opened());
         // 0, 1: the first ray is ray 0, and the stride between rays is 1.
-        renderer.differentiable->renderer().record_forward({&renderer.rays, 0, 1, n, columns});
+        renderer.differentiable->renderer().record_forward(
+            {&renderer.rays, 0, 1, n, columns, measured ? &renderer.measured : nullptr});
         renderer.differentiable->renderer().stream().submit_and_wait();
         check_truncation(renderer.differentiable->renderer());
         batch = renderer.differentiable->last_batch();
@@ -262,7 +279,7 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     py::dict dict;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
     dict[#name] = wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, name), n);
-    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+    RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
     dict["transmittance"] =
         wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, transmittance), n);
@@ -306,20 +323,28 @@ void bind_renderer(py::module_& module) {
                              "Call place(), forward() and backward(). After a change of parameters, call upload() and place() again. Scales, opacities and channels are\n"
                              "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
         .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(),
-             py::kw_only(), py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
+             py::kw_only(), py::arg("poses") = false, py::arg("rays") = false, py::arg("sparse") = false,
+             py::arg("margin") = py::none(), py::arg("device") = py::none(),
              "scene: copied to the device\n"
-             "config: its settings image.*, trace.* and train.deterministic define how rays are rendered and gradients are summed; None: preset \"default\"\n"
-             "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
+             "config: its settings image.*, trace.* and train.deterministic define how rays are rendered and gradients are summed. If loss.likelihood is above 0,\n"
+             "    forward_device() computes likelihoods. None: preset \"default\"\n"
+             "poses, rays: if True, backward() also returns the gradients of poses and rays\n"
+             "sparse: if True, the gradients of surfels with touched = 0 are undefined, which is faster\n"
+             "margin: (factor, metres) by which the boxes of surfels are larger in the ray-tracing tree, so that surfels may grow and move before it must be\n"
+             "    updated; None: only for rounding errors\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
         .def_property_readonly("device", [](const PythonRenderer& renderer) { return renderer.differentiable.device(); }, "The device of the renderer.")
+        .def_readonly("likelihood_scale_m", &PythonRenderer::likelihood_scale_m, "Scale s of likelihoods, metres; 0: they are not computed.")
         .def("place", &set_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
-             py::arg("present") = py::none(),
+             py::arg("present") = py::none(), py::kw_only(), py::arg("refit") = true,
              "Sets all poses. Call it before forward(), and again after poses, view_origin or parameters have changed.\n\n"
              "poses: [instances,4,4] float64, world from model, metres; None: unchanged, initially all at the origin\n"
              "view_origin: [3] float64, the sensor's position, from which SH directions start with image.sh_direction=surfel;\n"
              "    None: unchanged, initially the origin\n"
-             "present: one bool per instance; None: unchanged, initially all are present")
+             "present: one bool per instance; None: unchanged, initially all are present\n"
+             "refit: if False, does not update the ray-tracing tree of surfels. Their parameters must then be within `margin` of the last update")
         .def("place_frame", &place_frame, py::arg("run"), py::arg("position"), py::arg("view_origin") = py::none(),
+             py::kw_only(), py::arg("refit") = true,
              "The same as place(), with the poses and motions that the actors of a run have during a frame. The scene must be of this run.\n\n"
              "position: of the frame in `times`\n"
              "view_origin: None: the sensor's position at the time of the frame")
@@ -348,14 +373,23 @@ void bind_renderer(py::module_& module) {
              "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.")
         .def("device_parameters", &device_parameters,
              "Returns the parameters in the memory of the device: dict of DeviceArray with the names and shapes of download(). Call place() after a change.")
-        .def("device_rays", &device_rays, py::arg("n"),
+        .def("device_rays", [](PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
+                 // Without firing times, no instance moves during the sweep.
+                 return reserve_rows(renderer, renderer.rays, n, {{}, {}, RELIDAR_NO_TIME});
+             }, py::arg("n"),
              "Returns memory for n rays, DeviceArray [n,7] float32: origin, direction (length 1), time in seconds (3e38: unknown). Further calls return the same\n"
              "memory, but a call with more rays than before allocates new memory.")
-        .def("forward_device", &forward_device, py::arg("n"), py::arg("columns") = 0,
+        .def("device_measured", [](PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
+                 return reserve_rows(renderer, renderer.measured, n, {0.0f, 0.0f, 1.0f});
+             }, py::arg("n"),
+             "Like device_rays(), for measured values, DeviceArray [n,3] float32: range in metres (0: no return), intensity (not used), weight (0: unknown).")
+        .def("forward_device", &forward_device, py::arg("n"), py::arg("columns") = 0, py::arg("measured") = false,
              "Renders the first n rays of device_rays().\n\n"
-             "columns: number of columns if the rays are an image in row order, which is faster on a GPU; 0: a list\n\n"
-             "Returns DeviceArrays: the values of forward(), valid until the next forward pass; hits and instance are int32. d_rendered [n,k] float32: memory for the\n"
-             "gradients of depth, weight, intensity, hit_logit and drop_logit, in this order; set further columns to 0.")
+             "columns: number of columns if the rays are an image in row order, which is faster on a GPU; 0: a list\n"
+             "measured: if True, computes likelihoods of device_measured()\n\n"
+             "Returns DeviceArrays: the values of forward(), valid until the next forward pass; hits and instance are int32. likelihood: sum of w / (1 + (e / s)^2) over\n"
+             "the hits, where e is the distance to the measured range and s is likelihood_scale_m. d_rendered [n,k] float32: memory for the gradients of depth, weight,\n"
+             "intensity, hit_logit, drop_logit and likelihood, in this order; set further columns to 0.")
         .def("backward_device", &backward_device,
              "Computes gradients of the last forward pass from d_rendered. Returns DeviceArrays with the names and shapes of backward(), valid until the next backward\n"
              "pass; touched is int32.");

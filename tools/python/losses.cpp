@@ -84,7 +84,7 @@ py::object PythonLoss::make_batch(const RenderedBatch& rendered, const TargetBat
     values[#name] = to_tensor(py::cast(                                                                 \
         wrap_member<float>(device_, *rendered.rendered, offsetof(RenderedRay, name), targets.n_rays))); \
     gradients[#name] = d_rendered.attr("T")[py::int_(offsetof(RayGradient, name) / sizeof(float))];
-    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+    RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
     if (torch_)
         for (const auto& [name, tensor] : values) tensor.attr("requires_grad_")();

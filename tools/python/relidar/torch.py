@@ -6,6 +6,8 @@ place. Nothing is copied through the host if relidar and PyTorch use the same de
 are copies on the host. docs/python.md is the guide.
 """
 import contextlib
+import copy
+import math
 import threading
 import warnings
 
@@ -22,7 +24,7 @@ except ModuleNotFoundError as error:
         raise
     raise ModuleNotFoundError("relidar.torch needs PyTorch, which is not installed; see https://pytorch.org", name="torch") from None
 
-_BLENDED = ("depth", "weight", "intensity", "hit_logit", "drop_logit")   # values with gradients
+_BLENDED = ("depth", "weight", "intensity", "hit_logit", "drop_logit", "likelihood")   # values with gradients
 _OTHER = ("transmittance", "median_depth", "hits", "instance")
 # Name of a parameter here -> name in relidar.Scene.
 _STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opacity_logits": "opacity_logit",
@@ -30,6 +32,10 @@ _STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opa
 # Name of an argument of render() -> the parameter that it replaces, and how.
 _ACTIVATED = {"scales": ("log_scales", torch.log), "opacities": ("opacity_logits", lambda o: torch.logit(o, 1e-6))}
 _UNKNOWN_TIME = 3e38
+# With training=True, the boxes of surfels in the ray-tracing tree are larger by this factor and by this length
+# in metres, as in relidar.train(). 90 % of the factor is for growing scales, the remainder for growing opacities.
+_MARGIN = 1.05, 0.003
+_MAX_GROWTH = 0.9 * math.log(_MARGIN[0])
 
 
 def _tensor(values):
@@ -116,11 +122,23 @@ class Frame:
         self.rays = torch.from_numpy(arrays["rays"])
         self.range, self.intensity, self.weight = torch.from_numpy(arrays["measured"]).unbind(1)
 
+    def _change(self, change):
+        for name in ("rays", "range", "intensity", "weight"):
+            setattr(self, name, change(getattr(self, name)))
+        return self
+
     def to(self, device):
         """Copies the tensors to the device of a scene. Returns the frame."""
-        for name in ("rays", "range", "intensity", "weight"):
-            setattr(self, name, getattr(self, name).to(device))
-        return self
+        return self._change(lambda tensor: tensor.to(device))
+
+    def select(self, rays, columns=None):
+        """Returns a frame with some of the rays.
+
+        rays: [n] indices, on the device of the frame; columns: number of columns if they form an image in row order
+        """
+        part = copy.copy(self)
+        part.shape = (len(rays) // columns, columns) if columns else (1, len(rays))
+        return part._change(lambda tensor: tensor[rays])
 
 
 class Scene:
@@ -131,12 +149,18 @@ class Scene:
     log_scales_w [s], walking actors gait [s,5].
     """
 
-    def __init__(self, scene, config=None, *, poses=False, rays=False, device=None):
+    def __init__(self, scene, config=None, *, poses=False, rays=False, training=False, device=None):
         """scene: relidar.Scene, is copied; config, device: see relidar.DifferentiableRenderer
         poses, rays: if True, render() also computes gradients of poses, or of rays
+        training: if True, works as relidar.train() does, which is faster: gradients of parameters are sparse
+            tensors, with a row for each surfel that a ray hit, for the optimiser Adam of this module. The
+            ray-tracing tree is updated only after a scale has grown by 4 % or a centre has moved by 3 mm, so
+            that rays may miss the faint edge of a surfel
         """
-        self.renderer = relidar.DifferentiableRenderer(scene, config, poses=poses, rays=rays, device=device)
+        self.renderer = relidar.DifferentiableRenderer(scene, config, poses=poses, rays=rays, sparse=training,
+                                                       margin=_MARGIN if training else None, device=device)
         self._n_instances, self._computes = len(scene.instances), {"poses": poses, "rays": rays}
+        self._training, self._fitted = training, None   # parameters at the last update of the tree
         arrays = self.renderer.device_parameters()
         self._arrays = {name: arrays[stored] for name, stored in _STORED.items() if stored in arrays}
         self._memory = {name: _read(array) for name, array in self._arrays.items()}
@@ -190,6 +214,25 @@ class Scene:
             for name, own in kept.items():
                 self._memory[name].copy_(own)
 
+    def _is_refit_due(self):
+        """Returns True if surfels may have outgrown their boxes in the ray-tracing tree."""
+        if self._fitted is None:
+            return True
+        changes = {name: self._memory[name] - old for name, old in self._fitted.items()}
+        moved = changes.pop("means").abs().max()
+        # A comparison with NaN is False, so that NaN leads to an update.
+        return not (moved < _MARGIN[1] and all(change.max() < _MAX_GROWTH for change in changes.values()))
+
+    def _place(self, request, view, poses):
+        refit = self._is_refit_due()
+        if request.frame:
+            self.renderer.place_frame(request.frame.run, request.frame.position, view, refit=refit)
+        else:
+            placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
+            self.renderer.place(placed, view, request.present, refit=refit)
+        if refit and self._training:
+            self._fitted = {name: memory.clone() for name, memory in self._memory.items() if name in ("means", "log_scales", "log_scales_w")}
+
     def _render(self, request, rays, sensor, poses, values):
         """Renders a batch and returns copies of the rendered values."""
         self._n_renders += 1   # first, because an error also leaves other rays
@@ -205,12 +248,11 @@ class Scene:
                 if not _is_shared(array):
                     _write(array, memory)
             _write(self.renderer.device_rays(len(rays)), torch.cat([origins, directions, time], 1))
-            if request.frame:
-                self.renderer.place_frame(request.frame.run, request.frame.position, view)
-            else:
-                placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
-                self.renderer.place(placed, view, request.present)
-            rendered = self.renderer.forward_device(len(rays), request.columns)
+            if request.measured is not None:
+                ones = torch.ones_like(request.measured)   # the second column is not used
+                _write(self.renderer.device_measured(len(rays)), torch.stack([request.measured, ones, ones], 1))
+            self._place(request, view, poses)
+            rendered = self.renderer.forward_device(len(rays), request.columns, request.measured is not None)
         self._d_rendered = rendered["d_rendered"]
         return tuple(_read(rendered[name]).clone() for name in _BLENDED + _OTHER)
 
@@ -225,11 +267,23 @@ class Scene:
             return self.renderer.backward_device()
 
 
+    def _gradients(self, arrays, values, needed):
+        """Yields the gradient of each parameter, or None."""
+        rows = torch.nonzero(_read(arrays["touched"])).T if self._training else None
+        for name, value, is_needed in zip(self._arrays, values, needed):
+            gradient = _read(arrays[_STORED[name]]) if is_needed else None
+            if gradient is None or rows is None:
+                yield gradient if gradient is None else gradient.clone()
+                continue
+            sparse = torch.sparse_coo_tensor(rows, gradient.index_select(0, rows[0]), gradient.shape)
+            yield sparse if value.is_leaf else sparse.to_dense()
+
+
 class _Request:
     """Arguments of a batch that have no gradient."""
 
-    def __init__(self, frame, present, columns):
-        self.frame, self.present, self.columns = frame, present, columns
+    def __init__(self, frame, present, columns, measured):
+        self.frame, self.present, self.columns, self.measured = frame, present, columns, measured
 
     def view_origin(self, rays, sensor):
         """Returns the position of the sensor, from which SH directions start, [3] float64."""
@@ -280,9 +334,7 @@ class _Render(torch.autograd.Function):
             d_sensor = _pose_gradient(sensor, _read(arrays["sensor"]).to(sensor), centre)
         if needs_poses:
             d_poses = _pose_gradient(poses, _read(arrays["poses"]).to(poses))
-        d_values = (_read(arrays[_STORED[name]]).clone() if needed else None
-                    for name, needed in zip(scene._arrays, ctx.needs_input_grad[5:]))
-        return (None, None, d_rays, d_sensor, d_poses, *d_values)
+        return (None, None, d_rays, d_sensor, d_poses, *scene._gradients(arrays, values, ctx.needs_input_grad[5:]))
 
 
 def _replace_parameters(scene, replacements):
@@ -302,7 +354,52 @@ def _check_gradient(scene, name, tensor, option):
         raise relidar.UsageError(f"render: {name} requires a gradient, which this scene does not compute; use Scene(..., {option}=True)")
 
 
-def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **parameters):
+class Adam(torch.optim.Optimizer):
+    """Adam that changes only the rows that have a gradient, as relidar.train() with train.only_touched.
+    Other rows keep their moments. It is made for the sparse gradients of Scene(training=True).
+
+    params: as in torch.optim.Adam. A group can have `factors`, a tensor of the shape of a row that multiplies
+        its rate, for example [3,16] for features. Columns with the factor 0 never change
+    """
+
+    def __init__(self, params, lr=1e-3, betas=(0.9, 0.999), eps=1e-15):
+        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps, "factors": None})
+
+    @torch.no_grad()
+    def step(self, closure=None):
+        loss = closure and torch.enable_grad()(closure)()
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                if parameter.grad is not None:
+                    self._step_rows(group, parameter, self.state[parameter])
+        return loss
+
+    @staticmethod
+    def _step_rows(group, parameter, state):
+        sparse = parameter.grad if parameter.grad.is_sparse else parameter.grad.to_sparse(1)
+        if not (sparse._indices()[0].diff() > 0).all():   # gradients of several batches have equal rows
+            sparse = sparse.coalesce()
+        rows, gradient, factors = sparse._indices()[0], sparse._values(), group["factors"]
+        used = ...
+        if factors is not None:   # leaves out the last columns if their factors are 0
+            used = ..., slice(int(factors.reshape(-1, factors.shape[-1]).any(0).nonzero().max()) + 1)
+            factors, gradient = factors[used].to(gradient), gradient[used]
+        shape, gradient = gradient.shape, gradient.reshape(len(gradient), -1)
+        if not state:
+            state["step"], state["moments"] = 0, gradient.new_zeros(2, len(parameter), gradient.shape[1])
+        state["step"] += 1
+        moments = []
+        for memory, power, beta in zip(state["moments"], (gradient, gradient.square()), group["betas"]):
+            moment = memory.index_select(0, rows).lerp_(power, 1 - beta)
+            memory.index_copy_(0, rows, moment)
+            moments.append(moment.div_(1 - beta ** state["step"]))
+        change = moments[0].div_(moments[1].sqrt_().add_(group["eps"])).reshape(shape)
+        values = parameter.index_select(0, rows)
+        values[used].sub_(change.mul_(group["lr"] * (1.0 if factors is None else factors)))
+        parameter.index_copy_(0, rows, values)
+
+
+def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, measured=None, **parameters):
     """Renders rays. Differentiable by parameters, rays, sensor and poses.
 
     scene: Scene
@@ -313,22 +410,28 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **p
     poses: [instances,4,4] poses of the instances in the scene. None: all at the origin, or as in the Frame
     present: one bool for each instance. None: all are present
     columns: number of columns if the rays are an image in row order, which is faster on a GPU
+    measured: [n] measured ranges (metres, 0: unknown), for `likelihood`. With a Frame: those of the frame
     parameters: tensors that replace those of the scene in this call: means, quats, features, scales and
         opacities, or log_scales and opacity_logits. Gradients flow to these tensors
 
     Returns a dict of [n] tensors: range and median_range (metres, 0: no hit), intensity, drop_logits (the
-    sigmoid is the drop probability), and the values of relidar.DifferentiableRenderer.forward(). For a list
-    of rays, a list of dicts; then sensor and poses have a value for each entry. Everything has
-    gradients except transmittance, median_depth, hits and instance; a median range is constant if it is
-    the distance of a single surfel.
+    sigmoid is the drop probability), and the values of relidar.DifferentiableRenderer.forward(). If
+    loss.likelihood is above 0 in the settings of the scene, also likelihood (0 to 1), how well the hits explain
+    the measured range: sum of w / (1 + (e / 0.05 m)^2) for weights w of the hits and their distances e to
+    the measured range. For a list of rays, a list of dicts; then sensor, poses and
+    measured have a value for each entry. Everything has gradients except transmittance, median_depth,
+    hits and instance; a median range is constant if it is the distance of a single surfel.
     """
     if isinstance(rays, list):
-        each = [[None] * len(rays) if value is None else value for value in (sensor, poses)]
+        each = [[None] * len(rays) if value is None else value for value in (sensor, poses, measured)]
         if any(len(value) != len(rays) for value in each):
-            raise relidar.DataError(f"render: found {len(each[0])} sensors and {len(each[1])} lists of poses, expected {len(rays)}, one for each scan")
-        return [render(scene, one, sensor=at, poses=placed, present=present, columns=columns, **parameters)
-                for one, at, placed in zip(rays, *each)]
+            raise relidar.DataError("render: found {} sensors, {} lists of poses and {} lists of ranges, expected {}, one for each scan".format(
+                *map(len, each), len(rays)))
+        return [render(scene, one, sensor=at, poses=placed, present=present, columns=columns, measured=ranges, **parameters)
+                for one, at, placed, ranges in zip(rays, *each)]
     frame = rays if isinstance(rays, Frame) else None
+    if frame and measured is None and scene.renderer.likelihood_scale_m > 0:
+        measured = frame.range * (frame.weight > 0)
     if frame:
         if poses is not None or present is not None:
             raise relidar.UsageError("render: found poses or present with a Frame, which has its own poses")
@@ -346,9 +449,12 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **p
     for name, tensor, option in (("rays", rays, "rays"), ("sensor", sensor, "poses"), ("poses", poses, "poses")):
         _check_gradient(scene, name, tensor, option)
     present = [True] * scene._n_instances if present is None else [bool(one) for one in present]
-    request, values = _Request(frame, present, columns), _replace_parameters(scene, parameters)
+    measured = None if measured is None else _check("measured", measured, (len(rays),), device=scene.device).detach()
+    request, values = _Request(frame, present, columns, measured), _replace_parameters(scene, parameters)
     values = _Render.apply(scene, request, rays, sensor, poses, *values)
     out = dict(zip(_BLENDED + _OTHER, values))
+    if measured is None:
+        del out["likelihood"]
     hit = out["weight"] > 0
     out["range"] = torch.where(hit, out["depth"] / torch.where(hit, out["weight"], 1.0), 0.0)
     out["median_range"] = torch.where(out["median_depth"] > 0, out["median_depth"], out["range"])
