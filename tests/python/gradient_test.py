@@ -24,6 +24,12 @@ def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
+def two_surfels():
+    """Returns two surfels that face a ray along the x axis at 5 m and 7 m."""
+    return {"mean": np.float32([[5, 0, 0], [7, 0, 0]]), "rotation": np.full((2, 4), 0.5, np.float32), "log_scale": np.zeros((2, 2), np.float32),
+            "opacity_logit": np.float32([0.5, -0.5]), "sh": np.zeros((2, 3, 16), np.float32)}
+
+
 class Case:
     """Background and instances of an actor in front of a sensor, and the gradient of a random loss.
     With spherical harmonics along the surfel, only the first instance of a model defines the
@@ -105,17 +111,14 @@ class Gradient(TestCase):
         self.check_all("surfel")
 
     def test_two_surfels_by_hand(self):
-        """Two surfels face the ray at 5 m and 7 m."""
-        sh = np.zeros((2, 3, 16), np.float32)
-        sh[:, :, 0] = [[1, 2, -1], [0.5, -1, 1]]
-        surfels = {"mean": np.float32([[5, 0, 0], [7, 0, 0]]), "rotation": np.full((2, 4), 0.5, np.float32),
-                   "log_scale": np.zeros((2, 2), np.float32), "opacity_logit": np.float32([0.5, -0.5]), "sh": sh}
+        surfels = two_surfels()
+        surfels["sh"][:, :, 0] = [[1, 2, -1], [0.5, -1, 1]]
         renderer = relidar.DifferentiableRenderer(relidar.Scene(surfels), relidar.Config("paper"))
         renderer.place()
         rendered = renderer.forward(np.zeros((1, 3), np.float32), np.float32([[1, 0, 0]]))
         alpha = 1 / (1 + np.exp(-surfels["opacity_logit"].astype(float)))
         w = np.array([alpha[0], (1 - alpha[0]) * alpha[1]])
-        channels = 0.5 + np.sqrt(0.25 / np.pi) * sh[:, :, 0].astype(float)
+        channels = 0.5 + np.sqrt(0.25 / np.pi) * surfels["sh"][:, :, 0].astype(float)
         rest = 1 - w.sum()
         expected = {"depth": w @ [5, 7], "weight": w.sum(), "intensity": w @ channels[:, 0], "hit_logit": w @ channels[:, 1],
                     "drop_logit": w @ channels[:, 2] + rest, "transmittance": rest, "median_depth": 5, "hits": 2, "instance": 0}

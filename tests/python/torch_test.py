@@ -14,7 +14,7 @@ import numpy as np
 
 import relidar
 from common import TestCase, log, run
-from gradient_test import LIMIT, STEP, UPSTREAM, Case
+from gradient_test import LIMIT, STEP, UPSTREAM, Case, two_surfels
 
 if importlib.util.find_spec("torch"):
     import torch
@@ -234,10 +234,9 @@ class Torch(TestCase):
                 self.check_step(name, lambda x: loss(**{name: x}), getattr(scene, name))
 
     def test_likelihood_by_hand(self):
-        """Two surfels face the ray at 5 m and 7 m, and the range 5.02 m was measured."""
-        surfels = {"mean": np.float32([[5, 0, 0], [7, 0, 0]]), "rotation": np.full((2, 4), 0.5, np.float32),
-                   "log_scale": np.zeros((2, 2), np.float32), "opacity_logit": np.float32([0.5, -0.5]), "sh": np.zeros((2, 3, 16), np.float32)}
-        scene, scale = relidar.torch.Scene(relidar.Scene(surfels), relidar.Config("paper", {"loss.likelihood": 1})), 0.05
+        """The hits are at 5 m and 7 m, and the range 5.02 m was measured."""
+        surfels = relidar.Scene(two_surfels())
+        scene, scale = relidar.torch.Scene(surfels, relidar.Config("paper", {"loss.likelihood": 1})), 0.05
         self.assertAlmostEqual(scene.renderer.likelihood_scale_m, scale)
         rays = torch.tensor([[0.0, 0, 0, 1, 0, 0]] * 2)
         out = relidar.torch.render(scene, rays, measured=torch.tensor([5.02, 0]))
@@ -250,7 +249,7 @@ class Torch(TestCase):
         slopes = np.array([kernel[0] - alpha[1] * kernel[1], (1 - alpha[0]) * kernel[1]]) * alpha * (1 - alpha)
         np.testing.assert_allclose(scene.opacity_logits.grad.numpy(), slopes, rtol=1e-4)
         self.assertNotIn("likelihood", relidar.torch.render(scene, rays))
-        without = relidar.torch.Scene(relidar.Scene(surfels), relidar.Config("paper"))
+        without = relidar.torch.Scene(surfels, relidar.Config("paper"))
         self.assertRaises(relidar.UsageError, relidar.torch.render, without, rays, measured=torch.ones(2))
 
     def test_likelihood_differences(self):

@@ -24,8 +24,8 @@ struct PythonRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
-    /// Rays and measured values that other libraries write. Destroyed before the renderer,
-    /// which no longer uses them, because every call waits for the device.
+    /// Rays and measured values that other libraries write. Destroyed before the
+    /// renderer, which no longer uses them, because every call waits for the device.
     Array<DeviceRay> rays;
     Array<shared::DeviceTarget> measured;
     float likelihood_scale_m = 0.0f;  ///< 0 if the renderer does not compute likelihoods.

@@ -33,12 +33,12 @@ struct RenderArguments {
     std::optional<double> time;
     std::optional<py::dict> actors;
     std::string lidar;
-    std::vector<std::string> only;
-    std::optional<std::uint64_t> sample;
-    std::string frame;
-    bool deskew;
-    std::string weather;
-    bool boxes;
+    std::vector<std::string> only{};
+    std::optional<std::uint64_t> sample{};
+    std::string frame{};
+    bool deskew = false;
+    std::string weather{};
+    bool boxes = false;
 };
 
 /// Checks that a track has poses around a time. At other times, the poses would be
@@ -358,18 +358,8 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar,
                std::optional<IntegerArgument<std::uint64_t, "sample">> sample) {
-                // Empty or false: only, frame, deskew, weather and boxes.
-                return render_points(run, {sensor,
-                                           pose,
-                                           time,
-                                           std::move(actors),
-                                           std::move(lidar),
-                                           {},
-                                           sample,
-                                           "",
-                                           false,
-                                           "",
-                                           false});
+                return render_points(
+                    run, {sensor, pose, time, std::move(actors), std::move(lidar), {}, sample});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
