@@ -90,11 +90,15 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
     return request;
 }
 
-/// Without a pose, the sensor also has the head angles of the log's sweep.
-SimulatedSensor sensor_of_scan(const RenderArguments& arguments, const Run& run, int lidar, double time_s) {
-    const SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
-    if (!arguments.pose.is_none()) return sensor;
-    return follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, time_s);
+/// Returns the request for a scan and its sensor. Without a pose, the sensor also has the
+/// head angles of the log's sweep.
+std::pair<ScanRequest, SimulatedSensor> prepare_scan(const RenderArguments& arguments, const Run& run) {
+    const int lidar = find_lidar(run.sequence, arguments.lidar);
+    const ScanRequest request = make_request(arguments, run, lidar);
+    SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
+    if (arguments.pose.is_none())
+        sensor = follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+    return {request, sensor};
 }
 
 /// Returns the boxes of a scan as arrays with one row per box.
@@ -148,9 +152,7 @@ void add_spawned(const std::vector<SpawnedActor>& actors, ScanOutputOptions& for
 /// device, so that an error does not block other threads.
 py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
-    const int lidar = find_lidar(run.sequence, arguments.lidar);
-    const ScanRequest request = make_request(arguments, run, lidar);
-    const SimulatedSensor sensor = sensor_of_scan(arguments, run, lidar, request.time_s);
+    const auto [request, sensor] = prepare_scan(arguments, run);
     const std::vector<bool> shown = arguments.only.empty()
                                         ? std::vector<bool>(run.scene.instances.size(), true)
                                         : select_instances(run.scene, arguments.only);
@@ -183,9 +185,7 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
 /// Renders the points of a scan, which stay on the device.
 py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
-    const int lidar = find_lidar(run.sequence, arguments.lidar);
-    const ScanRequest request = make_request(arguments, run, lidar);
-    const SimulatedSensor sensor = sensor_of_scan(arguments, run, lidar, request.time_s);
+    const auto [request, sensor] = prepare_scan(arguments, run);
     DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
     DevicePoints points;
     {
@@ -358,8 +358,8 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar,
                std::optional<IntegerArgument<std::uint64_t, "sample">> sample) {
-                return render_points(
-                    run, {sensor, pose, time, std::move(actors), std::move(lidar), {}, sample});
+                return render_points(run,
+                                     {sensor, pose, time, std::move(actors), std::move(lidar), {}, sample});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",

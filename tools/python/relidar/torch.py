@@ -380,6 +380,8 @@ class Adam(torch.optim.Optimizer):
         if not (sparse._indices()[0].diff() > 0).all():   # gradients of several batches have equal rows
             sparse = sparse.coalesce()
         rows, gradient, factors = sparse._indices()[0], sparse._values(), group["factors"]
+        if len(rows) == 0:
+            return
         used = ...
         if factors is not None:   # leaves out the last columns if their factors are 0
             used = ..., slice(int(factors.reshape(-1, factors.shape[-1]).any(0).nonzero().max()) + 1)
@@ -449,7 +451,7 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
     for name, tensor, option in (("rays", rays, "rays"), ("sensor", sensor, "poses"), ("poses", poses, "poses")):
         _check_gradient(scene, name, tensor, option)
     present = [True] * scene._n_instances if present is None else [bool(one) for one in present]
-    measured = None if measured is None else _check("measured", measured, (len(rays),), device=scene.device).detach()
+    measured = None if measured is None else _check("measured", measured, (len(rays),), device=scene.device).detach().clone()
     request, values = _Request(frame, present, columns, measured), _replace_parameters(scene, parameters)
     values = _Render.apply(scene, request, rays, sensor, poses, *values)
     out = dict(zip(_BLENDED + _OTHER, values))
