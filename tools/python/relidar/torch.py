@@ -224,6 +224,7 @@ class Scene:
         return not (moved < _MARGIN[1] and all(change.max() < _MAX_GROWTH for change in changes.values()))
 
     def _place(self, request, view, poses):
+        """Places the instances, and updates the tree if this is necessary."""
         refit = self._is_refit_due()
         if request.frame:
             self.renderer.place_frame(request.frame.run, request.frame.position, view, refit=refit)
@@ -265,7 +266,6 @@ class Scene:
         with self._replace(values):
             _write(self._d_rendered, upstream)
             return self.renderer.backward_device()
-
 
     def _gradients(self, arrays, values, needed):
         """Yields the gradient of each parameter, or None."""
@@ -420,9 +420,9 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
     sigmoid is the drop probability), and the values of relidar.DifferentiableRenderer.forward(). If
     loss.likelihood is above 0 in the settings of the scene, also likelihood (0 to 1), how well the hits explain
     the measured range: sum of w / (1 + (e / 0.05 m)^2) for weights w of the hits and their distances e to
-    the measured range. For a list of rays, a list of dicts; then sensor, poses and
-    measured have a value for each entry. Everything has gradients except transmittance, median_depth,
-    hits and instance; a median range is constant if it is the distance of a single surfel.
+    the measured range. For a list of rays, a list of dicts; then sensor, poses and measured have a value for
+    each entry. Everything has gradients except transmittance, median_depth, hits and instance; a median
+    range is constant if it is the distance of a single surfel.
     """
     if isinstance(rays, list):
         each = [[None] * len(rays) if value is None else value for value in (sensor, poses, measured)]
