@@ -28,13 +28,13 @@ namespace {
 
 using namespace relidar;
 
-constexpr double kSeen_m = 0.3;  // distance from the nearest training return
+constexpr double kSeen_m = 0.1;  // distance from the nearest training return
 
 /// A scan from a shifted sensor.
 struct LaneScan {
     Frame frame;
     std::vector<bool> actors;  ///< rays that end in a moving box
-    std::vector<bool> seen;    ///< rays that end within 0.3 m of a training return
+    std::vector<bool> seen;    ///< rays that end within 0.1 m of a training return
 
     std::vector<glm::dvec3> list_points(bool of_actors, bool only_seen) const {
         std::vector<glm::dvec3> points;

@@ -81,19 +81,17 @@ struct RayTableNeighbours {
                                      : std::clamp(ray_cell.column, 0, rays.columns - 1);
         return std::size_t(ray_cell.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
-    /// relative to a column of the middle row
-    double azimuth_rad_from(const glm::dvec3& direction, int column) const {
-        const glm::dvec3 ray = ray_direction({rays.rows / 2, column});
+    double azimuth_rad_from(const glm::dvec3& direction, RayPixel ray_cell) const {
+        const glm::dvec3 ray = ray_direction(ray_cell);
         return std::remainder(std::atan2(direction.y, direction.x) - std::atan2(ray.y, ray.x), 2.0 * kPi);
     }
-    /// Returns the azimuth of a point in units of columns. Columns of less than a full
-    /// turn have even steps.
-    double estimate_column(const glm::dvec3& point_m) const {
-        if (circular) return (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * rays.columns;
-        const int first = rays.columns / 4, last = 3 * rays.columns / 4;
-        const double step_rad =
-            azimuth_rad_from(ray_direction({rays.rows / 2, last}), first) / (last - first);
-        return rays.columns / 2 + azimuth_rad_from(point_m, rays.columns / 2) / step_rad;
+    /// Returns the azimuth of a point in units of the columns of a row. Columns have even
+    /// steps. Rows differ, because beams have azimuth offsets.
+    double estimate_column(const glm::dvec3& point_m, int row) const {
+        // A quarter of the columns, because half a turn has no sign.
+        const int first = 3 * rays.columns / 8, last = 5 * rays.columns / 8;
+        const double step_rad = azimuth_rad_from(ray_direction({row, last}), {row, first}) / (last - first);
+        return rays.columns / 2 + azimuth_rad_from(point_m, {row, rays.columns / 2}) / step_rad;
     }
     glm::dvec3 vector_from_origin(RayPixel ray_cell, const glm::vec3& point_m) const {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[ray_index(ray_cell)]);
@@ -110,7 +108,7 @@ struct RayTableNeighbours {
     /// elevation first. Then compares a few rays around it, because beams have different
     /// azimuth offsets.
     RayPixel find_nearest(const glm::vec3& point_m) const {
-        const int column = int(std::lround(estimate_column(point_m)));
+        int column = int(std::lround(estimate_column(point_m, rays.rows / 2)));
         int row = 0;
         double least = std::abs(elevation_above_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
@@ -120,18 +118,20 @@ struct RayTableNeighbours {
             }
         RayPixel best{row, column};
         double most = cosine_to(best, point_m);
-        for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r)
+        for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r) {
+            column = int(std::lround(estimate_column(point_m, r)));
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
                 if (const double cos = cosine_to({r, c}, point_m); cos > most) {
                     most = cos;
                     best = {r, c};
                 }
+        }
         return best;
     }
     /// Returns true if a point is outside the outer rows, or outside the outer columns of
     /// less than a full turn. The distance must be more than half their spacing.
     bool is_outside(RayPixel ray_cell, const glm::vec3& point_m) const {
-        const double column = estimate_column(point_m);
+        const double column = estimate_column(point_m, ray_cell.row);
         if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
         const double half_spacing =
             0.5 * std::abs(elevation_rad(ray_direction(ray_cell)) -

@@ -132,6 +132,20 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     }
 }
 
+TEST(BinOntoRays, BeamsHaveAzimuthOffsetsAndSweepsStartAnywhere) {
+    SpinningSensor sensor = make_uneven_sensor();
+    for (std::size_t i = 0; i < sensor.beams.size(); ++i)
+        sensor.beams[i].azimuth_offset_rad = i % 2 == 0 ? 0.3 : -0.3;
+    for (const double first_azimuth_rad : {1.0, -2.0}) {
+        sensor.first_azimuth_rad = first_azimuth_rad;
+        const RayTable rays = make_rays(sensor);
+        const Scan points{rays, ScanArray<float>(rays.size(), 30.0f), ScanArray<float>(rays.size(), 0.5f)};
+        const Scan scan = assign_points(rays, points);
+        EXPECT_EQ(scan.count_returns(), rays.size());
+        for (std::size_t i = 0; i < rays.size(); ++i) ASSERT_NEAR(scan.range_m[i], 30.0, 1e-4) << i;
+    }
+}
+
 /// A window of 90 degrees that looks backward, over the azimuth of 180 degrees. Points
 /// beside the window belong to no ray.
 TEST(BinOntoRays, AWindowEnds) {
