@@ -14,6 +14,7 @@
 #include <relidar/run/stage_options.hpp>
 
 #include "base/fail.hpp"
+#include "train/logit_factors.hpp"
 #include "train/readback_lag.hpp"
 
 namespace relidar {
@@ -187,6 +188,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             pose_instances(initial, sequence, timing_of(sequence.frames[std::size_t(frames_[i].position)]));
+    adam_.set_logit_factors(logit_factors(initial, frames_.all(), config.train));
     // Densification splits large surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.set_max_log_scales(device, log_scale_limits(initial.surfels, config.train.max_growth));
@@ -247,10 +249,9 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
         stream_, scene,
         {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
     LearningRates rates = learning_rates(config_.train, extent_m_, step);
-    if (config_.densify.strategy == DensifyStrategy::adaptive) {
-        rates.models = &scene.model_table();
+    rates.models = &scene.model_table();
+    if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.mean_factors = position_factors(scene.layout(), extent_m_);
-    }
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
         has_dense_gradients(config_) ? nullptr : &gradients.touched;
     adam_.record_step(stream_, scene.surfel_parameters(), gradients.surfels, touched, rates, step,

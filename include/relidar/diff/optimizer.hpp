@@ -47,6 +47,10 @@ public:
     /// After this call, the number of surfels must not change.
     /// @param max_log_scales [n] natural logarithm of the bound in metres
     void set_max_log_scales(Device& device, const std::vector<float>& max_log_scales);
+    /// Sets a factor on the rate of the hit and drop logits of each model. record_step()
+    /// then needs LearningRates::models.
+    /// @param factors [models] empty: all factors are 1
+    void set_logit_factors(std::vector<float> factors);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
     /// without bounds.
     Array<float>& max_log_scales();

@@ -39,7 +39,8 @@ struct AdamParams {
     // spherical harmonics, it is the block of the intensity channel.
     float block_scale;
     uint n_models;
-    uint first_row;  // surfel of row 0
+    uint first_scaled_block;  // `model_scale` applies to this block and the blocks after it.
+    uint first_row;           // surfel of row 0
     uint n_rows;
     uint stride;    // floats per row
     uint block;     // Number of columns per block. Column 0 of each block has a separate learning rate.

@@ -43,6 +43,7 @@ struct Adam::Impl {
     bool per_float = should_coalesce(device);
     Array<float, shared::ScaleBounds> max_log_scale{device, 0, "bounds of scales"};
     Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(per_float)};
+    std::vector<float> logit_factors = {};       ///< [models] or empty
     std::optional<TouchedSurfelList> list = {};  ///< set if only the rows that have a gradient are updated
 };
 
@@ -67,6 +68,8 @@ void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_
     impl_->max_log_scale = {device, max_log_scales, "bounds of scales"};
 }
 
+void Adam::set_logit_factors(std::vector<float> factors) { impl_->logit_factors = std::move(factors); }
+
 /// Records one Adam step for all groups of surfel parameters. Skips the fixed surfels at
 /// the start of the arrays and, if `touched_flags` is set, surfels without a gradient.
 void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
@@ -89,7 +92,13 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
         // All spherical harmonics except the constant one have a lower learning rate.
         const double rest_factor = group.harmonics ? learning_rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
-        const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();
+        // Factors of the models. In the group of SH, they apply to all channels but the
+        // first: the logits.
+        const std::vector<float> none, &factors = group.harmonics ? a.logit_factors
+                                                  : group.rate == &LearningRates::mean
+                                                      ? learning_rates.mean_factors
+                                                      : none;
+        const bool by_model = !factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
         run(stream, a.kernel, listed ? a.list->choose_threads(n_threads) : n_threads,
             {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
@@ -102,9 +111,8 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
              .n_listed = listed ? a.list->count_address() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
-             .model_scale =
-                 (by_model ? stream.impl().stage_values(learning_rates.mean_factors) : Address<float>{})
-                     .cast_tag<shared::ModelRates>(),
+             .model_scale = (by_model ? stream.impl().stage_values(factors) : Address<float>{})
+                                .cast_tag<shared::ModelRates>(),
              .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = float(learning_rates.*group.rate * rest_factor),
              .beta1 = float(a.options.beta1),
@@ -114,7 +122,8 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
              .correction2 = moment_correction(a.options.beta2, step_number),
              .first_scale = float(1.0 / std::max(rest_factor, 1e-12)),
              .block_scale = float(group.harmonics ? learning_rates.intensity_factor : 1.0),
-             .n_models = std::uint32_t(by_model ? learning_rates.mean_factors.size() : 0),
+             .n_models = std::uint32_t(factors.size()),
+             .first_scaled_block = group.harmonics ? 1u : 0u,
              .first_row = first,
              .n_rows = n_rows,
              .stride = stride,

@@ -46,9 +46,9 @@ struct Scalar {
     }
 };
 
-/// The means of each model must learn at the rate of this model. All other parameters
-/// share their rates. Uses three models, the second without surfels.
-TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
+/// The means and the logits of each model must learn at the rates of this model. All
+/// other parameters share their rates. Uses three models, the second without surfels.
+TEST_P(AdamThreads, MeansAndLogitsLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
     entries[1].first_surfel = entries[2].first_surfel = 40;
@@ -61,6 +61,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
                               .mean_factors = {1.0f, 7.0f, 0.25f}};
     const ForcedBehaviourScope forced(device(), {.coalesces = GetParam()});
     Adam adam(device(), n, {.n_fixed = n_fixed});
+    adam.set_logit_factors({1.0f, 9.0f, 5.0f});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
     const Surfels start = make_random_surfels(n, 1, PrimitiveType::surfel);
@@ -81,6 +82,17 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
         }
         EXPECT_NEAR(actual.mean[i].y, mean.value, 1e-6) << i;
         EXPECT_NEAR(actual.log_scale[i].x, scale.value, 1e-6) << i;
+        // Channels: intensity, hit logit, drop logit. Harmonic 3 has the lower rate.
+        for (const std::size_t k : {0u, 3u, 16u, 35u}) {
+            const std::size_t at = std::size_t(i) * kShFloats + k;
+            Scalar sh{start.sh[at]};
+            for (int t = 1; t <= 2; ++t)
+                sh.step(
+                    g[std::size_t(t - 1)].sh[at],
+                    rates.sh * (k % 16 == 0 ? 1.0 : rates.sh_rest_factor) * (k < 16 || i < 40 ? 1.0 : 5.0),
+                    t);
+            EXPECT_NEAR(actual.sh[at], sh.value, 1e-6) << i << ' ' << k;
+        }
     }
 }
 
