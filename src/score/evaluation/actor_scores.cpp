@@ -20,8 +20,8 @@ constexpr double kBoxMargin_m = 0.1, kSilhouetteMargin_m = 0.3;
 constexpr double kGroundHeight_m = 0.15;
 constexpr double kInlierDistance_m = 0.03, kLargeError_m = 0.3;
 constexpr double kMaxMotionPerSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
-// Persons with fewer real points are not scored.
-constexpr std::size_t kMinPersonPoints = 10;
+// Labelled boxes with fewer real points are not scored.
+constexpr std::size_t kMinRealPoints = 10;
 
 struct BoxInScan {
     const Log& sequence;
@@ -105,6 +105,11 @@ struct BoxGroupErrors {
         row[name_prefix + "3cm"] = compute_mean(inlier_flags);
     }
 };
+
+bool is_person_or_cyclist(const std::string& category) {
+    const ObjectKind kind = parse_kind(category);
+    return kind == ObjectKind::person || kind == ObjectKind::cyclist;
+}
 
 // Comet tails: wrong points at positions that a moving actor occupies at another time.
 
@@ -272,10 +277,8 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
         row["tail_real"] = double(real_tails.n_of_box.at(box.id));
         scores.actors.push_back({box.id, box.category, row});
         // The groups contain only labelled boxes with enough real points.
-        if (p.real_m.size() < kMinPersonPoints || box.category == kDiscoveredCategory) continue;
-        const ObjectKind kind = parse_kind(box.category);
-        const bool is_person_or_cyclist = kind == ObjectKind::person || kind == ObjectKind::cyclist;
-        (is_person_or_cyclist ? people : vehicles).add_box(p);
+        if (p.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
+        (is_person_or_cyclist(box.category) ? people : vehicles).add_box(p);
     }
     people.add_to_row(scores.metrics, "actors/people_");
     vehicles.add_to_row(scores.metrics, "actors/vehicles_");
@@ -316,6 +319,18 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
     };
     std::ranges::stable_sort(actors, std::greater{}, badness);
     return actors;
+}
+
+std::optional<double> median_points_error(const std::vector<ActorScore>& actors) {
+    std::vector<double> errors;
+    for (const ActorScore& actor : actors) {
+        const double real = actor.metrics.at("points_real");
+        if (real < double(kMinRealPoints) || actor.category == kDiscoveredCategory ||
+            is_person_or_cyclist(actor.category))
+            continue;
+        errors.push_back(std::abs(actor.metrics.at("points") / real - 1.0));
+    }
+    return errors.empty() ? std::nullopt : std::optional(compute_median(std::move(errors)));
 }
 
 }  // namespace relidar

@@ -3,6 +3,7 @@
 // averages over a full scan hide their errors.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <relidar/log/range_image.hpp>
@@ -36,5 +37,9 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
 /// Adds the numbers of points. Averages other metrics, weighted by the real points.
 /// @param scores_per_frame [frames][actors]
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
+
+/// Returns the median of |points / real points - 1| over the labelled vehicles with at
+/// least ten real points in all frames together. Nothing if there is no such vehicle.
+std::optional<double> median_points_error(const std::vector<ActorScore>& actors);
 
 }  // namespace relidar

@@ -337,6 +337,8 @@ Evaluation summarise(std::vector<ScoredFrame> scored_frames, const KernelTimes& 
     }
     evaluation.mean = mean_metrics(rows);
     evaluation.actors = average_scores(actors);
+    if (const std::optional<double> error = median_points_error(evaluation.actors))
+        evaluation.mean["actors/vehicles_points_error"] = *error;
     evaluation.kernel_ms = mean_kernel_ms(kernel_times);
     // Mean rays per scan over mean milliseconds per scan, in millions per second.
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);

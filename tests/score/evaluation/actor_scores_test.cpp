@@ -128,6 +128,18 @@ TEST_F(ActorScoresOf, SeveralFramesAreWeightedByTheirPoints) {
     EXPECT_EQ(all[2].track, "c") << "a box without errors is last";
 }
 
+TEST_F(ActorScoresOf, NumbersOfPointsAreComparedOverLabelledVehicles) {
+    const auto make = [](const char* category, double points, double n_real) {
+        return ActorScore{category, category, {{"points", points}, {"points_real", n_real}}};
+    };
+    EXPECT_FALSE(median_points_error({make("Pedestrian", 30, 20), make("Car", 5, 9)}))
+        << "people and boxes with few points do not count";
+    const std::optional<double> error =
+        median_points_error({make("Car", 80, 100), make("Van", 150, 100), make("Truck", 103, 100),
+                             make("Cyclist", 900, 100), make("Discovered", 900, 100)});
+    EXPECT_NEAR(error.value(), 0.2, 1e-12);
+}
+
 TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
     const Pose mounted = street.lidars[0].vehicle_from_sensor;
     PoseTrack world_from_sensor = street.world_from_vehicle;

@@ -50,7 +50,9 @@ constexpr const char* kActorsNote =
     "cyclists with at least 10 real points; vehicles_*: all other labelled moving boxes with at least 10 "
     "real points; these boxes are enlarged by 0.1 m, without the lowest 0.15 m; bias_m: median of the range "
     "errors, simulated minus real; cd_m: Chamfer distance, sum of both directions; 3cm: share of the "
-    "simulated points with a real point within 3 cm; f1: F1 score of the rays that return from the box, "
+    "simulated points with a real point within 3 cm; vehicles_points_error: |simulated / real - 1| of the "
+    "numbers of points of a vehicle in all frames, median over the vehicles; f1: F1 score of the rays that "
+    "return from the box, "
     "enlarged by 0.3 m; table of actors: one row for each labelled or discovered moving box; its numbers of "
     "points are sums over the frames, its other values are means weighted by real points";
 constexpr const char* kClassesNote =
