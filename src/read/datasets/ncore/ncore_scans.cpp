@@ -6,11 +6,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 
 #include <fmt/format.h>
 
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "base/median.hpp"
 
 namespace relidar::ncore {
