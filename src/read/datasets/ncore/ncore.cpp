@@ -255,7 +255,8 @@ private:
         if (!model) return std::nullopt;
         const FittedBeams fitted = fit_beam_origins(read_samples(l), *model);
         const std::optional<SpinningSensor> of_model = to_sensor(*model, fitted.beams);
-        const bool fits = of_model && fitted.n_returns > 0 && fitted.model_misfit_rad < kMaxMisfit_rad;
+        const bool fits = of_model && fitted.n_returns > 0 &&
+                          std::min(fitted.model_misfit_rad, fitted.misfit_rad) < kMaxMisfit_rad;
         log_.notes.push_back(fmt::format(
             "{}: the rays differ by {:.3f} degrees (median) from NCore's model, and by {:.3f} degrees from "
             "beams whose directions and origins are fitted to the points; {}",
