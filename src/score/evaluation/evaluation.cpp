@@ -100,10 +100,13 @@ RangeImage project_neighbours(const Config& config, const Log& log, int position
 }
 
 /// Compares the next scan of a standing sensor with a frame, at depth edges.
-/// @return an empty row if the sensor moves, or the image has no rows
+/// @return an empty row if the sensor moves, or if the rays have no image order
 MetricValues score_repeat(const Config& config, const Log& log, int position, const RangeImage& real) {
     const std::optional<int> next = find_repeat(log, position);
-    if (!next || real.rows < 2 || log.frames[std::size_t(*next)].scan.range_m.empty()) return {};
+    constexpr int kMinColumns = 9;  // of assign_points()
+    if (!next || real.rows < 2 || real.columns < kMinColumns ||
+        log.frames[std::size_t(*next)].scan.range_m.empty())
+        return {};
     return evaluate_regions(project_neighbours(config, log, position, {*next}, BoxPointMotion::follow), real,
                             {{"edges_repeat", mask_edges(real), true}});
 }
