@@ -12,7 +12,6 @@
 #include <vector>
 
 #include <fmt/format.h>
-#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
@@ -175,13 +174,13 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
     }
 }
 
-void print_lane_table(const std::string& run_folder, int device_index) {
+void print_lane_table(const std::string& run_folder) {
     Run run = load_run(run_folder);
     run.config = with_max_range(std::move(run.config), run.sequence);
     const StreetOptions street = read_street(run);
     copy_scans(run, run.split.train, load_log(run.config));
     const TrainingReturns training(run);
-    Device device(apply_environment({.index = device_index}));
+    Device device(apply_environment({}));
     ScanRenderer renderer(device, run);
     fmt::print(
         "| metres to the left | part | rays | median range error | Chamfer | F-score, 5 cm | F-score, 22 cm "
@@ -203,15 +202,9 @@ void print_lane_table(const std::string& run_folder, int device_index) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    std::string folder;
-    int device = -1;
-    CLI::App app("scores a trained synthetic street from a sensor that is shifted by up to 3 m to each side",
-                 "relidar_bench_lanes");
-    app.add_option("RUN", folder, "run trained on a folder with street.toml")->required();
-    app.add_option("--device", device, "number of the device in `relidar list devices`");
-    CLI11_PARSE(app, argc, argv);
     try {
-        print_lane_table(folder, device);
+        if (argc != 2) throw UsageError("expected a run of a synthetic street: relidar_bench_lanes RUN");
+        print_lane_table(argv[1]);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_lanes: {}\n", error.what());
         return int(error.code());
