@@ -121,7 +121,8 @@ std::string to_topic_name(const std::string& name);
 ///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig (PacketEncoder);
 ///           packets.csv or packets.json has the calibration for the driver
 /// Transforms: world -> base_link (the log's vehicle), every 10 ms of a sweep and at
-/// every pose of its path; base_link -> each sensor.
+/// every pose of its path; base_link -> each sensor; for points in the world world -> map
+/// if points_origin_m() is not 0. /fix has positions on the earth, if they are known.
 ///
 /// Times: stamps are times of the log plus ScanOutputOptions::time_shift_ns. The stamp of
 /// a cloud is the time of its first ray; times of points are relative to it. Points in
@@ -183,7 +184,8 @@ private:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns];
 ///        instance [rows,columns] int32, -1 if nothing was hit, -2 for the own vehicle;
 ///        instance_names [instances], the names of the instances;
-///        directions, origin [rows,columns,3];
+///        directions, origin, points [rows,columns,3]; origin and points of the world are
+///        float64;
 ///        with sensor.returns = 2: range_2, intensity_2 [rows,columns], 0 if there is no
 ///        second return, and in weather source_2;
 ///        each of RenderedScan::channels by its name, [rows,columns], or for vectors
@@ -193,7 +195,7 @@ private:
 ///        time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, metadata as string attributes
 ///   png  range, intensity and drop probability as a single image, metadata as text
-///   ply, pcd, bin
+///   ply, pcd, las, bin
 ///        points of returned rays (drop_prob < 0.5), as write_ply() describes; ply and
 ///        pcd also have ring, time, instance, the scan's channels and, with second
 ///        returns, return (1 or 2); metadata as comments

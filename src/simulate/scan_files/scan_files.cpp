@@ -3,11 +3,13 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
 
 #include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
+#include "log/sequence/georeference_json.hpp"
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
@@ -136,11 +138,20 @@ void write_ply_file(const fs::path& path, ScanInOutputFrame& scan) {
 void write_pcd_file(const fs::path& path, ScanInOutputFrame& scan) {
     write_pcd(path, scan.points(), scan.notes, scan.world_origin_m());
 }
+/// Returns GeoConverter::wkt(). Keeps the last text for the next scan, because PROJ takes
+/// some 10 ms.
+const std::string& find_wkt(const Georeference& place) {
+    thread_local std::string last_place, wkt;
+    if (const std::string text = georeference_json(place).dump(); text != last_place) {
+        wkt = GeoConverter(place).wkt();
+        last_place = text;
+    }
+    return wkt;
+}
 void write_las_file(const fs::path& path, ScanInOutputFrame& scan) {
     const std::optional<Georeference>& place = scan.format.georeference;
     const bool is_on_earth = scan.world_origin_m() && place && has_proj();
-    write_las(path, scan.points(), scan.notes, scan.world_origin_m(),
-              is_on_earth ? GeoConverter(*place).wkt() : "");
+    write_las(path, scan.points(), scan.notes, scan.world_origin_m(), is_on_earth ? find_wkt(*place) : "");
 }
 void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
 void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
