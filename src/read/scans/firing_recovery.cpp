@@ -133,20 +133,17 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
         if (forward < 0.0) recovery.turn = reverse_turn(best.turn);
         return std::abs(forward) > kMinForward_m * double(best.motions.size());
     }
-    std::vector<PoseTrack> tracks;
     std::vector<SweepMotion> of_poses;
-    for (const CompensatedSweep& sweep : sweeps) {
-        tracks.push_back(make_track(*sensor.world_from_sensor, sweep.time_s, sensor.period_s));
-        of_poses.push_back(twists_of(tracks.back()));
-    }
+    for (const CompensatedSweep& sweep : sweeps)
+        of_poses.push_back(twists_of(make_track(*sensor.world_from_sensor, sweep.time_s, sensor.period_s)));
     const double share = motion_share(best.motions, of_poses);
     if (share < 0.0) recovery.turn = reverse_turn(best.turn);
     // Inverse poses look as if the vehicle drives backward. They would reverse the turn.
     double forward = 0.0;
     for (const SweepMotion& motion : of_poses) forward += glm::dot(velocity_of(motion), sensor.forward);
     if (forward < 0.0 || std::abs(share) < kMinMotion || std::abs(share) > kMaxMotion) return false;
-    LatticeFit fit{recovery.turn, {}, {}, 0.0};
-    fitter.fit_rings(fit, tracks, 5);
+    LatticeFit fit{recovery.turn, {}, of_poses, 0.0};
+    fitter.improve(fit, 5, true, false);
     recovery.uses_poses = fit.spread_rad <= kMaxPoseSpread * best.spread_rad;
     if (recovery.uses_poses) {
         recovery.rings = fit.rings;

@@ -90,33 +90,31 @@ SweepPoints pick_points(const LidarPoints& points, std::size_t n_points) {
 
 void LatticeFitter::improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const {
     for (int step = 0; step < n_steps; ++step) {
-        const Firings firings = compute_firings(fit.motions, fit);
+        const Firings firings = compute_firings(fit);
         if (fit.rings.empty()) set_median_slopes(fit, firings);
         fit.spread_rad = spread_of(fit, firings);
         const Eigen::VectorXd change = solve_step(fit, firings, has_free_rings, has_free_motion);
         apply_change(fit, change, has_free_rings, has_free_motion);
     }
-    fit.spread_rad = spread_of(fit, compute_firings(fit.motions, fit));
-}
-
-void LatticeFitter::fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const {
-    const Firings firings = compute_firings(tracks, fit);
-    set_median_slopes(fit, firings);
-    for (int step = 0; step < n_steps; ++step) {
-        fit.spread_rad = spread_of(fit, firings);
-        apply_change(fit, solve_step(fit, firings, true, false), true, false);
-    }
-    fit.spread_rad = spread_of(fit, firings);
+    fit.spread_rad = spread_of(fit, compute_firings(fit));
 }
 
 double LatticeFitter::cost(const LatticeFit& fit, double scale_rad) const {
     double sum = 0.0, n = 0.0;
-    for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit.motions, fit)))
+    for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit)))
         for (const double e : errors) {
             sum += e * e / (e * e + scale_rad * scale_rad);
             n += 1.0;
         }
     return sum / std::max(n, 1.0);
+}
+
+LatticeFitter::Firings LatticeFitter::compute_firings(const LatticeFit& fit) const {
+    Firings firings(sweeps_.size());
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
+        for (const glm::dvec3& p : sweeps_[s].position_m)
+            firings[s].push_back(find_firing(p, fit.motions[s], fit.turn));
+    return firings;
 }
 
 void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) const {
@@ -131,7 +129,8 @@ void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) c
         if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
 }
 
-std::vector<std::vector<double>> LatticeFitter::errors_of(const LatticeFit& fit, const Firings& firings) const {
+std::vector<std::vector<double>> LatticeFitter::errors_of(const LatticeFit& fit,
+                                                          const Firings& firings) const {
     std::vector<std::vector<double>> errors(sweeps_.size());
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t i = 0; i < firings[s].size(); ++i) {
@@ -151,7 +150,7 @@ double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) c
 }
 
 Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
-                           bool has_free_motion) const {
+                                          bool has_free_motion) const {
     constexpr std::size_t kValues = 2 + kMotionParameters;
     const std::size_t n = motion_index(sweeps_.size(), 0);
     Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(Eigen::Index(n), Eigen::Index(n));
@@ -179,8 +178,7 @@ Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& 
                 const auto row = Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
                 gradient[row] += weight * j[a] * e;
                 for (std::size_t b = has_free_rings ? 0 : 2; b <= a; ++b)
-                    normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) +=
-                        weight * j[a] * j[b];
+                    normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) += weight * j[a] * j[b];
             }
         }
     if (has_free_motion) join_halves(fit, normal, gradient);
@@ -188,7 +186,8 @@ Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& 
     return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
 }
 
-void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const {
+void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal,
+                                Eigen::VectorXd& gradient) const {
     constexpr double kPenalty = 1e-4;
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t k = 0; k < kMotionParameters; ++k) {
@@ -205,7 +204,7 @@ void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, 
 }
 
 void LatticeFitter::apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
-                  bool has_free_motion) const {
+                                 bool has_free_motion) const {
     for (std::size_t r = 0; has_free_rings && r < n_rings_; ++r) {
         fit.rings[r].z0_m += change[Eigen::Index(2 * r)];
         fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];

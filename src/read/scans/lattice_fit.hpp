@@ -76,8 +76,6 @@ public:
     /// Improves a fit. Starts with the median slopes if the fit has no cones.
     /// @param has_free_rings,has_free_motion  which values change
     void improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const;
-    /// Fits only the cones, for known motions.
-    void fit_rings(LatticeFit& fit, const std::vector<PoseTrack>& tracks, int n_steps) const;
     /// Returns the mean robust error of all points, from 0 to 1.
     double cost(const LatticeFit& fit, double scale_rad) const;
 
@@ -87,15 +85,7 @@ private:
     std::vector<SweepPoints> sweeps_;
     std::size_t n_rings_;
 
-    template <class Motion>
-    Firings compute_firings(const std::vector<Motion>& motions, const LatticeFit& fit) const {
-        Firings firings(sweeps_.size());
-        for (std::size_t s = 0; s < sweeps_.size(); ++s)
-            for (const glm::dvec3& p : sweeps_[s].position_m)
-                firings[s].push_back(find_firing(p, motions[s], fit.turn));
-        return firings;
-    }
-
+    Firings compute_firings(const LatticeFit& fit) const;
     void set_median_slopes(LatticeFit& fit, const Firings& firings) const;
     /// Returns the elevation error of each point, in radians at a slope of 0.
     std::vector<std::vector<double>> errors_of(const LatticeFit& fit, const Firings& firings) const;
