@@ -359,17 +359,16 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
         recovery.other_seam_rad < kMinOtherSeam * best.spread_rad ||
         !choose_direction(recovery, best, fitter, sweeps))
         return std::nullopt;
-    if (!recovery.uses_poses) {
-        FiringRecovery without_yaw = recovery;
-        without_yaw.sensor.n_ticks = 0;
-        std::vector<LidarPoints> restored;
-        for (const CompensatedSweep& sweep : sweeps) {
-            restored.push_back(sweep.points);
-            restore_firings(restored.back(), without_yaw, sweep.time_s);
-            restored.back().time_offset_s.clear();
-        }
-        recovery.sensor.n_ticks = find_ticks(sweeps, restored, recovery);
+    FiringRecovery without_yaw = recovery;
+    without_yaw.uses_poses = false;
+    without_yaw.sensor.n_ticks = 0;
+    std::vector<LidarPoints> restored;
+    for (const CompensatedSweep& sweep : sweeps) {
+        restored.push_back(sweep.points);
+        restore_firings(restored.back(), without_yaw, sweep.time_s);
+        restored.back().time_offset_s.clear();
     }
+    recovery.sensor.n_ticks = find_ticks(sweeps, restored, recovery);
     return recovery;
 }
 
@@ -423,9 +422,12 @@ void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double
     // A point within this share of the turn from the seam can be at both ends.
     constexpr double kSeamShare = 0.05;
     const CompensatedSensor& sensor = recovery.sensor;
-    const PoseTrack track = recovery.uses_poses
-                                ? make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s)
-                                : make_track(fit_motion(points, recovery));
+    // Extrapolated poses do not show the motion before the first frame and after the last.
+    const double start_s = frame_time_s - recovery.turn.reference * sensor.period_s;
+    const bool has_poses = recovery.uses_poses && sensor.world_from_sensor->contains_time(start_s) &&
+                           sensor.world_from_sensor->contains_time(start_s + sensor.period_s);
+    const PoseTrack track = has_poses ? make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s)
+                                      : make_track(fit_motion(points, recovery));
     points.time_offset_s.resize(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3 p(points.position_m[i]);
