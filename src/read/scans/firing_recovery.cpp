@@ -422,7 +422,7 @@ void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double
     // A point within this share of the turn from the seam can be at both ends.
     constexpr double kSeamShare = 0.05;
     const CompensatedSensor& sensor = recovery.sensor;
-    // Extrapolated poses do not show the motion before the first frame and after the last.
+    // Extrapolated poses do not show the motion at the start and the end of the log.
     const double start_s = frame_time_s - recovery.turn.reference * sensor.period_s;
     const bool has_poses = recovery.uses_poses && sensor.world_from_sensor->contains_time(start_s) &&
                            sensor.world_from_sensor->contains_time(start_s + sensor.period_s);
