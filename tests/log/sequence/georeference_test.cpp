@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
 
 namespace relidar {
 namespace {
