@@ -556,7 +556,7 @@ editing() {
 
 # Uses two cars of the street. The log has observed different sides of them.
 keeping_assets() {
-    good assets run --out assets --least 0.1
+    good assets run --out assets --least 0.05
     says "^asset +class +score +front +rear +left +right +top +mirrored"
     says "^car-0 +Car +0\.[0-9]+ "
     says "^saved 2 of 2 .*assets$"
