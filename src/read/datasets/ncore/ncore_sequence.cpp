@@ -38,7 +38,9 @@ std::optional<std::string> sequence_name(const fs::path& path) {
 
 /// Returns the stores of the sequence of a store, or of the only sequence in a folder.
 std::vector<fs::path> find_stores(const fs::path& path) {
-    const fs::path full = fs::canonical(path);
+    // Keeps the name of a link, because the file that it names can have any name.
+    fs::path full = fs::absolute(path).lexically_normal();
+    if (!full.has_filename()) full = full.parent_path();
     std::optional<std::string> chosen = sequence_name(full);
     const bool is_store = chosen.has_value(), is_folder = fs::is_directory(full);
     std::vector<fs::path> stores;

@@ -118,7 +118,10 @@ TEST(Ncore, Folders) {
     expect_street(data.load());
     EXPECT_EQ(detect_kind(data.main), "ncore");
     expect_street(load_sequence(data.main.string(), {}));
-    fs::copy(data.main, data.folder / "other.ncore4.zarr", fs::copy_options::recursive);
+    fs::rename(data.main, data.folder / "blob");
+    fs::create_directory_symlink("blob", data.main);
+    expect_street(load_sequence(data.main.string() + "/", {}));
+    fs::copy(data.folder / "blob", data.folder / "other.ncore4.zarr", fs::copy_options::recursive);
     data.expect_error("log ... other ... street");
 }
 
