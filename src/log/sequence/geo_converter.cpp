@@ -25,7 +25,8 @@ bool has_proj() { return true; }
 
 struct GeoConverter::Impl {
     explicit Impl(Georeference known) : georeference(std::move(known)) {
-        proj_log_level(context.get(), PJ_LOG_NONE);
+        // With PJ_LOG_NONE, PROJ prints a missing proj.db.
+        proj_log_func(context.get(), nullptr, [](void*, int, const char*) {});
         const std::string& crs = georeference.crs;
         // PROJ computes a string with +proj, which has no datum, as it is.
         is_operation = crs.find("+proj") != std::string::npos && crs.find("+type=crs") == std::string::npos;
@@ -33,12 +34,20 @@ struct GeoConverter::Impl {
         else if (const Handle created{
                      proj_create_crs_to_crs(context.get(), "EPSG:4979", crs.c_str(), nullptr)})
             projection.reset(proj_normalize_for_visualization(context.get(), created.get()));
+        if (!projection && !proj_context_get_database_path(context.get()))
+            fail("georeference: PROJ does not find proj.db, which describes {}; set PROJ_DATA to its folder",
+                 crs);
         if (!projection)
             fail(
                 "georeference: found the projection \"{}\"; expected a code such as EPSG:32632 or a PROJ "
                 "string",
                 crs);
         projected_m = project(georeference.position);
+        // Near the position, 1e-5 degrees of latitude are about a metre.
+        GeodeticPosition near = georeference.position;
+        near.latitude_deg -= std::copysign(1e-5, near.latitude_deg);
+        if (!(glm::distance(project(near), projected_m) > 0.1))
+            fail("georeference: the coordinates of {} are not metres, expected a projection to metres", crs);
     }
     glm::dvec3 convert(PJ_DIRECTION direction, const glm::dvec3& from) const {
         proj_errno_reset(projection.get());

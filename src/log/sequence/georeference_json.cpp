@@ -22,6 +22,7 @@ nlohmann::ordered_json georeference_json(const Georeference& g) {
 Georeference read_georeference(const JsonField& field) {
     constexpr double kMaxLength_m = 1e9;
     constexpr std::size_t kMaxCrsBytes = 4096;
+    field.check_members({"latitude_deg", "longitude_deg", "height_m", "world_point_m", "crs", "rotation"});
     Georeference g{
         {field.at("latitude_deg").number_in(-90.0, 90.0), field.at("longitude_deg").number_in(-360.0, 360.0),
          field.at("height_m").number_in(-kMaxLength_m, kMaxLength_m)},

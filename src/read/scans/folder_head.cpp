@@ -329,7 +329,10 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     if (!skipped.empty())
         head.notes.push_back(
             fmt::format("these columns of the scans are not read: {}", fmt::join(skipped, ", ")));
-    if (root.has_member("georeference")) head.georeference = read_georeference(root.at("georeference"));
+    if (root.has_member("georeference")) {
+        head.georeference = read_georeference(root.at("georeference"));
+        if (has_proj()) GeoConverter{*head.georeference};  // rejects an unknown projection
+    }
     if (root.has_member("world_offset_m")) {
         const auto v = root.at("world_offset_m").numbers<3>();
         for (std::size_t i = 0; i < 3; ++i)

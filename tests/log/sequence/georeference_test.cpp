@@ -87,6 +87,8 @@ TEST_F(Georeferences, KnowCodesOfEpsg) {
         << "the world is shifted";
     EXPECT_THROW(GeoConverter({kKarlsruhe, {}, "EPSG:1"}), DataError);
     EXPECT_THROW(GeoConverter({kKarlsruhe, {}, "+proj=nonsense"}), DataError);
+    for (const char* crs : {"EPSG:4326", "EPSG:4979", "+proj=longlat +ellps=WGS84"})
+        EXPECT_THROW(GeoConverter({kKarlsruhe, {}, crs}), DataError) << "degrees";
 }
 
 }  // namespace
