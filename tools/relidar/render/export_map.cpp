@@ -75,10 +75,19 @@ void export_map(const MapOptions& options) {
     Run run = load_run(options.run);
     run.config = with_max_range(std::move(run.config), run.sequence);
     const Log& log = run.sequence;
-    const std::vector<int> positions = select_frames(run, options.frames.value_or("all"), options.quiet);
+    std::vector<int> positions = select_frames(run, options.frames.value_or("all"), options.quiet);
     std::vector<SimulatedSensor> sensors;
     for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar)
         sensors.push_back(list_sensors("", {}, run, int(lidar)).front().sensor);
+    for (const SimulatedSensor& sensor : sensors) {
+        if (sensor.rays.size() > 0 || sensor.pattern) continue;
+        print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
+        std::erase_if(positions, [&](int position) {
+            return log.frames[std::size_t(position)].lidar == sensor.lidar;
+        });
+    }
+    if (positions.empty())
+        fail<UsageError>("--points: found no scan with known rays, expected frames of a LiDAR that spins");
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
     renderer.show_instances(select_instances(run.scene, {"background"}));
