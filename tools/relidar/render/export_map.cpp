@@ -82,9 +82,8 @@ void export_map(const MapOptions& options) {
     for (const SimulatedSensor& sensor : sensors) {
         if (sensor.rays.size() > 0 || sensor.pattern) continue;
         print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
-        std::erase_if(positions, [&](int position) {
-            return log.frames[std::size_t(position)].lidar == sensor.lidar;
-        });
+        std::erase_if(positions,
+                      [&](int position) { return log.frames[std::size_t(position)].lidar == sensor.lidar; });
     }
     if (positions.empty())
         fail<UsageError>("--points: found no scan with known rays, expected frames of a LiDAR that spins");

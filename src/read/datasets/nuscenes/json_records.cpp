@@ -116,6 +116,11 @@ std::string JsonRecord::read_text(std::string_view key) const {
     return std::string(value_of<std::string_view>(key, "text"));
 }
 
+std::string JsonRecord::text_or_empty(std::string_view key) const {
+    std::string_view text;
+    return object_[key].get(text) == simdjson::SUCCESS ? std::string(text) : "";
+}
+
 std::int64_t JsonRecord::rounded_integer(std::string_view key) const {
     const double number = value_of<double>(key, "a number");
     if (!(std::abs(number) < kMaxExactInteger)) fail_value(key, "a number below 2^53");

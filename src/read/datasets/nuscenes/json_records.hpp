@@ -22,6 +22,8 @@ public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string read_text(std::string_view key) const;
+    /// Returns an empty text if the key is missing or has no text.
+    std::string text_or_empty(std::string_view key) const;
     /// Returns a number as an integer. Rounds, because some tables contain fractions of a
     /// microsecond.
     std::int64_t rounded_integer(std::string_view key) const;

@@ -270,16 +270,15 @@ std::vector<std::string> list_scenes(const fs::path& table_folder) {
 SceneTables read_scene(const fs::path& table_folder, const std::string& scene_name) {
     SceneTables scene;
     scene.name = scene_name;
-    const bool has_logs = does_path_exist(table_folder / "log.json");
     std::string scene_token, log_token;
     for_each_record(table_folder / "scene.json", [&](const JsonRecord& record) {
         if (record.read_text("name") != scene_name) return;
         scene_token = record.read_text("token");
-        if (has_logs) log_token = record.read_text("log_token");
+        log_token = record.text_or_empty("log_token");
     });
-    if (has_logs)
+    if (!log_token.empty() && does_path_exist(table_folder / "log.json"))
         for_each_record(table_folder / "log.json", [&](const JsonRecord& record) {
-            if (record.read_text("token") == log_token) scene.location = record.read_text("location");
+            if (record.text_or_empty("token") == log_token) scene.location = record.text_or_empty("location");
         });
     // The keyframes select the LiDAR files and labels that belong to the scene.
     const TokenMap<std::int64_t> samples = read_keyframes(table_folder, scene_token);

@@ -95,6 +95,8 @@ void write_categories(const NuscenesFolder& data) {
 TEST(Nuscenes, KnowsThePlacesOfItsMaps) {
     const NuscenesFolder data("maps");
     EXPECT_FALSE(load(data).georeference);
+    test::write_records(data.table("log"), {R"("token": "a")"});
+    EXPECT_FALSE(load(data).georeference) << "a log without a location";
     test::write_records(
         data.table("scene"),
         {R"("token": "s1", "name": "scene-0103", "first_sample_token": "k0", "log_token": "b")"});
