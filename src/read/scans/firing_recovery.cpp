@@ -207,9 +207,9 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
 constexpr double kMinCoherence = 0.1;
 
 /// Fits the motion of one sweep to its points.
-/// @param rings  [points] rings of the points
 SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
-    const LatticeFitter fitter({pick_points(points, kMotionPoints)}, recovery.rings.size());
+    const std::size_t n_rings = recovery.rings.size();
+    const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     LatticeFit fit{recovery.turn, recovery.rings, {SweepMotion{}}, 0.0};
     fitter.improve(fit, 8, false, true);
     if (recovery.sensor.n_ticks == 0) return fit.motions[0];
@@ -334,12 +334,13 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
                                            const CompensatedSensor& sensor) {
     std::size_t n_rings = 0;
     std::vector<SweepPoints> coarse, fine;
-    for (const CompensatedSweep& sweep : sweeps) {
-        coarse.push_back(pick_points(sweep.points, kCoarsePoints));
-        fine.push_back(pick_points(sweep.points, kFinePoints));
+    for (const CompensatedSweep& sweep : sweeps)
         for (const std::uint16_t ring : sweep.points.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
-    }
     if (n_rings == 0 || n_rings > kMaxRecoveredRings) return std::nullopt;
+    for (const CompensatedSweep& sweep : sweeps) {
+        coarse.push_back(pick_points(sweep.points, kCoarsePoints, n_rings));
+        fine.push_back(pick_points(sweep.points, kFinePoints, n_rings));
+    }
     const LatticeFitter coarse_fitter(std::move(coarse), n_rings), fitter(std::move(fine), n_rings);
     LatticeFit still{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
     fitter.improve(still, 6, true, false);
@@ -390,7 +391,7 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
         for (const CompensatedSweep& sweep : sweeps) {
             LidarPoints points = sweep.points;
             if (moved_to_s) undo_deskew_to(points, world_from_sensor, sweep.time_s, *moved_to_s);
-            picked.push_back(pick_points(points, kFinePoints));
+            picked.push_back(pick_points(points, kFinePoints, n_rings));
         }
         LatticeFit fit{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
         LatticeFitter(std::move(picked), n_rings).improve(fit, 6, true, false);
@@ -421,6 +422,7 @@ void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, dou
 void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s) {
     // A point within this share of the turn from the seam can be at both ends.
     constexpr double kSeamShare = 0.05;
+    if (points.size() == 0) return;
     const CompensatedSensor& sensor = recovery.sensor;
     // Extrapolated poses do not show the motion at the start and the end of the log.
     const double start_s = frame_time_s - recovery.turn.reference * sensor.period_s;

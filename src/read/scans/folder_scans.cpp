@@ -82,22 +82,20 @@ public:
           moved_to_s_(sequence.lidars.size()),
           counts_(sequence.frames.size()) {}
 
-    /// Plans the scans of all LiDARs. Sets their sensors.
+    /// Plans the scans of all LiDARs. Sets their sensors. A log has either a rolling
+    /// shutter or not, so if one LiDAR stays motion-compensated, all LiDARs do.
     void plan_lidars() {
-        for (int l = 0; l < std::ssize(sequence_.lidars); ++l) {
-            std::vector<std::size_t> with_points;  // frames with points
-            for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
-                if (sequence_.frames[i].lidar == l && source_.stores_points(i)) with_points.push_back(i);
-            SpinningSensor& sensor = sequence_.lidars[std::size_t(l)].sensor;
-            if (sensor.name.empty()) sensor.name = sequence_.name;
-            // Files store either points or rays. A LiDAR with rays needs only a sweep
-            // period. If its beams are unknown, it is treated as not rotating (period 0).
-            if (!with_points.empty()) plan_lidar(l, with_points);
-            else if (!layout_.lidars[std::size_t(l)].has_beams) sensor.period_s = 0.0;
-            else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_s(sequence_, layout_, l);
-        }
-        sequence_.rolling_shutter =
-            !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undo);
+        const Notes notes = sequence_.notes;
+        const std::vector<Lidar> lidars = sequence_.lidars;
+        plan_each_lidar();
+        if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undo)) return;
+        undoes_motion_ = false;
+        sequence_.notes = notes;
+        sequence_.lidars = lidars;
+        samples_.clear();
+        std::ranges::fill(firings_, std::nullopt);
+        std::ranges::fill(counts_, PointCounts{});
+        plan_each_lidar();
     }
 
     /// Reads the scan of a frame according to the plan of its LiDAR. Several threads call
@@ -147,6 +145,7 @@ private:
     const ScanLayout& layout_;
     const ScanProvider& source_;
     const bool has_poses_, recovers_firings_;
+    bool undoes_motion_ = true;
     ScanErrorCollector& broken_;
     std::vector<ScanPlan> plans_;                     ///< [lidars]
     std::vector<TimeLimits> time_limits_;             ///< [lidars]
@@ -156,6 +155,23 @@ private:
     std::vector<PointCounts> counts_;  ///< [frames]
     /// [frames] points that were already read to estimate the beams
     std::map<std::size_t, LidarPoints> samples_;
+
+    void plan_each_lidar() {
+        for (int l = 0; l < std::ssize(sequence_.lidars); ++l) {
+            std::vector<std::size_t> with_points;  // frames with points
+            for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
+                if (sequence_.frames[i].lidar == l && source_.stores_points(i)) with_points.push_back(i);
+            SpinningSensor& sensor = sequence_.lidars[std::size_t(l)].sensor;
+            if (sensor.name.empty()) sensor.name = sequence_.name;
+            // Files store either points or rays. A LiDAR with rays needs only a sweep
+            // period. If its beams are unknown, it is treated as not rotating (period 0).
+            if (!with_points.empty()) plan_lidar(l, with_points);
+            else if (!layout_.lidars[std::size_t(l)].has_beams) sensor.period_s = 0.0;
+            else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_s(sequence_, layout_, l);
+        }
+        sequence_.rolling_shutter =
+            !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undo);
+    }
 
     LidarPoints read_points(std::size_t frame_index, bool undo_motion) const {
         const Frame& frame = sequence_.frames[frame_index];
@@ -194,7 +210,8 @@ private:
         const auto add_sample = [&](std::size_t index) {
             broken_.guard(index, [&] {
                 try {
-                    LidarPoints points = read_points(index, layout_.motion_compensated && has_poses_);
+                    LidarPoints points =
+                        read_points(index, layout_.motion_compensated && has_poses_ && undoes_motion_);
                     if (points.size() > 0) samples.emplace(index, std::move(points));
                 } catch (const MostTimesWrong& error) {
                     wrong.emplace(index, error.what());
@@ -228,7 +245,8 @@ private:
             .period_s = sweep_s,
             .forward = inverse(lidar.vehicle_from_sensor).rotation * glm::dvec3(1, 0, 0)};
         if (has_poses_) sensor.world_from_sensor = sequence_.lidar_track(lidar_index);
-        if (layout_.motion_compensated && !has_times) firings_[l] = plan_firings(std::move(sweeps), sensor);
+        if (layout_.motion_compensated && undoes_motion_ && !has_times)
+            firings_[l] = plan_firings(std::move(sweeps), sensor);
         if (!layout_.motion_compensated && has_times && has_poses_)
             moved_to_s_[l] = find_moved_time(sweeps, *sensor.world_from_sensor);
         for (auto& [frame, points] : by_frame) restore(frame, points);
@@ -262,7 +280,7 @@ private:
         const std::vector<LidarPoints> samples = list_samples();
         Lidar& lidar = sequence_.lidars[l];
         plans_[l] = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
-                               has_poses_);
+                               has_poses_ && undoes_motion_);
         plans_[l].undo |= firings_[l].has_value();
         if (plans_[l].is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",

@@ -71,12 +71,13 @@ glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, dou
     return p + once + 0.5 * twice;
 }
 
-SweepPoints pick_points(const LidarPoints& points, std::size_t n_points) {
+SweepPoints pick_points(const LidarPoints& points, std::size_t n_points, std::size_t n_rings) {
     std::vector<std::size_t> usable;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec3& p = points.position_m[i];
         const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
-        if (is_first && std::hypot(double(p.x), double(p.y)) > kMinDistance_m) usable.push_back(i);
+        if (is_first && points.ring[i] < n_rings && std::hypot(double(p.x), double(p.y)) > kMinDistance_m)
+            usable.push_back(i);
     }
     SweepPoints picked;
     const std::size_t n = std::min(n_points, usable.size());

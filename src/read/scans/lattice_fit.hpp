@@ -57,8 +57,8 @@ FiredPoint find_firing(const glm::dvec3& point_m, const Motion& motion, const He
     return fired;
 }
 
-/// Selects at most `n_points` first returns, evenly.
-SweepPoints pick_points(const LidarPoints& points, std::size_t n_points);
+/// Selects at most `n_points` first returns of the first `n_rings` rings, evenly.
+SweepPoints pick_points(const LidarPoints& points, std::size_t n_points, std::size_t n_rings);
 
 /// Cones and motions that fit the points of some sweeps, for an assumed turn.
 struct LatticeFit {

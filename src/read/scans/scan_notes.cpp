@@ -48,8 +48,10 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
     if (!layout.motion_compensated && step_s <= kMaxFrameStep_s)
         if (const std::string text = describe_span(samples, step_s); !text.empty()) add(text);
     if (layout.motion_compensated && !plan.undo)
-        add("the scans are motion-compensated. This cannot be undone without times of points and poses, so "
-            "all rays start at the sensor's position at the time of the frame");
+        add(
+            fmt::format("the scans stay motion-compensated, because the firing times{0} or the poses are not "
+                        "known; all rays start at the sensor's position at the time of the frame",
+                        layout.lidars.size() > 1 ? " of all LiDARs" : ""));
 }
 
 void note_recovery(Log& sequence, int lidar_index, const std::optional<FiringPlan>& firings,

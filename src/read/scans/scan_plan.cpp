@@ -80,15 +80,17 @@ void number_rings(const FiringPlan& plan, LidarPoints& points) {
 void FiringPlan::restore(LidarPoints& points, double frame_time_s) const {
     const bool has_rings = !points.ring.empty();
     number_rings(*this, points);
+    if (points.ring.empty()) return;  // the reader reports the missing rings
     restore_firings(points, recovery, frame_time_s);
     if (!has_rings) points.ring.clear();
 }
 
 std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps,
                                        const CompensatedSensor& sensor) {
-    if (sweeps.empty()) return std::nullopt;
+    const auto has_no_rings = [](const CompensatedSweep& sweep) { return sweep.points.ring.empty(); };
     FiringPlan plan;
-    if (sweeps[0].points.ring.empty()) {
+    if (std::ranges::any_of(sweeps, has_no_rings)) {
+        if (!std::ranges::all_of(sweeps, has_no_rings)) return std::nullopt;
         std::vector<LidarPoints> samples;
         for (const CompensatedSweep& sweep : sweeps) samples.push_back(sweep.points);
         const RingOrderDetector order(samples);
