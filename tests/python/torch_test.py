@@ -287,11 +287,12 @@ class Torch(TestCase):
                 place(renderer, *arguments, **named)
 
             with mock.patch.object(relidar.DifferentiableRenderer, "place", note_refit):
-                for name, change in (("means", 0.002), ("means", 0.002), ("log_scales", 0.04), ("log_scales", 0.04)):
+                for name, change in (("means", 0.002), ("means", 0.002), ("log_scales", 0.04), ("log_scales", 0.04),
+                                     ("quats", 0.001), ("quats", 0.1), ("opacity_logits", 0.2), ("opacity_logits", 0.2)):
                     with torch.no_grad():
                         getattr(case.scene, name)[-1] += change
                     self.check_equal(case.render(), case.expected(case.scene.surfels())[0])
-            self.assertEqual(refits, [False, True, False, True])
+            self.assertEqual(refits, 4 * [False, True])
 
     def test_adam(self):
         """Equal to SparseAdam of PyTorch, with other rows in each step."""
@@ -315,6 +316,12 @@ class Torch(TestCase):
             values.grad = torch.linspace(-1, 1, 2400).view(50, 3, 16)
             relidar.torch.Adam([{"params": [values], **group}]).step()
         torch.testing.assert_close(part, actual * factors)
+        row = torch.zeros(50, requires_grad=True)
+        for factor, expected in ((0.0, 0.0), (0.5, -0.0005)):   # a row has a single number
+            row.grad = torch.ones(50)
+            relidar.torch.Adam([{"params": [row], "factors": torch.tensor(factor)}]).step()
+            torch.testing.assert_close(row, torch.full((50,), expected))
+        self.assert_fails(relidar.DataError, "factors: ... [3, 1]", relidar.torch.Adam([{"params": [part], "factors": torch.ones(3, 1)}]).step)
 
     def test_gradcheck(self):
         motion = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
@@ -383,6 +390,7 @@ class Torch(TestCase):
         self.assert_fails(relidar.DataError, "sensor: ", render, scene, rays, sensor=torch.zeros(3))
         self.assert_fails(relidar.DataError, "sensor: ", render, scene, rays, sensor=2 * torch.eye(4))
         self.assert_fails(relidar.DataError, "NoneType", render, scene, None)
+        self.assert_fails(relidar.DataError, "no rays", render, scene, rays[:0])
         opaque = torch.ones(32, requires_grad=True)
         render(scene, rays, opacities=opaque)["intensity"].sum().backward()
         self.assertTrue(torch.isfinite(opaque.grad).all())
@@ -393,6 +401,8 @@ class Torch(TestCase):
         plain = relidar.torch.Scene(relidar.Scene(case.surfels))
         self.assert_fails(relidar.UsageError, "rays=True", render, plain, rays.clone().requires_grad_())
         self.assert_fails(relidar.UsageError, "poses=True", render, plain, rays, sensor=torch.eye(4, requires_grad=True))
+        plain.means = torch.nn.Parameter(torch.ones(1, 3))
+        self.assert_fails(relidar.DataError, "means: ... float32 [1, 3]", render, plain, rays)
 
     def test_dlpack_arguments(self):
         case = TorchCase()

@@ -35,7 +35,8 @@ _UNKNOWN_TIME = 3e38
 # With training=True, the boxes of surfels in the ray-tracing tree are larger by this factor and by this length
 # in metres, as in relidar.train(). 90 % of the factor is for growing scales, the remainder for growing opacities.
 _MARGIN = 1.05, 0.003
-_MAX_GROWTH = 0.9 * math.log(_MARGIN[0])
+_MAX_GROWTH = {"log_scales": 0.9 * math.log(_MARGIN[0]), "log_scales_w": 0.9 * math.log(_MARGIN[0]), "opacity_logits": 0.3}
+_MAX_TURN = 0.005   # change of each number of a quaternion of length 1; together at most an angle of 0.02 radians
 
 
 def _tensor(values):
@@ -154,8 +155,9 @@ class Scene:
         poses, rays: if True, render() also computes gradients of poses, or of rays
         training: if True, works as relidar.train() does, which is faster: gradients of parameters are sparse
             tensors, with a row for each surfel that a ray hit, for the optimiser Adam of this module. The
-            ray-tracing tree is updated only after a scale has grown by 4 % or a centre has moved by 3 mm, so
-            that rays may miss the faint edge of a surfel
+            ray-tracing tree is updated only after a scale has grown by 4 %, a centre has moved by 3 mm, a surfel
+            has turned by 1 degree, or an opacity logit has grown by 0.3. In between, rays may miss the faint
+            edge of a surfel
         """
         self.renderer = relidar.DifferentiableRenderer(scene, config, poses=poses, rays=rays, sparse=training,
                                                        margin=_MARGIN if training else None, device=device)
@@ -219,9 +221,10 @@ class Scene:
         if self._fitted is None:
             return True
         changes = {name: self._memory[name] - old for name, old in self._fitted.items()}
-        moved = changes.pop("means").abs().max()
+        moved, turned = changes.pop("means").abs().max(), changes.pop("quats").abs().max() / self._shortest_quat
         # A comparison with NaN is False, so that NaN leads to an update.
-        return not (moved < _MARGIN[1] and all(change.max() < _MAX_GROWTH for change in changes.values()))
+        return not (moved < _MARGIN[1] and turned < _MAX_TURN
+                    and all(change.max() < _MAX_GROWTH[name] for name, change in changes.items()))
 
     def _place(self, request, view, poses):
         """Places the instances, and updates the tree if this is necessary."""
@@ -232,7 +235,8 @@ class Scene:
             placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
             self.renderer.place(placed, view, request.present, refit=refit)
         if refit and self._training:
-            self._fitted = {name: memory.clone() for name, memory in self._memory.items() if name in ("means", "log_scales", "log_scales_w")}
+            self._fitted = {name: memory.clone() for name, memory in self._memory.items() if name in ("means", "quats", *_MAX_GROWTH)}
+            self._shortest_quat = self._memory["quats"].norm(dim=1).min()
 
     def _render(self, request, rays, sensor, poses, values):
         """Renders a batch and returns copies of the rendered values."""
@@ -339,7 +343,7 @@ class _Render(torch.autograd.Function):
 
 def _replace_parameters(scene, replacements):
     """Returns the tensors of all parameters, with the replacements of an argument of render()."""
-    values = scene.named_parameters()
+    values = {name: _check(name, value, scene._memory[name].shape, device=scene.device) for name, value in scene.named_parameters().items()}
     for name, given in replacements.items():
         raw, inverse = _ACTIVATED.get(name, (name, None))
         if raw not in values:
@@ -383,8 +387,12 @@ class Adam(torch.optim.Optimizer):
         if len(rows) == 0:
             return
         used = ...
-        if factors is not None:   # leaves out the last columns if their factors are 0
-            used = ..., slice(int(factors.reshape(-1, factors.shape[-1]).any(0).nonzero().max()) + 1)
+        if factors is not None:
+            factors = _check("factors", factors, parameter.shape[1:], (torch.float32, torch.float64))
+            if not factors.any():
+                return
+            if factors.dim() > 0:   # leaves out the last columns if their factors are 0
+                used = ..., slice(int(factors.reshape(-1, factors.shape[-1]).any(0).nonzero().max()) + 1)
             factors, gradient = factors[used].to(gradient), gradient[used]
         shape, gradient = gradient.shape, gradient.reshape(len(gradient), -1)
         if not state:
@@ -445,6 +453,8 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
         rays = torch.cat([origins, _check("directions", rays[1], (len(origins), 3), device=scene.device)], 1)
     rays = _tensor(rays)
     rays = _check("rays", rays, (-1, 7 if rays.shape[-1:] == (7,) else 6), device=scene.device)
+    if len(rays) == 0:
+        raise relidar.DataError("rays: found no rays, expected at least one")
     doubles = (torch.float32, torch.float64)
     sensor = None if sensor is None else _check("sensor", sensor, (4, 4), doubles)
     poses = None if poses is None else _check("poses", poses, (scene._n_instances, 4, 4), doubles)
