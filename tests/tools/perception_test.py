@@ -4,6 +4,8 @@ simulated sensor moves by 2 % more than its poses say, and one of seven cubes is
 
    perception_test.py SOURCE WORK        77: numpy or PCL are missing
 """
+import importlib.machinery
+import importlib.util
 import json
 import os
 import pathlib
@@ -80,7 +82,11 @@ WORK.mkdir(parents=True)
 write_answers()
 refused = perception("none", "out0")
 expect(refused.returncode == 1 and refused.stderr.count("\n") == 1, f"a run that does not exist: {refused.stderr}")
+old = WORK / "out1/real/frame_000009.bin"
+old.parent.mkdir(parents=True)
+old.touch()
 without = perception("run", "out1", PATH="", PYTHONPATH="")
+expect(not old.exists(), "a scan of an earlier run is kept")
 expect(without.returncode == 0, f"without PCL: {without.stderr}")
 report = json.loads((WORK / "out1/perception.json").read_text())
 expect(any("PCL" in line for line in report["skipped"]), f"PCL is not reported as skipped: {report['skipped']}")
@@ -88,6 +94,12 @@ rows = {row["title"]: row for row in report["rows"]}
 n_plane_and_cubes = len(make_world(len(CUBES)))
 expect(rows["points a scan"]["real"] == n_plane_and_cubes and rows["points a scan"]["simulated"] == n_plane_and_cubes - 3000,
        f"number of points: {rows['points a scan']}")
+
+loader = importlib.machinery.SourceFileLoader("perception", str(PROGRAM))
+module = importlib.util.module_from_spec(importlib.util.spec_from_loader("perception", loader))
+loader.exec_module(module)
+joined = module.equal_clusters(np, np.array([1, 1, 2, 2]), np.ones(4, int), np.arange(4))
+expect(joined == 0, f"a cluster that joins two of the same size equals both: {joined}")
 
 if any(shutil.which(tool) is None for tool in ("pkg-config", "c++")) or subprocess.run(["pkg-config", "--exists", *PCL]).returncode:
     print("skipped: pkg-config, a compiler or libpcl-dev are missing")
