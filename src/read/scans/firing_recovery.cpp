@@ -75,9 +75,12 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_swe
 
 /// Improves seam and reference until their steps are small.
 void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
+    // Smaller gains are noise, with which the search could go back and forth.
+    constexpr double kMinGain = 1e-3;
     fitter.improve(best, 8, true, true);
+    double scale_rad = 2.0 * best.spread_rad;
     for (double step = 1.0 / 64.0; step >= kFinestStep;) {
-        const double scale_rad = 2.0 * best.spread_rad, best_cost = fitter.cost(best, scale_rad);
+        const double best_cost = fitter.cost(best, scale_rad);
         std::array<LatticeFit, 4> near;
         std::array<double, 4> costs{};
         parallel_for(4, [&](int index) {
@@ -88,8 +91,12 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
             costs[std::size_t(index)] = fitter.cost(fit, scale_rad);
         });
         const auto least = std::ranges::min_element(costs);
-        if (*least < best_cost) best = near[std::size_t(least - costs.begin())];
-        else step *= 0.5;
+        if (*least < (1.0 - kMinGain) * best_cost) {
+            best = near[std::size_t(least - costs.begin())];
+        } else {
+            step *= 0.5;
+            scale_rad = 2.0 * best.spread_rad;
+        }
     }
     fitter.improve(best, 5, true, true);
 }
