@@ -140,6 +140,20 @@ TEST(FiringRecovery, NeedsNoPoses) {
     expect_recovered({.turn = {false, 0.3, 0.0}, .speed_mps = 10.0}, false, 0.02);
 }
 
+TEST(FiringRecovery, AcceptsEmptySweepsAndOtherRings) {
+    const Recording recording = record({.turn = {true, kPi, 0.5}, .speed_mps = 10.0});
+    std::optional<FiringRecovery> recovery = recover(recording, false);
+    ASSERT_TRUE(recovery.has_value());
+    EXPECT_GT(recovery->sensor.n_ticks, 0);
+    LidarPoints empty, other = recording.sweeps[0].points;
+    read::restore_firings(empty, *recovery, 0.0);
+    EXPECT_EQ(empty.size(), 0u);
+    std::ranges::fill(other.ring, std::uint16_t(500));
+    other.ring[0] = 0;
+    read::restore_firings(other, *recovery, 0.0);
+    EXPECT_EQ(other.time_offset_s.size(), other.size());
+}
+
 TEST(FiringRecovery, FindsTurns) {
     expect_recovered({.turn = {true, kPi, 0.5}, .speed_mps = 8.0, .yaw_rate_radps = 0.3}, true, 2e-3);
     expect_recovered({.turn = {true, kPi, 0.5}, .speed_mps = 8.0, .yaw_rate_radps = 0.3}, false, 0.02);
