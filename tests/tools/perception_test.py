@@ -100,6 +100,8 @@ module = importlib.util.module_from_spec(importlib.util.spec_from_loader("percep
 loader.exec_module(module)
 joined = module.equal_clusters(np, np.array([1, 1, 2, 2]), np.ones(4, int), np.arange(4))
 expect(joined == 0, f"a cluster that joins two of the same size equals both: {joined}")
+parts = [module.equal_clusters(np, np.ones(10, int), np.ones(n, int), np.arange(n)) for n in (4, 6)]
+expect(parts == [0, 1], f"a cluster with 4 and 6 of 10 points: {parts}")
 
 if any(shutil.which(tool) is None for tool in ("pkg-config", "c++")) or subprocess.run(["pkg-config", "--exists", *PCL]).returncode:
     print("skipped: pkg-config, a compiler or libpcl-dev are missing")
