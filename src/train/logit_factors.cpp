@@ -21,7 +21,8 @@ std::vector<double> count_hitting_steps(const Scene& scene, std::span<const Trai
         const double rays = config.rays_per_iteration > 0 ? config.rays_per_iteration : frame.n_rays;
         for (std::size_t i = 0; i < frame.placed.size(); ++i)
             if (frame.placed[i].present)
-                steps[scene.instances[i].model] += steps_per_frame * std::min(rays / frame.n_rays, 1.0);
+                steps[scene.instances[i].model] +=
+                    steps_per_frame * (rays < frame.n_rays ? rays / frame.n_rays : 1.0);
     }
     return steps;
 }

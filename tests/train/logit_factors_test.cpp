@@ -36,6 +36,7 @@ TEST_F(LogitFactors, GiveRarelyHitActorsTheSameReach) {
 TEST_F(LogitFactors, AreNotNeededInALongTraining) {
     config.iterations = 10'000;
     config.rays_per_iteration = 0;
+    frames[0].n_rays = 0;  // an empty scan
     EXPECT_TRUE(logit_factors(scene, frames, config).empty());
 }
 
