@@ -177,6 +177,7 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
 void print_lane_table(const std::string& run_folder) {
     Run run = load_run(run_folder);
     run.config = with_max_range(std::move(run.config), run.sequence);
+    run.config.sensor.grid = "native";  // the rays that are cast into the street
     const StreetOptions street = read_street(run);
     copy_scans(run, run.split.train, load_log(run.config));
     const TrainingReturns training(run);
