@@ -188,10 +188,10 @@ std::string describe_unseen(const Scene& scene, const std::string& track);
 /// place on the earth; yaw is then counterclockwise from east. Without a header, the
 /// columns are time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg]. The rotation is R =
 /// Rz(yaw) Ry(pitch) Rx(roll).
+/// @param georeference  Log::georeference
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
 /// @throws UsageError for places on the earth without `georeference` or without PROJ
-/// @param georeference  Log::georeference
 PoseTrack read_trajectory(const std::filesystem::path& path,
                           const std::optional<Georeference>& georeference = {});
 /// Reads the trajectory of an actor as read_trajectory() does. If the column z has the
