@@ -232,14 +232,7 @@ endif()
 if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
     # Embree 3 and 4 both call their target `embree`; only the header's folder differs.
     find_package(embree QUIET GLOBAL)
-    relidar_dependency(embree APT libembree-dev PACKAGE embree TARGETS embree DEFINE "RELIDAR_EMBREE_VERSION=${embree_VERSION_MAJOR}")
-endif()
-if(RELIDAR_ONEDNN AND NOT RELIDAR_FOR_PACKAGE)
-    # not its package: that one asks for the headers of OpenCL
-    relidar_dependency(onednn APT libdnnl-dev HEADER oneapi/dnnl/dnnl.hpp LIBRARY dnnl)
-    if(TARGET relidar::dep_onednn)
-        target_include_directories(relidar::dep_onednn INTERFACE ${CMAKE_CURRENT_LIST_DIR})   # onednn_primitive.hpp
-    endif()
+    relidar_dependency(embree APT libembree-dev PACKAGE embree TARGETS embree)
 endif()
 
 if(RELIDAR_MISSING_DEPENDENCIES AND NOT RELIDAR_FOR_PACKAGE)

@@ -69,6 +69,36 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     EXPECT_EQ(convolve(from, weights, {0.5}, 1, 9).values, ended);
 }
 
+/// The weights are [output channels, input channels, taps].
+TEST(LayersReference, ConvolutionMixesChannels) {
+    ImageBatch from(1, 2, 1, 2);
+    from.values = {1.0, 2.0, 10.0, 20.0};
+    const std::vector<double> expected{51.0, 102.0, 30.5, 60.5, 15.0, 30.0};
+    EXPECT_EQ(convolve(from, {1, 5, 0, 3, 5, 1}, {0.0, 0.5, 0.0}, 3, 1).values, expected);
+}
+
+TEST(LayersReference, NormalisationByHand) {
+    ImageBatch from(2, 1, 1, 2);
+    from.values = {1.0, 3.0, 5.0, 7.0};
+    const Moments moments = compute_moments(from);
+    EXPECT_EQ(moments.mean, std::vector{4.0});
+    EXPECT_EQ(moments.variance, std::vector{5.0});
+    // gamma (x - mean) / sqrt(variance + epsilon) + beta, and 0 for negative values
+    const std::vector<double> expected{0.0, 0.0, 1.5, 3.5};
+    EXPECT_EQ(normalise(from, moments, {{0.5}, {3.0}, {}, 4.0}).values, expected);
+}
+
+/// Odd rows and columns are ignored. The first of several largest pixels gets the
+/// gradient.
+TEST(LayersReference, PoolByHand) {
+    ImageBatch from(1, 1, 3, 5), d_to(1, 1, 1, 2);
+    from.values = {0, 2, 1, 1, 9, 2, 1, 1, 3, 9, 9, 9, 9, 9, 9};
+    d_to.values = {4, 5};
+    const std::vector<double> pooled{2, 3}, d_from{0, 4, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 0, 0, 0};
+    EXPECT_EQ(pool(from).values, pooled);
+    EXPECT_EQ(backpropagate_pool(from, d_to).values, d_from);
+}
+
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
