@@ -1,12 +1,43 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the forward pass of the reference: shading of a hit (M1, M2, SH) and
-// blending from near to far (M4, M5). Fetches hits in chunks like a GPU, or uses the
-// complete list of hits. The blending is the same.
+// Implements the forward pass of the reference: intersection of each surfel of each
+// instance (M1, M2), shading of a hit (SH), and blending from near to far (M4, M5).
 #include "render.hpp"
 
 #include <algorithm>
 
 namespace relidar::reference {
+
+BruteForce::BruteForce(const World& world, const ImageModel& model, Precision precision)
+    : model_(model), precision_(precision), instances_(world.instances) {
+    for (const Placement& p : instances_) rows_.push_back(make_model_from_world_rows(p.world_from_model));
+    for (const Surfel& s : world.surfels) {
+        if (precision == Precision::float_record) float_records_.push_back(make_float_record(s));
+        else double_records_.push_back(make_record(s));
+    }
+}
+
+std::vector<Hit> BruteForce::list_hits(const Ray& ray) const {
+    std::vector<Hit> hits;
+    const auto offer = [&](const auto& hit, std::uint32_t instance, std::uint32_t surfel) {
+        if (hit) hits.push_back({double(hit->t), instance, surfel});
+    };
+    for (std::uint32_t i = 0; i < instances_.size(); ++i) {
+        const Placement& p = instances_[i];
+        if (precision_ == Precision::float_record) {
+            const LocalRay<float> still = to_model(rows_[i], glm::vec3(ray.origin), glm::vec3(ray.direction));
+            const LocalRay<float> local = follow(still, p.world_from_model, p.motion, ray.time_s);
+            for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
+                offer(intersect(float_records_[s], local, model_), i, s);
+        } else {
+            const LocalRay<double> local = to_model(p.at(ray.time_s), ray);
+            for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
+                offer(intersect(double_records_[s], local, model_), i, s);
+        }
+    }
+    std::ranges::sort(hits);
+    return hits;
+}
+
 namespace {
 
 class Blend {
@@ -113,34 +144,22 @@ ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray
     return s;
 }
 
-Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
-             int chunk, std::vector<ShadedHit>* blended) {
+Pixel render(const World& world, const BruteForce& brute, const Settings& settings, const Ray& ray,
+             std::vector<ShadedHit>* blended) {
     Blend blend(settings, ray);
-    std::vector<Hit> hits;
-    HitKey after;
-    do {
-        provider.find_next_hits(ray, after, chunk, hits);
-        for (const Hit& hit : hits) {
-            const ShadedHit s = shade_hit(world, settings, ray, hit);
-            if (!blend.add(s)) return blend.finish();
-            if (blended != nullptr) blended->push_back(s);
-            after = hit;
-        }
-    } while (int(hits.size()) == chunk);
-    return blend.finish();
-}
-
-Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings,
-                         const Ray& ray, std::vector<ShadedHit>* blended) {
-    Blend blend(settings, ray);
-    std::vector<Hit> hits;
-    provider.find_next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);
-    for (const Hit& hit : hits) {
+    for (const Hit& hit : brute.list_hits(ray)) {
         const ShadedHit s = shade_hit(world, settings, ray, hit);
         if (!blend.add(s)) break;
         if (blended != nullptr) blended->push_back(s);
     }
     return blend.finish();
+}
+
+std::vector<Pixel> render(const World& world, const Settings& settings, const std::vector<Ray>& rays) {
+    const BruteForce brute(world, settings.image, Precision::double_record);
+    std::vector<Pixel> pixels;
+    for (const Ray& ray : rays) pixels.push_back(render(world, brute, settings, ray));
+    return pixels;
 }
 
 std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m) {

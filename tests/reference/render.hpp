@@ -1,17 +1,67 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements image formation of the reference in double precision: blending along a ray
-// (M4), outputs (M5), and gradients (M7, M8) with respect to surfel parameters, the ray,
-// the view origin and instance poses. Hits are read from any HitProvider.
+// Implements image formation of the reference in double precision: hits, found by testing
+// every surfel, blending along a ray (M4), outputs (M5), and gradients (M7, M8) with
+// respect to surfel parameters, the ray, the view origin and instance poses.
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <vector>
 
 #include <relidar/diff/blended_values.h>
 
-#include "traversal.hpp"
+#include "surfel.hpp"
 
 namespace relidar::reference {
+
+/// A model (range of surfels) placed in the world.
+struct Placement {
+    std::uint32_t first = 0;
+    std::uint32_t count = 0;
+    Pose world_from_model;
+    Motion motion = {};
+    /// Additional transform of the model in its frame at all times, for finite
+    /// differences. The float record ignores this transform.
+    Pose change = {};
+
+    Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
+    glm::dquat unturned(double time_s) const {
+        return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
+    }
+};
+
+/// All objects that rays can hit. Surfel ids are indices into `surfels`, instance ids are
+/// indices into `instances`.
+struct World {
+    std::vector<Surfel> surfels;
+    std::vector<Placement> instances;
+};
+
+struct Hit {
+    double t = 0.0;
+    std::uint32_t instance = 0;
+    std::uint32_t surfel = 0;
+
+    friend auto operator<=>(const Hit& a, const Hit& b) = default;
+};
+
+enum class Precision { float_record, double_record };
+
+/// Finds hits in float, so that ids are comparable with the GPU, or in double.
+class BruteForce {
+public:
+    BruteForce(const World& world, const ImageModel& model, Precision precision);
+    /// Returns all hits of a ray, in ascending order of (t, instance, surfel).
+    std::vector<Hit> list_hits(const Ray& ray) const;
+
+private:
+    ImageModel model_;
+    Precision precision_;
+    std::vector<Placement> instances_;
+    std::vector<FloatRows> rows_;
+    std::vector<FloatRecord> float_records_;
+    std::vector<DoubleRecord> double_records_;
+};
 
 struct Settings {
     ImageModel image;
@@ -75,12 +125,12 @@ BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHi
 BlendedValues compute_slopes(const Settings& settings, const Ray& ray, const ShadedHit& hit);
 ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 
-/// Renders a ray. Fetches its hits in groups of `chunk` hits.
+/// Renders a ray with all its hits.
+/// @param brute hits of the world
 /// @param blended if not null, receives the blended hits in order
-Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
-             int chunk, std::vector<ShadedHit>* blended = nullptr);
-Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings,
-                         const Ray& ray, std::vector<ShadedHit>* blended = nullptr);
+Pixel render(const World& world, const BruteForce& brute, const Settings& settings, const Ray& ray,
+             std::vector<ShadedHit>* blended = nullptr);
+std::vector<Pixel> render(const World& world, const Settings& settings, const std::vector<Ray>& rays);
 
 /// Surface: a group of consecutive blended hits of a ray.
 struct Surface {
@@ -104,14 +154,6 @@ struct PoseGradient {
     glm::dvec3 rotation{0.0};
 };
 
-struct Gradients {
-    std::vector<Surfel> surfels;          ///< [n] dL/d(parameter), same layout as the parameters
-    std::vector<PoseGradient> instances;  ///< [instances]
-    glm::dvec3 view_origin{0.0};          ///< zero unless ShDirection::surfel
-
-    explicit Gradients(const World& world);  ///< initialises all gradients with zero
-};
-
 /// Gradient with respect to a ray. The direction is a free 3-vector that is not
 /// renormalised. The SH polynomials use it unchanged.
 struct RayGradient {
@@ -119,9 +161,18 @@ struct RayGradient {
     glm::dvec3 direction{0.0};
 };
 
-/// Traces the ray again, front to back, and adds the gradients of surfels and poses to
-/// `gradients` (M7, M8). Returns the gradient of the ray.
-RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings,
-                     const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients);
+struct Gradients {
+    std::vector<Surfel> surfels;          ///< [n] dL/d(parameter), same layout as the parameters
+    std::vector<PoseGradient> instances;  ///< [instances]
+    std::vector<RayGradient> rays;        ///< [rays]
+    glm::dvec3 view_origin{0.0};          ///< zero unless ShDirection::surfel
+
+    explicit Gradients(const World& world);  ///< initialises all gradients with zero
+};
+
+/// Renders the rays again, and sums their gradients (M7, M8).
+/// @param d_pixels [rays] gradients of the rendered values
+Gradients backward(const World& world, const Settings& settings, const std::vector<Ray>& rays,
+                   const std::vector<PixelGradient>& d_pixels);
 
 }  // namespace relidar::reference

@@ -142,29 +142,18 @@ void backpropagate_pose(const Placement& placed, const Ray& ray, const glm::dvec
                        glm::cross(view_origin - viewed.translation, view);
 }
 
-}  // namespace
-
-Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
-    for (std::size_t i = 0; i < surfels.size(); ++i) {
-        // The default rotation of a Surfel is the identity. A gradient must start at
-        // zero.
-        surfels[i].rotation = glm::dvec4(0.0);
-        if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
-    }
-}
-
-RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings,
-                     const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients) {
+/// Adds the gradients of a ray.
+void add_ray(const World& world, const BruteForce& brute, const Settings& settings, const Ray& ray,
+             const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
-    const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
+    const Pixel pixel = render(world, brute, settings, ray, &hits);
     const std::vector<HitGradient> d_hits = compute_hit_gradients(hits, settings, ray, pixel, d_pixel);
-    RayGradient d_ray;
+    RayGradient& d_ray = gradients.rays.emplace_back();
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const Surfel& surfel = world.surfels[s.hit.surfel];
         const Placement& placed = world.instances[s.hit.instance];
-        const Pose pose = placed.at(ray.time_s);
-        const LocalRay<double> local = to_model(pose, ray);
+        const LocalRay<double> local = to_model(placed.at(ray.time_s), ray);
         const glm::dvec3 view =
             to_model(placed.world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
         Surfel& d_surfel = gradients.surfels[s.hit.surfel];
@@ -177,7 +166,26 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         backpropagate_pose(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance],
                            d_ray, gradients.view_origin);
     }
-    return d_ray;
+}
+
+}  // namespace
+
+Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        // The default rotation of a Surfel is the identity. A gradient must start at
+        // zero.
+        surfels[i].rotation = glm::dvec4(0.0);
+        if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
+    }
+}
+
+Gradients backward(const World& world, const Settings& settings, const std::vector<Ray>& rays,
+                   const std::vector<PixelGradient>& d_pixels) {
+    const BruteForce brute(world, settings.image, Precision::double_record);
+    Gradients gradients(world);
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        add_ray(world, brute, settings, rays[i], d_pixels[i], gradients);
+    return gradients;
 }
 
 }  // namespace relidar::reference

@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests image formation and its gradient against closed forms: a surfel head-on, two
 // surfels at equal depth, a background that counts once (see the note to M7), clamps
-// without gradient, the stop rule, the median range, and chunks against a single list.
+// without gradient, the stop rule, and the median range.
 #include <gtest/gtest.h>
 
-#include "../support/random_scene.hpp"
-#include "../support/surfels.hpp"
 #include "render.hpp"
 
 namespace relidar::reference {
@@ -32,12 +30,9 @@ struct Case {
     World world;
     Settings settings{};
     Ray ray{};
-    BruteForce provider() const { return {world, settings.image, Precision::double_record}; }
-    Pixel image(int chunk = 16) const { return render(world, provider(), settings, ray, chunk); }
+    Pixel image() const { return render(world, settings, {ray}).front(); }
     Gradients gradient(const PixelGradient& gradient) const {
-        Gradients sum(world);
-        backward(world, provider(), settings, ray, 16, gradient, sum);
-        return sum;
+        return backward(world, settings, {ray}, {gradient});
     }
 };
 
@@ -89,18 +84,13 @@ TEST(ReferenceRender, MedianIsWhereTransmittanceCrossesHalf) {
 
 TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
     const Surfel a = make_facing_surfel(5, 0.5, {1, 0, 0}), b = make_facing_surfel(5, 0.5, {0, 1, 0});
-    std::vector<ShadedHit> blended;
-    const auto ids = [&](const World& world) {
-        blended.clear();
-        const Case c{world};
-        // With chunks of a single hit, the search must continue after the key (t,
-        // instance, surfel) and not only after t.
-        render(c.world, c.provider(), c.settings, c.ray, 1, &blended);
-        std::vector<std::pair<std::uint32_t, std::uint32_t>> result;
-        for (const ShadedHit& s : blended) result.emplace_back(s.hit.instance, s.hit.surfel);
+    using Ids = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
+    const auto ids = [](const World& world) {
+        Ids result;
+        for (const Hit& hit : BruteForce(world, {}, Precision::double_record).list_hits({}))
+            result.emplace_back(hit.instance, hit.surfel);
         return result;
     };
-    using Ids = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
     EXPECT_EQ(ids(make_world({a, b, a})), (Ids{{0, 0}, {0, 1}, {0, 2}}));
     EXPECT_EQ(ids({{a, b}, {{1, 1, {}}, {0, 1, {}}}}), (Ids{{0, 1}, {1, 0}}));
     const Pixel p = Case{make_world({a, b})}.image();
@@ -118,33 +108,11 @@ TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
     // which is below T_min.
     EXPECT_EQ(p.hits, 3u);
     EXPECT_NEAR(p.transmittance, 1e-3, 1e-12);
-    for (const int chunk : {1, 2, 3, 4}) EXPECT_EQ(c.image(chunk).hits, 3u);
 }
 
 TEST(ReferenceRender, NearPlane) {
     EXPECT_EQ((Case{make_world({make_facing_surfel(0.19, 0.5, glm::dvec3(1))})}.image().hits), 0u);
     EXPECT_EQ((Case{make_world({make_facing_surfel(0.21, 0.5, glm::dvec3(1))})}.image().hits), 1u);
-}
-
-TEST(ReferenceRender, ChunkedEqualsAllAtOnce) {
-    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        Settings settings;
-        settings.image.sh_direction = direction;
-        const test::RandomScene scene = test::make_random_scene({}, settings);
-        settings.view_origin = scene.view_origin;
-        for (const Precision precision : {Precision::double_record, Precision::float_record}) {
-            const BruteForce provider(scene.world, settings.image, precision);
-            for (const Ray& ray : scene.rays) {
-                const Pixel all = render_all_at_once(scene.world, provider, settings, ray);
-                for (int chunk = 1; chunk <= 32; ++chunk) {
-                    const Pixel p = render(scene.world, provider, settings, ray, chunk);
-                    EXPECT_EQ(p.depth, all.depth);
-                    EXPECT_EQ(p.drop_logit, all.drop_logit);
-                    EXPECT_EQ(p.hits, all.hits);
-                }
-            }
-        }
-    }
 }
 
 TEST(ReferenceRender, ShDirectionInTheModelsFrame) {

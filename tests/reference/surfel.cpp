@@ -206,14 +206,4 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
     return local;
 }
 
-std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageModel& model) {
-    return intersect_surfel_at_pose(record, ray, model);
-}
-
-std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageModel& model) {
-    return intersect_surfel_at_pose(record, ray, model);
-}
-
 }  // namespace relidar::reference

@@ -181,8 +181,8 @@ PlaneHit<Real> meet(const Record<Real>& record, const LocalRay<Real>& ray) {
 /// ray is not parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the
 /// record is finite, and sigma > alpha_min.
 template <typename Real>
-std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& record, const LocalRay<Real>& ray,
-                                                       const ImageModel& model) {
+std::optional<PlaneHit<Real>> intersect(const Record<Real>& record, const LocalRay<Real>& ray,
+                                        const ImageModel& model) {
     const PlaneHit<Real> hit = meet(record, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
     if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also true if alpha is NaN
@@ -194,10 +194,5 @@ std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& recor
     if (!std::isfinite(record.sigma) || !(record.sigma > Real(model.alpha_min))) return std::nullopt;
     return hit;
 }
-
-std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageModel& model);
-std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageModel& model);
 
 }  // namespace relidar::reference

@@ -115,30 +115,30 @@ TEST(ReferenceSh, GradientAgreesWithDifferences) {
 
 TEST(ReferenceHit, HeadOnAndOffCentre) {
     const DoubleRecord record = make_record(make_facing_surfel());
-    const auto centre = intersect_in_double(record, {{0, 0, 0}, {1, 0, 0}}, {});
+    const auto centre = intersect(record, {{0, 0, 0}, {1, 0, 0}}, {});
     ASSERT_TRUE(centre);
     EXPECT_DOUBLE_EQ(centre->t, 5.0);
     EXPECT_DOUBLE_EQ(centre->alpha, 0.8);
-    const auto off = intersect_in_double(record, {{0, 0.5, -0.5}, {1, 0, 0}}, {});
+    const auto off = intersect(record, {{0, 0.5, -0.5}, {1, 0, 0}}, {});
     ASSERT_TRUE(off);
     EXPECT_NEAR(off->u, 1.0, 1e-14);
     EXPECT_NEAR(off->v, -2.0, 1e-14);
     EXPECT_NEAR(off->alpha, 0.8 * std::exp(-2.5), 1e-14);
     // surfels are two-sided
-    const auto behind_the_back = intersect_in_double(record, {{10, 0, 0}, {-1, 0, 0}}, {});
+    const auto behind_the_back = intersect(record, {{10, 0, 0}, {-1, 0, 0}}, {});
     ASSERT_TRUE(behind_the_back);
     EXPECT_DOUBLE_EQ(behind_the_back->t, 5.0);
 }
 
 TEST(ReferenceHit, Refusals) {
     const DoubleRecord record = make_record(make_facing_surfel());
-    EXPECT_FALSE(intersect_in_double(record, {{0, 0, 0}, {-1, 0, 0}}, {})) << "behind the origin";
-    EXPECT_FALSE(intersect_in_double(record, {{4.85, 0, 0}, {1, 0, 0}}, {})) << "nearer than 0.2 m";
-    EXPECT_TRUE(intersect_in_double(record, {{4.75, 0, 0}, {1, 0, 0}}, {}));
-    EXPECT_FALSE(intersect_in_double(record, {{5, -3, 0}, {0, 1, 0}}, {})) << "in the plane";
+    EXPECT_FALSE(intersect(record, {{0, 0, 0}, {-1, 0, 0}}, {})) << "behind the origin";
+    EXPECT_FALSE(intersect(record, {{4.85, 0, 0}, {1, 0, 0}}, {})) << "nearer than 0.2 m";
+    EXPECT_TRUE(intersect(record, {{4.75, 0, 0}, {1, 0, 0}}, {}));
+    EXPECT_FALSE(intersect(record, {{5, -3, 0}, {0, 1, 0}}, {})) << "in the plane";
     const double k = std::sqrt(2.0 * std::log(0.8 / double(1.0f / 255.0f)));
-    EXPECT_TRUE(intersect_in_double(record, {{0, 0.4999 * k, 0}, {1, 0, 0}}, {}));
-    EXPECT_FALSE(intersect_in_double(record, {{0, 0.5001 * k, 0}, {1, 0, 0}}, {})) << "alpha under the cut";
+    EXPECT_TRUE(intersect(record, {{0, 0.4999 * k, 0}, {1, 0, 0}}, {}));
+    EXPECT_FALSE(intersect(record, {{0, 0.5001 * k, 0}, {1, 0, 0}}, {})) << "alpha under the cut";
 }
 
 TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
@@ -155,16 +155,15 @@ TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
     bad[7].opacity_logit = std::log((1.0 / 255.0) / (1.0 - 1.0 / 255.0)) - 1e-6;
     bad[8].opacity_logit = -inf;
     for (std::size_t i = 0; i < bad.size(); ++i) {
-        EXPECT_FALSE(intersect_in_double(make_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
-        EXPECT_FALSE(intersect_in_float(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {}))
-            << "surfel " << i;
+        EXPECT_FALSE(intersect(make_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
+        EXPECT_FALSE(intersect(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
     }
     Surfel tiny = make_facing_surfel();
     tiny.log_scale = {-100.0, -100.0};  // 1 / s overflows in float only
-    EXPECT_FALSE(intersect_in_float(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
+    EXPECT_FALSE(intersect(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
     Surfel huge = make_facing_surfel();
     huge.log_scale = {80.0, 80.0};
-    EXPECT_TRUE(intersect_in_float(make_float_record(huge), {{0, 3, 4}, {1, 0, 0}}, {}));
+    EXPECT_TRUE(intersect(make_float_record(huge), {{0, 3, 4}, {1, 0, 0}}, {}));
 }
 
 TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
@@ -177,8 +176,8 @@ TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
     const LocalRay<float> rounded =
         to_model(make_model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
     EXPECT_NEAR(glm::length(glm::dvec3(rounded.origin) - local.origin), 0.0, 2e-6);
-    const auto exact = intersect_in_double(make_record(make_facing_surfel()), back, {});
-    const auto single = intersect_in_float(make_float_record(make_facing_surfel()), rounded, {});
+    const auto exact = intersect(make_record(make_facing_surfel()), back, {});
+    const auto single = intersect(make_float_record(make_facing_surfel()), rounded, {});
     ASSERT_TRUE(exact && single);
     EXPECT_NEAR(exact->t, double(single->t), 5e-6);
     EXPECT_NEAR(exact->alpha, double(single->alpha), 5e-6);

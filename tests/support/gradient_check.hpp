@@ -67,6 +67,11 @@ public:
         groups_[group].expected.push_back(std::move(expected));
         groups_[group].actual.push_back(std::move(actual));
     }
+    void add_table(const GradientTable& other) {
+        for (const auto& [name, group] : other.groups_)
+            for (std::size_t i = 0; i < group.expected.size(); ++i)
+                add_row(name, group.expected[i], group.actual[i]);
+    }
     const std::map<std::string, GradientGroup>& groups() const { return groups_; }
     double compute_worst_error() const {
         double worst = 0.0;
@@ -118,6 +123,15 @@ inline std::vector<double> compute_central_differences(double* parameter, int co
     const std::vector<double> start(parameter, parameter + components);
     return compute_central_differences(
         components, [&](int k, double offset) { parameter[k] = start[std::size_t(k)] + offset; }, terms, h);
+}
+
+/// Adds a row that compares a derivative with central differences.
+/// @param parameter,derivative [components]
+inline void add_differences(GradientTable& table, const std::string& group, double* parameter,
+                            const double* derivative, int components,
+                            const std::function<std::vector<double>()>& terms, double h = kDifferenceStep) {
+    table.add_row(group, compute_central_differences(parameter, components, terms, h),
+                  {derivative, derivative + components});
 }
 
 }  // namespace relidar::test

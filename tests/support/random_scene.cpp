@@ -79,8 +79,7 @@ bool is_surfel_smooth(const reference::Surfel& surfel, const reference::Ray& ray
 bool are_hits_smooth(const reference::World& world, const reference::Settings& settings,
                      const reference::Ray& ray, const Margins& margins) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
-    std::vector<reference::Hit> hits;
-    brute.find_next_hits(ray, {}, 1 << 20, hits);
+    const std::vector<reference::Hit> hits = brute.list_hits(ray);
     double transmittance = 1.0;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const reference::ShadedHit s = reference::shade_hit(world, settings, ray, hits[i]);
@@ -147,9 +146,9 @@ void add_measured_ranges(const RandomSceneOptions& options, const reference::Set
                          RandomScene& scene) {
     Random random(options.seed + 1000);
     std::normal_distribution<double> normal;
-    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    const std::vector<reference::Pixel> pixels = reference::render(scene.world, settings, scene.rays);
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
-        const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+        const reference::Pixel& p = pixels[i];
         const double off = 0.3 * normal(random);
         if (i % 7 != 3 && p.hits > 0)
             scene.rays[i].measured_m = double(float(std::max(p.depth / p.weight + off, 0.5)));

@@ -9,7 +9,7 @@
 #include <relidar/diff/traversal.hpp>
 #include <relidar/scene/scene.hpp>
 
-#include "../reference/traversal.hpp"
+#include "../reference/render.hpp"
 
 namespace relidar::test {
 

@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests a scene with a thousand copies of an actor: a thousand instances of one model,
 // and a thousand models.
-#include <numeric>
 #include <random>
 
 #include <relidar/diff/loss.hpp>
-#include <relidar/diff/optimizer.hpp>
 
 #include "passes.hpp"
 
@@ -86,15 +84,15 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         ASSERT_EQ(scene.rays.size(), 30u);
         const std::vector<reference::PixelGradient> upstream =
             test::make_random_upstream(scene.rays.size(), 74);
-        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-        reference::Gradients expected(scene.world);
+        const std::vector<reference::Pixel> pixels = reference::render(scene.world, settings, scene.rays);
+        const reference::Gradients expected =
+            reference::backward(scene.world, settings, scene.rays, upstream);
         test::GradientTable table;
         Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image));
         passes.run();
         const std::vector<shared::RenderedRay> rendered = passes.renderer.last_batch().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
-            const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
+            const reference::Pixel& pixel = pixels[i];
             const shared::RenderedRay& r = rendered[i];
             table.add_row("pixel",
                           {pixel.depth, pixel.weight, pixel.intensity, pixel.hit_logit, pixel.drop_logit},
@@ -110,69 +108,6 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
             EXPECT_EQ(group.count_missing_rows(), 0u) << name;
             EXPECT_GT(group.count_nonzero_rows(), 0u) << name;
         }
-    }
-}
-
-/// Returns targets 0.1 m behind and 0.1 brighter than the first rendering.
-std::vector<DeviceTarget> make_targets_near(const std::vector<shared::RenderedRay>& rendered) {
-    std::vector<DeviceTarget> targets;
-    for (const shared::RenderedRay& r : rendered)
-        targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
-    return targets;
-}
-
-/// Trains for twenty steps and returns the losses. The scene moves slightly before each
-/// step.
-std::vector<float> train(Passes& passes) {
-    DifferentiableRenderer& differentiable = passes.differentiable;
-    Renderer& renderer = passes.renderer;
-    Device& device = renderer.stream().device();
-    passes.run_forward();
-    renderer.stream().submit_and_wait();
-    const std::vector<DeviceTarget> values =
-        make_targets_near(passes.renderer.last_batch().rendered->download());
-    const Array<DeviceTarget> targets(device, values, "targets");
-    const Array<float> terms(device, kLossTerms, "loss terms");
-    const auto n = std::uint32_t(values.size());
-    constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};
-    ImageLoss loss(device, {});
-    Adam adam(device, renderer.scene().size(), {});
-    std::vector<InstancePose> placed = renderer.scene().poses();
-    std::vector<float> losses;
-    for (int step = 1; step <= 20; ++step) {
-        for (InstancePose& pose : placed) pose.world_from_model.translation.y += 1e-4;
-        renderer.update(placed, passes.view_origin);
-        renderer.stream().fill(terms);
-        renderer.record_forward(passes.batch());
-        loss.add_ray_losses(renderer.stream(), differentiable.last_batch(),
-                            {&targets, 0, 1, n, double(n), double(n)}, terms);
-        differentiable.record_backward();
-        adam.record_step(renderer.stream(), renderer.scene().surfel_parameters(),
-                         differentiable.gradients().surfels, &differentiable.gradients().touched, kRates,
-                         step, 3);
-        renderer.stream().submit_and_wait();
-        const std::vector<float> all = terms.download();
-        losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
-    }
-    return losses;
-}
-
-TEST_F(ManyActors, Train) {
-    for (const bool has_models : {false, true}) {
-        test::RandomScene scene = make_many_actors(has_models, kAcross * kAcross * kAcross);
-        add_rays(scene, 300, nullptr);
-        Passes passes(device(), make_image_model(has_models), scene,
-                      std::vector<reference::PixelGradient>(scene.rays.size()),
-                      test::make_options(make_image_model(has_models)));
-        const std::vector<float> losses = train(passes);
-        const char* what = has_models ? "1000 models" : "1000 instances of a model";
-        std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()),
-                    double(losses.back()));
-        EXPECT_LT(losses.back(), 0.8f * losses.front());
-        for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
-        const Surfels end = passes.renderer.scene().surfel_parameters().download();
-        for (const SurfelParameterGroup& group : list_groups(end.parameters_used()))
-            for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
 }
 

@@ -68,6 +68,9 @@ struct Passes {
         }
         differentiable.last_batch().upstream->upload(u);
     }
+    Passes(Device& device, const GradientProblem& p, const RendererOptions& options,
+           const BackwardOptions& sums = {})
+        : Passes(device, p.settings.image, p.scene, p.upstream, options, sums) {}
 
     RayBatch batch() const { return {&rays, 0, 1, std::uint32_t(rays.size()), 0, &targets}; }
     DeviceGradients& gradients() { return differentiable.gradients(); }
@@ -79,21 +82,6 @@ struct Passes {
         run_forward();
         differentiable.record_backward();
         renderer.stream().submit_and_wait();
-    }
-    /// Returns the inner product of upstream gradients and rendered values over all rays,
-    /// in double.
-    double loss() {
-        run_forward();
-        renderer.stream().submit_and_wait();
-        const std::vector<shared::RenderedRay> r = renderer.last_batch().rendered->download();
-        const std::vector<shared::RayGradient> u = differentiable.last_batch().upstream->download();
-        double sum = 0.0;
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-#define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += double(r[i].name) * u[i].name;
-            RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
-#undef RELIDAR_ADD
-        }
-        return sum;
     }
 };
 

@@ -13,50 +13,22 @@
 namespace relidar {
 namespace {
 
-using reference::PixelGradient;
+using test::GradientProblem;
 using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-struct PoseProblem {
-    reference::Settings settings;
-    test::RandomScene scene;
-    std::vector<PixelGradient> upstream;
-
-    PoseProblem(ShDirection direction, const test::RandomSceneOptions& options,
-                test::Outputs outputs = test::Outputs::image) {
-        settings.image.sh_direction = direction;
-        settings.likelihood_scale_m = 0.3;
-        settings.image.primitive = options.primitive;
-        scene = test::make_random_scene(options, settings);
-        settings.view_origin = scene.view_origin;
-        upstream = test::make_random_upstream(scene.rays.size(), options.seed, outputs);
-    }
-
-    std::vector<double> terms(const std::vector<reference::Ray>& rays,
-                              const reference::Settings& setting) const {
-        const reference::BruteForce brute(scene.world, setting.image, reference::Precision::double_record);
-        std::vector<double> result;
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-            const reference::Pixel p = render(scene.world, brute, setting, rays[i], 16);
-            result.push_back(compute_inner_product(upstream[i], p));
-        }
-        return result;
-    }
-
-    /// Returns the loss terms after the sensor is translated by `vector` and rotated by w
-    /// about the view origin.
-    std::vector<double> compute_terms_of_moved_sensor(const glm::dvec3& vector, const glm::dvec3& w) const {
-        const glm::dquat rotation = test::make_rotation_by(w);
-        reference::Settings s = settings;
-        s.view_origin += vector;
-        std::vector<reference::Ray> rays = scene.rays;
-        for (reference::Ray& ray : rays)
-            ray = {settings.view_origin + rotation * (ray.origin - settings.view_origin) + vector,
-                   rotation * ray.direction, ray.measured_m, ray.time_s};
-        return terms(rays, s);
-    }
-};
+/// Returns the loss terms after the sensor is translated by `vector` and rotated by w
+/// about the view origin.
+std::vector<double> terms_of_moved_sensor(test::GradientProblem p, const glm::dvec3& vector,
+                                          const glm::dvec3& w) {
+    const glm::dquat rotation = test::make_rotation_by(w);
+    const glm::dvec3 origin = std::exchange(p.settings.view_origin, p.settings.view_origin + vector);
+    for (reference::Ray& ray : p.scene.rays)
+        ray = {origin + rotation * (ray.origin - origin) + vector, rotation * ray.direction, ray.measured_m,
+               ray.time_s};
+    return p.terms();
+}
 
 /// Computes central differences of `terms` with respect to a twist (v, w).
 std::vector<double> compute_twist_differences(
@@ -82,16 +54,11 @@ class PoseGradient : public test::DeviceTest {
 protected:
     void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options,
                           const std::string& title, test::Outputs outputs = test::Outputs::image) {
-        PoseProblem p(direction, options, outputs);
-        const reference::BruteForce brute(p.scene.world, p.settings.image,
-                                          reference::Precision::double_record);
-        reference::Gradients expected(p.scene.world);
-        for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
-            reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i],
-                                expected);
+        GradientProblem p({.sh_direction = direction}, options, outputs);
+        const reference::Gradients expected = p.gradients();
         RendererOptions renderer = test::make_options(p.settings.image);
         if (outputs != test::Outputs::image) renderer.trace.likelihood = RangeLikelihoodKernel{0.3f};
-        Passes passes(device(), p.settings.image, p.scene, p.upstream, renderer);
+        Passes passes(device(), p, renderer);
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
         GradientTable table;
@@ -106,7 +73,7 @@ protected:
                 const Pose changed{test::make_rotation_by(w) * start.rotation, start.translation + vector};
                 if (options.moving) placed.change = inverse(start) * changed;
                 else placed.world_from_model = changed;
-                return p.terms(p.scene.rays, p.settings);
+                return p.terms();
             });
             placed.world_from_model = start;
             placed.change = {};
@@ -117,7 +84,7 @@ protected:
         if (!options.moving)
             add_twist(table, "differences, sensor",
                       compute_twist_differences([&](const glm::dvec3& vector, const glm::dvec3& w) {
-                          return p.compute_terms_of_moved_sensor(vector, w);
+                          return terms_of_moved_sensor(p, vector, w);
                       }),
                       lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
@@ -141,12 +108,12 @@ TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
     const test::RandomSceneOptions options{
         .seed = 48, .actor_instances = 3, .rays = 60, .moving = true, .angular_speed_radps = 0.0};
-    PoseProblem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
+    GradientProblem p({.sh_direction = ShDirection::ray}, options);
+    Passes passes(device(), p, test::make_options(p.settings.image));
     passes.run();
     glm::dvec3 v(0.0);
     const std::vector<double> expected = test::compute_central_differences(
-        &v.x, 3, [&] { return p.compute_terms_of_moved_sensor(v, glm::dvec3(0.0)); });
+        &v.x, 3, [&] { return terms_of_moved_sensor(p, v, glm::dvec3(0.0)); });
     GradientTable table;
     table.add_row("sensor translation", expected, lanes(passes.gradients().sensor.download().data(), 3));
     table.print("sensor, models that drive");
@@ -255,8 +222,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
 /// must have a gradient of exactly zero.
 TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     const test::RandomSceneOptions options{.seed = 44, .actor_instances = 3};
-    PoseProblem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
+    GradientProblem p({.sh_direction = ShDirection::ray}, options);
+    Passes passes(device(), p, test::make_options(p.settings.image));
     std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;

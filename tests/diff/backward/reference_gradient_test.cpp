@@ -7,71 +7,23 @@
 
 #include "../../support/gradient_check.hpp"
 #include "../../support/pixel_gradients.hpp"
-#include "../../support/random_scene.hpp"
 
 namespace relidar::reference {
 namespace {
 
+using test::GradientProblem;
 using test::GradientTable;
-
-struct Problem {
-    test::RandomScene scene;
-    Settings settings;
-    std::vector<PixelGradient> upstream;
-    int chunk = 16;
-
-    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size,
-            bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all)
-        : chunk(chunk_size) {
-        settings.image.sh_direction = direction;
-        settings.image.single_drop_logit = single_drop_logit;
-        settings.likelihood_scale_m = 0.3;
-        scene = test::make_random_scene(options, settings);
-        settings.view_origin = scene.view_origin;
-        upstream = test::make_random_upstream(scene.rays.size(), options.seed + 1, outputs);
-    }
-
-    /// Renders with all hits in one chunk, which is faster than several chunks. A
-    /// separate test shows that the chunk size does not change the result.
-    double term(const BruteForce& brute, std::size_t index) const {
-        const Pixel p = render(scene.world, brute, settings, scene.rays[index], 1000);
-        return compute_inner_product(upstream[index], p);
-    }
-    BruteForce brute() const { return {scene.world, settings.image, Precision::double_record}; }
-    std::vector<double> terms() const {
-        const BruteForce provider = brute();
-        std::vector<double> result;
-        for (std::size_t i = 0; i < scene.rays.size(); ++i) result.push_back(term(provider, i));
-        return result;
-    }
-    Gradients gradients(std::vector<RayGradient>& d_rays) const {
-        const BruteForce provider = brute();
-        Gradients sum(scene.world);
-        for (std::size_t i = 0; i < scene.rays.size(); ++i)
-            d_rays.push_back(
-                backward(scene.world, provider, settings, scene.rays[i], chunk, upstream[i], sum));
-        return sum;
-    }
-};
-
-std::vector<double> row(const double* values, int count) { return {values, values + count}; }
-std::vector<double> row(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
-
-struct Row {
-    const char* group;
-    std::vector<double> expected, actual;
-};
+using test::Outputs;
 
 /// Returns the problem with only the rays that hit a surfel. All other rays pass the
 /// surfel at a distance (random_scene.hpp), so small changes of the surfel do not affect
 /// them.
-Problem select_one_surfel(Problem problem, std::size_t surfel) {
-    const BruteForce provider = problem.brute();
+GradientProblem select_one_surfel(GradientProblem problem, std::size_t surfel) {
+    const BruteForce brute(problem.scene.world, problem.settings.image, Precision::double_record);
     std::size_t n_selected_rays = 0;
     for (std::size_t i = 0; i < problem.scene.rays.size(); ++i) {
-        const std::vector<Hit> hits = list_all_hits(provider, problem.scene.rays[i], problem.chunk);
-        if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; }))
-            continue;
+        const std::vector<Hit> hits = brute.list_hits(problem.scene.rays[i]);
+        if (std::ranges::find(hits, surfel, &Hit::surfel) == hits.end()) continue;
         problem.scene.rays[n_selected_rays] = problem.scene.rays[i];
         problem.upstream[n_selected_rays++] = problem.upstream[i];
     }
@@ -80,14 +32,13 @@ Problem select_one_surfel(Problem problem, std::size_t surfel) {
     return problem;
 }
 
-std::vector<Row> make_surfel_rows(const Problem& all, const Gradients& gradients, std::size_t index) {
-    Problem p = select_one_surfel(all, index);
-    std::vector<Row> rows;
-    const auto terms = [&] { return p.terms(); };
+GradientTable compare_surfel(const GradientProblem& all, const Gradients& gradients, std::size_t index) {
+    GradientProblem p = select_one_surfel(all, index);
+    GradientTable table;
     const auto add = [&](const char* group, double* parameter, const double* d_parameter, int count,
                          double step = test::kDifferenceStep) {
-        rows.push_back({group, test::compute_central_differences(parameter, count, terms, step),
-                        row(d_parameter, count)});
+        add_differences(
+            table, group, parameter, d_parameter, count, [&] { return p.terms(); }, step);
     };
     Surfel& s = p.scene.world.surfels[index];
     const Surfel& d = gradients.surfels[index];
@@ -100,38 +51,35 @@ std::vector<Row> make_surfel_rows(const Problem& all, const Gradients& gradients
     for (int c = 0; c < kShChannels; ++c)
         add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients,
             kShCoefficients, test::kLogitStep);
-    return rows;
+    return table;
 }
 
-void check_surfels(const Problem& problem, const Gradients& gradients, GradientTable& table) {
-    std::vector<std::vector<Row>> surfels(problem.scene.world.surfels.size());
+void compare_surfels(const GradientProblem& problem, const Gradients& gradients, GradientTable& table) {
+    std::vector<GradientTable> surfels(problem.scene.world.surfels.size());
     parallel_for(int(surfels.size()), [&](int index) {
-        surfels[std::size_t(index)] = make_surfel_rows(problem, gradients, std::size_t(index));
+        surfels[std::size_t(index)] = compare_surfel(problem, gradients, std::size_t(index));
     });
-    for (const std::vector<Row>& rows : surfels)
-        for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
+    for (const GradientTable& of_surfel : surfels) table.add_table(of_surfel);
 }
 
-void check_rays_and_poses(Problem& problem, const Gradients& gradients,
-                          const std::vector<RayGradient>& d_rays, GradientTable& table) {
-    const BruteForce provider = problem.brute();
+void compare_rays_and_poses(GradientProblem& problem, const Gradients& gradients, GradientTable& table) {
+    GradientProblem single = problem;  // with one ray
     for (std::size_t i = 0; i < problem.scene.rays.size(); ++i) {
-        const auto term = [&] { return std::vector<double>{problem.term(provider, i)}; };
-        table.add_row("ray origin",
-                      test::compute_central_differences(&problem.scene.rays[i].origin.x, 3, term),
-                      row(d_rays[i].origin));
-        table.add_row(
-            "ray direction",
-            test::compute_central_differences(&problem.scene.rays[i].direction.x, 3, term, test::kAngleStep),
-            row(d_rays[i].direction));
+        single.scene.rays = {problem.scene.rays[i]};
+        single.upstream = {problem.upstream[i]};
+        Ray& ray = single.scene.rays[0];
+        const RayGradient& d = gradients.rays[i];
+        const auto term = [&] { return single.terms(); };
+        add_differences(table, "ray origin", &ray.origin.x, &d.origin.x, 3, term);
+        add_differences(table, "ray direction", &ray.direction.x, &d.direction.x, 3, term, test::kAngleStep);
     }
     const auto terms = [&] { return problem.terms(); };
-    table.add_row("view origin", test::compute_central_differences(&problem.settings.view_origin.x, 3, terms),
-                  row(gradients.view_origin));
+    add_differences(table, "view origin", &problem.settings.view_origin.x, &gradients.view_origin.x, 3,
+                    terms);
     for (std::size_t i = 0; i < problem.scene.world.instances.size(); ++i) {
         Pose& pose = problem.scene.world.instances[i].world_from_model;
-        table.add_row("pose translation", test::compute_central_differences(&pose.translation.x, 3, terms),
-                      row(gradients.instances[i].translation));
+        const PoseGradient& d = gradients.instances[i];
+        add_differences(table, "pose translation", &pose.translation.x, &d.translation.x, 3, terms);
         const glm::dquat start = pose.rotation;
         const auto rotate_about_axis = [&](int k, double angle) {
             glm::dvec3 axis(0.0);
@@ -140,141 +88,109 @@ void check_rays_and_poses(Problem& problem, const Gradients& gradients,
         };
         table.add_row("pose rotation",
                       test::compute_central_differences(3, rotate_about_axis, terms, test::kAngleStep),
-                      row(gradients.instances[i].rotation));
+                      {d.rotation.x, d.rotation.y, d.rotation.z});
     }
 }
 
-std::size_t most_hits(const Problem& problem) {
-    std::size_t most = 0;
-    for (const Ray& ray : problem.scene.rays)
-        most = std::max<std::size_t>(
-            most, render(problem.scene.world, problem.brute(), problem.settings, ray, problem.chunk).hits);
-    return most;
-}
+struct GradientCase {
+    const char* name;
+    ShDirection direction;
+    test::RandomSceneOptions options;
+    bool single_drop_logit = false;
+    Outputs outputs = Outputs::all;
+};
+void PrintTo(const GradientCase& c, std::ostream* out) { *out << c.name; }
+constexpr PrimitiveType kGaussian = PrimitiveType::gaussian;
+/// The likelihood (M12) is also tested without the image, which all other cases include.
+const GradientCase kGradientCases[] = {
+    {"ShAlongRay", ShDirection::ray, {}},
+    {"ShAlongSurfel", ShDirection::surfel, {.seed = 2}},
+    {"Likelihood",
+     ShDirection::surfel,
+     {.seed = 6, .background_surfels = 24, .actor_surfels = 8, .rays = 12},
+     false,
+     Outputs::likelihood},
+    {"LikelihoodOfGaussians",
+     ShDirection::ray,
+     {.seed = 6, .background_surfels = 24, .actor_surfels = 8, .rays = 12, .primitive = kGaussian},
+     false,
+     Outputs::likelihood},
+    {"SingleDropLogitAlongRay",
+     ShDirection::ray,
+     {.seed = 5, .background_surfels = 24, .actor_surfels = 8, .rays = 12},
+     true},
+    {"SingleDropLogitAlongSurfel",
+     ShDirection::surfel,
+     {.seed = 5, .background_surfels = 24, .actor_surfels = 8, .rays = 12},
+     true},
+    {"Gaussians", ShDirection::ray, {.seed = 6, .primitive = kGaussian}},
+    {"OpaqueGaussians",
+     ShDirection::surfel,
+     {.seed = 7, .opacity_low = 0.5, .opacity_high = 0.98, .primitive = kGaussian}},
+    {"OpaqueWithEarlyStop",
+     ShDirection::surfel,
+     {.seed = 3, .wide_surfels = 2, .opacity_low = 0.5, .opacity_high = 0.98}},
+    {"LongLists",
+     ShDirection::ray,
+     {.seed = 4,
+      .background_surfels = 80,
+      .actor_surfels = 16,
+      .rays = 8,
+      .opacity_low = 0.02,
+      .opacity_high = 0.2}}};
 
-void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk,
-                              const char* title, bool single_drop_logit = false,
-                              test::Outputs outputs = test::Outputs::all) {
-    Problem problem(direction, options, chunk, single_drop_logit, outputs);
-    EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
-    std::vector<RayGradient> d_rays;
-    const Gradients gradients = problem.gradients(d_rays);
+class ReferenceGradient : public testing::TestWithParam<GradientCase> {};
+INSTANTIATE_TEST_SUITE_P(Cases, ReferenceGradient, testing::ValuesIn(kGradientCases),
+                         [](const auto& tested) { return std::string(tested.param.name); });
+
+TEST_P(ReferenceGradient, EqualsDifferences) {
+    const GradientCase& c = GetParam();
+    GradientProblem problem({.sh_direction = c.direction, .single_drop_logit = c.single_drop_logit},
+                            c.options, c.outputs);
+    const std::vector<Pixel> pixels = render(problem.scene.world, problem.settings, problem.scene.rays);
+    EXPECT_GT(std::ranges::max(pixels, {}, &Pixel::hits).hits, 2u);
+    const Gradients gradients = problem.gradients();
     GradientTable table;
-    check_surfels(problem, gradients, table);
-    check_rays_and_poses(problem, gradients, d_rays, table);
-    table.print(title);
+    compare_surfels(problem, gradients, table);
+    compare_rays_and_poses(problem, gradients, table);
+    table.print(c.name);
     for (const auto& [name, group] : table.groups()) {
-        EXPECT_LE(group.compute_worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
+        EXPECT_LE(group.compute_worst_error(), test::kReferenceGradient) << name;
         EXPECT_EQ(group.count_missing_rows(), 0u) << name;
         // the likelihood does not depend on the channels
-        const bool values = outputs == test::Outputs::all;
-        const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
-                              (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
+        const bool values = c.outputs == Outputs::all;
+        const bool constant = (name == "view origin" && !(c.direction == ShDirection::surfel && values)) ||
+                              (name == "sh hit" && c.single_drop_logit) ||
+                              (name.starts_with("sh ") && !values);
         EXPECT_EQ(group.count_nonzero_rows() == 0u, constant) << name;
     }
 }
 
-TEST(ReferenceGradient, EveryParameterShAlongRay) {
-    test::RandomSceneOptions options;
-    expect_differences_agree(ShDirection::ray, options, 4, "SH along the ray, 3 instances, chunk 4");
-}
-
-TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
-    test::RandomSceneOptions options;
-    options.seed = 2;
-    expect_differences_agree(ShDirection::surfel, options, 4,
-                             "SH along sensor -> mean, 3 instances, chunk 4");
-}
-
-/// Tests the likelihood of measured ranges (M12) without the image. All other tests
-/// include the image.
-TEST(ReferenceGradient, LikelihoodAlone) {
-    test::RandomSceneOptions options{.seed = 6, .background_surfels = 24, .actor_surfels = 8, .rays = 12};
-    expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
-                             test::Outputs::likelihood);
-    options.primitive = PrimitiveType::gaussian;
-    expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false,
-                             test::Outputs::likelihood);
-}
-
-TEST(ReferenceGradient, SingleDropLogit) {
-    const test::RandomSceneOptions options{
-        .seed = 5, .background_surfels = 24, .actor_surfels = 8, .rays = 12};
-    expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
-    expect_differences_agree(ShDirection::surfel, options, 4,
-                             "one drop logit, SH along sensor -> mean, chunk 4", true);
-}
-
-TEST(ReferenceGradient, GaussiansShAlongRay) {
-    const test::RandomSceneOptions options{.seed = 6, .primitive = PrimitiveType::gaussian};
-    expect_differences_agree(ShDirection::ray, options, 4,
-                             "3D Gaussians, SH along the ray, 3 instances, chunk 4");
-}
-
-TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
-    const test::RandomSceneOptions options{
-        .seed = 7, .opacity_low = 0.5, .opacity_high = 0.98, .primitive = PrimitiveType::gaussian};
-    expect_differences_agree(ShDirection::surfel, options, 2,
-                             "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
-}
-
-/// Counts the blended hits whose opacity is clamped at alpha_max. Also counts the rays
-/// that end because little light passes (T_min).
-std::pair<int, int> count_clamps_and_stopped_rays(const Problem& problem) {
+/// The opaque case must clamp opacities at alpha_max, and stop rays because little light
+/// passes (T_min).
+TEST(ReferenceGradientCases, ClampAndStop) {
+    const GradientCase& c = *std::ranges::find(kGradientCases, std::string("OpaqueWithEarlyStop"),
+                                               [](const GradientCase& one) { return one.name; });
+    const GradientProblem problem({.sh_direction = c.direction}, c.options);
+    const BruteForce brute(problem.scene.world, problem.settings.image, Precision::double_record);
     int clamps = 0, stops = 0;
-    const BruteForce provider = problem.brute();
     for (const Ray& ray : problem.scene.rays) {
         std::vector<ShadedHit> blended;
-        render(problem.scene.world, provider, problem.settings, ray, problem.chunk, &blended);
+        render(problem.scene.world, brute, problem.settings, ray, &blended);
         for (const ShadedHit& s : blended) clamps += s.alpha_clamped;
-        stops += blended.size() < list_all_hits(provider, ray, 16).size();
+        stops += blended.size() < brute.list_hits(ray).size();
     }
-    return {clamps, stops};
-}
-
-TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
-    const test::RandomSceneOptions options{
-        .seed = 3, .wide_surfels = 2, .opacity_low = 0.5, .opacity_high = 0.98};
-    const auto [clamps, stops] = count_clamps_and_stopped_rays(Problem(ShDirection::surfel, options, 2));
     EXPECT_GT(clamps, 0);
     EXPECT_GT(stops, 0);
-    expect_differences_agree(ShDirection::surfel, options, 2, "opaque, chunk 2");
 }
 
-TEST(ReferenceGradient, LongListsChunk16) {
-    const test::RandomSceneOptions options{.seed = 4,
-                                           .background_surfels = 80,
-                                           .actor_surfels = 16,
-                                           .rays = 8,
-                                           .opacity_low = 0.02,
-                                           .opacity_high = 0.2};
-    expect_differences_agree(ShDirection::ray, options, 16, "transparent, long lists, chunk 16");
-}
-
-TEST(ReferenceGradient, RotationGradientIsTangential) {
-    Problem problem(ShDirection::ray, {}, 4);
-    std::vector<RayGradient> d_rays;
-    const Gradients gradients = problem.gradients(d_rays);
+TEST(ReferenceGradientCases, RotationGradientIsTangential) {
+    const GradientProblem problem({}, {}, Outputs::all);
+    const Gradients gradients = problem.gradients();
     for (std::size_t i = 0; i < gradients.surfels.size(); ++i) {
         const glm::dvec4 q = problem.scene.world.surfels[i].rotation, d = gradients.surfels[i].rotation;
         EXPECT_LE(std::abs(glm::dot(q, d)), 1e-12 * (1.0 + glm::length(q) * glm::length(d)))
             << "surfel " << i;
-    }
-}
-
-TEST(ReferenceGradient, ChunkSizeDoesNotMatter) {
-    Problem problem(ShDirection::surfel, {}, 1);
-    std::vector<RayGradient> d_rays;
-    const Gradients one = problem.gradients(d_rays);
-    for (const int chunk : {2, 3, 7, 16, 32, 1000}) {
-        problem.chunk = chunk;
-        const Gradients other = problem.gradients(d_rays);
-        for (std::size_t i = 0; i < one.surfels.size(); ++i) {
-            EXPECT_EQ(one.surfels[i].mean, other.surfels[i].mean) << "chunk " << chunk;
-            EXPECT_EQ(one.surfels[i].sh, other.surfels[i].sh) << "chunk " << chunk;
-        }
-        for (std::size_t i = 0; i < one.instances.size(); ++i)
-            EXPECT_EQ(one.instances[i].rotation, other.instances[i].rotation);
     }
 }
 

@@ -67,12 +67,12 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
         reference::Settings settings;
         settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
-        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+        const std::vector<reference::Pixel> pixels = reference::render(scene.world, settings, scene.rays);
         const TraceOptions both{.chunk = 5, .normals = true, .likelihood = kKernel};
         const Found result = trace(scene, settings.image, both);
         double likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
-            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+            const reference::Pixel& p = pixels[i];
             const float* q = &result.surfaces[4 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
             EXPECT_NEAR(result.likelihood[i], p.likelihood, 1e-5) << "ray " << i;
@@ -123,7 +123,7 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     int clear = 0, other_than_first = 0;
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         std::vector<reference::ShadedHit> hits;
-        reference::render(scene.world, brute, settings, scene.rays[i], 16, &hits);
+        reference::render(scene.world, brute, settings, scene.rays[i], &hits);
         bool is_clear = !hits.empty();
         for (std::size_t k = 1; k < hits.size(); ++k)
             is_clear = is_clear && std::abs(hits[k].t - hits[k - 1].t - double(kGap)) > 1e-4;
@@ -169,17 +169,15 @@ TEST_F(OnDemand, OfARenderer) {
     const test::RandomSceneOptions options{.seed = 26, .rays = 100};
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    const std::vector<reference::Pixel> pixels = reference::render(scene.world, settings, scene.rays);
     const test::SceneAndPoses placed = test::to_scene(scene.world);
     for (const bool with_normals : {true, false}) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = with_normals}});
         renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
         const RenderedRayValues actual = renderer.render_rays(test::to_world_rays(scene.rays));
         ASSERT_EQ(actual.normal.size(), with_normals ? scene.rays.size() : 0u);
-        for (std::size_t i = 0; i < actual.normal.size(); ++i) {
-            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            EXPECT_LE(glm::length(glm::dvec3(actual.normal[i]) - p.normal), 1e-5) << "ray " << i;
-        }
+        for (std::size_t i = 0; i < actual.normal.size(); ++i)
+            EXPECT_LE(glm::length(glm::dvec3(actual.normal[i]) - pixels[i].normal), 1e-5) << "ray " << i;
     }
 }
 

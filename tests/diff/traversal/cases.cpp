@@ -228,21 +228,6 @@ TraversalCase make_random_case(std::uint64_t seed, int n_surfels, int n_rays) {
     return c;
 }
 
-TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays, double radius_m,
-                                    int stride) {
-    std::vector<std::uint32_t> indices_near_sensor;
-    for (std::uint32_t i = 0; i < street.mean.size(); ++i)
-        if (double(glm::length(street.mean[i] - rays.origin.at(0))) < radius_m)
-            indices_near_sensor.push_back(i);
-    TraversalCase c{
-        "street", take(street, indices_near_sensor), make_one_instance(indices_near_sensor.size()), {}};
-    for (std::size_t i = 0; i < rays.size(); i += std::size_t(stride)) {
-        c.rays.origin.push_back(rays.origin[i]);
-        c.rays.direction.push_back(rays.direction[i]);
-    }
-    return c;
-}
-
 TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed) {
     Random random(seed);
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),

@@ -11,7 +11,7 @@
 #include <relidar/diff/traversal.hpp>
 #include <relidar/scene/scene.hpp>
 
-#include "../../reference/traversal.hpp"
+#include "../../reference/render.hpp"
 
 namespace relidar::test {
 
@@ -50,9 +50,6 @@ TraversalCase make_degenerate_case();
 /// Makes random surfels of many sizes and all orientations, and a second model with three
 /// rotated, overlapping instances.
 TraversalCase make_random_case(std::uint64_t seed, int n_surfels, int n_rays);
-/// Returns the surfels of the benchmark street within `radius_m` of the sensor, with
-/// every `stride`-th ray.
-TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
 /// Replaces the surfels by 3D Gaussians that are 0.03 to 0.5 m thick. Every twentieth
 /// Gaussian has an invalid thickness.
@@ -72,8 +69,7 @@ TraversalCase make_moving_case(TraversalCase test_case, std::uint64_t seed);
 /// on a slow device.
 std::vector<TraversalCase> make_moving_cases(std::uint64_t seed, int n_rays);
 
-/// Returns all surfel cases except make_street_test_case, with sizes that take seconds on
-/// a slow device.
+/// Returns all surfel cases, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> make_conformance_cases(std::uint64_t seed, int n_rays);
 
 }  // namespace relidar::test

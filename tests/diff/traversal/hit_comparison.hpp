@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "../../reference/traversal.hpp"
+#include "../../reference/render.hpp"
 
 namespace relidar::test {
 

@@ -89,12 +89,7 @@ protected:
                 << state << (traversal_mode == BvhTraversalMode::lane ? ", lane" : ", subgroup")
                 << ": rays whose hits differ from brute force";
         }
-        std::unique_ptr<reference::HitProvider> host;  // Embree supports only the rectangles of surfels
-        if (GetParam() == PrimitiveType::gaussian)
-            host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_,
-                                                           reference::Precision::float_record);
-        else host = std::make_unique<reference::EmbreeFilter>(test::to_world(case_), model_);
-        const test::HitDifferences d = compare(case_, *host, brute);
+        const test::HitDifferences d = compare(case_, test::list_host_hits(case_), brute);
         std::printf("%s\n", d.summary(state + ", against the host").c_str());
         expect_equal(case_, d, state);
     }

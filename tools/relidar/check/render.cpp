@@ -71,12 +71,9 @@ std::vector<double> to_doubles(const Vector& vector, int n_values) {
 
 /// Returns the largest relative error of the surfel gradients, compared with the
 /// gradients of the reference renderer.
-double gradient_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
-    reference::Gradients expected(pass.scene.world);
-    for (std::size_t i = 0; i < pass.scene.rays.size(); ++i)
-        // 16: the reference fetches the hits of a ray in groups of this size.
-        reference::backward(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16,
-                            pass.upstream[i], expected);
+double gradient_error(const RenderAndGradients& pass) {
+    const reference::Gradients expected =
+        reference::backward(pass.scene.world, pass.settings, pass.scene.rays, pass.upstream);
     test::GradientTable rows;
     const Surfels& actual = pass.gradients;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
@@ -93,11 +90,12 @@ double gradient_error(const RenderAndGradients& pass, const reference::BruteForc
 
 /// Returns the root mean square error of the rendered values, relative to the root mean
 /// square of the exact values.
-double image_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
+double image_error(const RenderAndGradients& pass) {
+    const std::vector<reference::Pixel> pixels =
+        reference::render(pass.scene.world, pass.settings, pass.scene.rays);
     double error = 0.0, power = 0.0;
-    for (std::size_t i = 0; i < pass.scene.rays.size(); ++i) {
-        const reference::Pixel p =
-            reference::render(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16);
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+        const reference::Pixel& p = pixels[i];
         const auto add = [&](double actual, double expected) {
             error += (actual - expected) * (actual - expected);
             power += expected * expected;
@@ -135,11 +133,9 @@ CheckResult check_gradients(CheckedDevice& tested, RayTracingBackend backend) {
     const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);
     const RenderAndGradients pass = run_passes(tested.device_with(backend));
-    const reference::BruteForce brute(pass.scene.world, pass.settings.image,
-                                      reference::Precision::double_record);
     // kKernelNmse limits the squared error, so its root limits image_error().
-    const CheckResult image = compare_error(image_error(pass, brute), std::sqrt(test::kKernelNmse)),
-                      gradient = compare_error(gradient_error(pass, brute), test::kKernelGradient);
+    const CheckResult image = compare_error(image_error(pass), std::sqrt(test::kKernelNmse)),
+                      gradient = compare_error(gradient_error(pass), test::kKernelGradient);
     // The worse of both outcomes: `right` is less than `wrong`.
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};
