@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstring>
 #include <random>
-#include <set>
 
 #include "../../support/device.hpp"
 #include "bvh_walk.hpp"
@@ -44,11 +43,6 @@ Scene make_scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
     scene.instances.clear();
     for (std::uint32_t i = 0; i < n_instances; ++i) scene.instances.push_back({i % 5, ""});
     return scene;
-}
-
-test::HostRay to_model(const test::HostRay& ray, const Pose& world_from_model) {
-    const Pose model_from_world = inverse(world_from_model);
-    return {model_from_world * ray.origin, model_from_world.rotation * ray.direction};
 }
 
 class BvhTop : public test::DeviceTest {
@@ -153,39 +147,6 @@ TEST_F(BvhTop, MovesAreRepeatable) {
     EXPECT_EQ(
         std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
     EXPECT_EQ(a.top_order, b.top_order);
-}
-
-TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
-    std::mt19937 random(3);
-    Built built(device(), make_scene_of_instances(40, random));
-    const HostBvhCopy host = built.move(make_random_poses(40, random, 4.0));
-    const Scene& layout = built.scene.layout();
-    std::normal_distribution<double> normal;
-    std::size_t n_hits = 0;
-    for (int r = 0; r < 100; ++r) {
-        const test::HostRay ray{4.0 * glm::dvec3(normal(random), normal(random), normal(random)),
-                                {normal(random), normal(random), normal(random)}};
-        std::set<std::pair<std::uint32_t, std::uint32_t>> expected, reached_surfels;
-        for (std::uint32_t i = 0; i < 40; ++i) {
-            const SurfelModel& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
-            for (std::uint32_t k = 0; k < model.count; ++k)
-                if (test::meets(local, test::compute_surfel_box(host, model.first + k)))
-                    expected.insert({i, k});
-        }
-        test::walk(host.top_nodes, 0, ray, [&](std::uint32_t entry) {
-            const std::uint32_t i = host.top_order[entry];
-            const SurfelModel& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
-            test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
-                if (test::meets(local, test::compute_surfel_box(host, model.first + host.order[leaf])))
-                    reached_surfels.insert({i, host.order[leaf]});
-            });
-        });
-        EXPECT_EQ(reached_surfels, expected) << "ray " << r;
-        n_hits += expected.size();
-    }
-    EXPECT_GT(n_hits, 500u);
 }
 
 }  // namespace

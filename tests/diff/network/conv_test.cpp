@@ -24,7 +24,6 @@ void PrintTo(const Case& test_case, std::ostream* out) {
          << test_case.grid.columns << ", " << test_case.n_in << " -> " << test_case.n_out;
 }
 
-class ConvTest : public test::DeviceTest {};
 class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
 INSTANTIATE_TEST_SUITE_P(Refine, ConvSizes,
                          testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3},
@@ -106,59 +105,6 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     EXPECT_LT(compute_worst_error(actual, reference::conv_weights_vjp(layer.from, layer.d_to, int(c.taps))),
               test::kLayer);
     EXPECT_EQ(actual, repeated);  // the order of summation is fixed
-}
-
-/// Checks on the device that the backward pass is the transpose of the forward pass:
-/// <d_to, W v> = <W^T d_to, v>.
-TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
-    const Case c{9, {4, 11, 37}, 9, 17};
-    const Layer layer = make_random_layer(c);
-    Convolution conv(device(), c.taps);
-    Stream stream(device());
-    const OnDevice from(device(), layer.from), d_to(device(), layer.d_to),
-        to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
-        d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in);
-    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
-               d_weights = test::to_device<shared::ConvWeights>(
-                   device(), std::vector<double>(layer.weights.size(), 0.0));
-    conv.reserve_weight_sums(device(), conv.n_partial_sums(c.grid, 9, 17));
-    conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
-    conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
-    conv.weights_vjp(stream, from.slice(), d_to.slice(), d_weights.address());
-    stream.submit_and_wait();
-    const double expected_product = test::dot(layer.d_to.values, to.read().values),
-                 scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
-    EXPECT_NEAR(test::dot(d_from.read().values, layer.from.values), expected_product, scale);
-    EXPECT_NEAR(test::dot(test::to_doubles(d_weights), layer.weights), expected_product, scale);
-}
-
-/// A value in the first column must affect the last column, because columns form a ring.
-/// Rows do not wrap: values must not affect rows beyond the first and last row.
-TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
-    for (const std::uint32_t columns : {2u, 3u, 8u, 13u, 64u, 70u}) {
-        test::ImageBatch one(1, 1, 3, int(columns));
-        one.at(0, 0, 0, 0) = 1.0;
-        const std::vector<double> taps{1, 2, 3, 4, 5, 6, 7, 8, 9};
-        Convolution conv(device(), 9);
-        Stream stream(device());
-        const OnDevice from(device(), one), to = OnDevice::make_unwritten(device(), test::get_grid(one), 1),
-                                            back = OnDevice::make_unwritten(device(), test::get_grid(one), 1);
-        const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
-        conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
-        conv.input_vjp(stream, from.slice(), weights.address(), back.slice());
-        stream.submit_and_wait();
-        const test::ImageBatch output = to.read(), input_gradient = back.read();
-        const int last = int(columns) - 1;
-        // with two columns, the left and the right neighbour are the same column
-        const double both = columns == 2 ? 1.0 : 0.0;
-        EXPECT_EQ(output.at(0, 0, 0, 0), 5.0);
-        // the last column multiplies the value with the weight of its right neighbour
-        EXPECT_EQ(output.at(0, 0, 0, last), 6.0 + both * 4.0);
-        EXPECT_EQ(output.at(0, 0, 1, last), 3.0 + both * 1.0);
-        EXPECT_EQ(input_gradient.at(0, 0, 0, last), 4.0 + both * 6.0);
-        EXPECT_EQ(input_gradient.at(0, 0, 1, last), 7.0 + both * 9.0);
-        for (int x = 0; x <= last; ++x) EXPECT_EQ(output.at(0, 0, 2, x), 0.0) << x;
-    }
 }
 
 /// Specialisation of diff/network/conv: pixels per thread, and whether weights are stored

@@ -148,12 +148,6 @@ inline void exclude_kinks(ImageBatch& upstream, const ImageBatch& from, const st
         if (positive.values[i] + negative.values[i] < 1e-5) upstream.values[i] = 0.0;
 }
 
-inline double dot(const std::vector<double>& a, const std::vector<double>& b) {
-    double sum = 0.0;
-    for (std::size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
-    return sum;
-}
-
 /// Tolerance of a layer: sums of some hundred products in single precision.
 inline constexpr double kLayer = 1e-5;
 

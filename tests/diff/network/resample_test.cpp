@@ -31,7 +31,6 @@ void PrintTo(const UpsampleCase& test_case, std::ostream* out) {
          << test_case.large.rows << "x" << test_case.large.columns << ", " << test_case.channels;
 }
 
-class ResampleTest : public test::DeviceTest {};
 class PoolSizes : public test::DeviceTest, public testing::WithParamInterface<PoolCase> {};
 class UpsampleSizes : public test::DeviceTest, public testing::WithParamInterface<UpsampleCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, PoolSizes,
@@ -73,31 +72,6 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     EXPECT_LT(compute_worst_error(d_from.read(), expected), 1e-6);
 }
 
-/// If several pixels of a block have the maximum, the first of these pixels must get the
-/// full gradient.
-TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
-    const std::vector<std::vector<double>> quads{
-        {1, 1, 1, 1}, {0, 2, 2, 1}, {0, 1, 3, 3}, {-1, -2, -1, -1}, {0, 0, 0, 5}};
-    const std::vector<int> winner{0, 1, 2, 0, 3};
-    test::ImageBatch values(1, 1, 2, 10), ones(1, 1, 1, 5);
-    for (int q = 0; q < 5; ++q) {
-        ones.at(0, 0, 0, q) = 1.0;
-        for (int k = 0; k < 4; ++k)
-            values.at(0, 0, k / 2, 2 * q + k % 2) = quads[std::size_t(q)][std::size_t(k)];
-    }
-    Resampling resample(device());
-    Stream stream(device());
-    const OnDevice from(device(), values), d_to(device(), ones),
-        d_from(device(), test::ImageBatch(1, 1, 2, 10));
-    resample.max_pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
-    stream.submit_and_wait();
-    const test::ImageBatch d = d_from.read();
-    for (int q = 0; q < 5; ++q)
-        for (int k = 0; k < 4; ++k)
-            EXPECT_EQ(d.at(0, 0, k / 2, 2 * q + k % 2), k == winner[std::size_t(q)] ? 1.0 : 0.0)
-                << q << " " << k;
-}
-
 TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
     const test::ImageBatch values = test::make_random_images(c.small, c.channels, 1),
@@ -113,33 +87,6 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(compute_worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
     EXPECT_LT(compute_worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
-    // The forward and the backward kernel compute pixel positions in the same way, so
-    // they are transposes up to rounding.
-    const double forth = test::dot(upstream.values, actual.values);
-    EXPECT_NEAR(test::dot(back.values, values.values), forth,
-                1e-6 * std::sqrt(double(upstream.values.size())) * 4.0);
-}
-
-/// Constants must stay constant, rows must be clamped at the border, and the first and
-/// last column must be interpolated.
-TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
-    test::ImageBatch first(1, 1, 2, 4), ones(1, 1, 3, 5);
-    first.at(0, 0, 0, 0) = 1.0;
-    for (double& x : ones.values) x = 1.0;
-    Resampling resample(device());
-    Stream stream(device());
-    const OnDevice from(device(), first), to = OnDevice::make_unwritten(device(), {1, 4, 8}, 1),
-                                          even(device(), ones),
-                                          even_to = OnDevice::make_unwritten(device(), {1, 7, 11}, 1);
-    resample.upsample(stream, from.slice(), to.slice());
-    resample.upsample(stream, even.slice(), even_to.slice());
-    stream.submit_and_wait();
-    const test::ImageBatch actual = to.read();
-    const double column[8] = {0.75, 0.75, 0.25, 0.0, 0.0, 0.0, 0.0, 0.25}, row[4] = {1.0, 0.75, 0.25, 0.0};
-    for (int y = 0; y < 4; ++y)
-        for (int x = 0; x < 8; ++x)
-            EXPECT_NEAR(actual.at(0, 0, y, x), row[y] * column[x], 1e-6) << y << " " << x;
-    for (const double x : even_to.read().values) EXPECT_NEAR(x, 1.0, 1e-6);
 }
 
 }  // namespace
