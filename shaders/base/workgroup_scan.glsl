@@ -3,8 +3,6 @@
 // to threads by ordered_thread().
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 shared uvec2 scan_sums[64];
 
 /// Returns the index of this thread in the workgroup, numbered subgroup by subgroup, so

@@ -4,7 +4,6 @@
 // Accumulated: sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../base/kernel.glsl"
 #include "relidar/base/atomic_add.glsl"
 #include "shared/gpu.h"

@@ -7,9 +7,6 @@
 #include "../base/kernel.glsl"
 #include "../base/workgroup_scan.glsl"
 #include "shared/gpu.h"
-#extension GL_KHR_shader_subgroup_vote : require
-#extension GL_KHR_shader_subgroup_ballot : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 RELIDAR_PARAMS(CheckSubgroupsParams);
 
 void main() {

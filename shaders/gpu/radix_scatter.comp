@@ -11,7 +11,6 @@
 #include "../base/kernel.glsl"
 #include "shared/gpu.h"
 #include "../base/workgroup_scan.glsl"
-#extension GL_KHR_shader_subgroup_ballot : require
 RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 

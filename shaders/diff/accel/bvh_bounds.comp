@@ -10,7 +10,6 @@
 #include "../shared/bvh_build.h"
 #include "../../base/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
-#extension GL_KHR_shader_subgroup_vote : require
 RELIDAR_PARAMS(BvhBoundsParams);
 
 void extend_box(uint model, vec3 low, vec3 high) {

@@ -17,10 +17,6 @@
 #include "bvh_forest.glsl"
 #include "bvh_binary.glsl"
 #include "bvh_merge.glsl"
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_vote : require
-#extension GL_KHR_shader_subgroup_ballot : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 RELIDAR_PARAMS(BvhClusterParams);
 
 // KEPT: maximum number of clusters after a join. RADIUS: neighbours searched per side.

@@ -12,9 +12,6 @@
 #include "../shared/bvh_build.h"
 #include "bvh_forest.glsl"
 #include "bvh_node.glsl"
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_vote : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(BvhRefitParams);
 

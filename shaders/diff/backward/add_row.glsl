@@ -6,7 +6,6 @@
 // kernel.glsl and atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
-#extension GL_KHR_shader_subgroup_basic : require
 RELIDAR_CONSTANT(uint, COALESCED_ATOMICS, 0u);
 
 const uint kNoRow = 0xffffffffu;

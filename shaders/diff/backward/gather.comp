@@ -7,7 +7,6 @@
 // Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../traversal/includes.glsl"
 #include "relidar/base/atomic_add.glsl"
 #include "../shared/backward.h"

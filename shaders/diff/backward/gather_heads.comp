@@ -5,7 +5,6 @@
 // parts. Accumulated: d_records, d_sh.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../traversal/includes.glsl"
 #include "relidar/base/atomic_add.glsl"
 #include "../shared/backward.h"

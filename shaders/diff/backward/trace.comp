@@ -12,9 +12,6 @@
 // that Eq. 9 starts with includes it.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
-#extension GL_KHR_shader_subgroup_vote : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 #include "../traversal/includes.glsl"
 #include "relidar/base/atomic_add.glsl"
 #include "../../base/compensated.glsl"

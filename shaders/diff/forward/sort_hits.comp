@@ -5,7 +5,6 @@
 // Then the subgroup moves the hits to their sorted positions. In place: lists.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 #include "../../base/kernel.glsl"
 #include "../shared/trace.h"
 #include "../traversal/keys.glsl"

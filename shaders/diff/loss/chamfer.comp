@@ -7,7 +7,6 @@
 // points, nearest, counts. Accumulated: d_found, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
 #include "relidar/base/atomic_add.glsl"

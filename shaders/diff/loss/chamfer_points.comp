@@ -4,7 +4,6 @@
 // Input: rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
 #include "relidar/base/atomic_add.glsl"

@@ -6,7 +6,6 @@
 // thread per ray. Input: rendered, targets. Output: upstream. Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
 #include "relidar/base/atomic_add.glsl"

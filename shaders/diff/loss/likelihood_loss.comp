@@ -4,7 +4,6 @@
 // per ray. Input: rendered, targets. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/likelihood_loss.h"
 #include "relidar/base/atomic_add.glsl"

@@ -9,7 +9,6 @@
 // Input: rendered, targets. Output: statistics. Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../shared/loss.h"
 #include "relidar/base/atomic_add.glsl"

@@ -4,7 +4,6 @@
 // surfel of any model. Input: surfels, touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../../base/kernel.glsl"
 #include "../../scene/find_model.glsl"
 #include "../shared/loss.h"

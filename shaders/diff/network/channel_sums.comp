@@ -5,8 +5,6 @@
 // and gamma, or plain sums. Input: from, d_to, scale_shift, moments. Output: partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 #include "norm.glsl"

@@ -14,9 +14,6 @@
 // operations per value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_ballot : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 RELIDAR_CONSTANT(uint, TAPS, 9u);

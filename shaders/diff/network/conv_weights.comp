@@ -9,9 +9,6 @@
 // network/sum_parts sums. Work: at least 2 n_in n_out TAPS operations per pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 RELIDAR_CONSTANT(uint, TAPS, 9u);

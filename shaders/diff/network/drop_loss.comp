@@ -7,8 +7,6 @@
 // Input: logit, start, target. Output: d_logit, probability, partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 RELIDAR_CONSTANT(uint, LANES, 8u);

@@ -5,8 +5,6 @@
 // values to all lanes. Input: a, b. Output: c.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_ballot : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 RELIDAR_CONSTANT(uint, LANES, 8u);

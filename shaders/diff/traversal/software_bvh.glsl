@@ -27,11 +27,6 @@
 //   1e-5 t for the rounding error of t, as in every traversal method (README.md).
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
-#extension GL_KHR_shader_subgroup_basic : enable
-#extension GL_KHR_shader_subgroup_vote : enable
-#extension GL_KHR_shader_subgroup_ballot : enable
-#extension GL_KHR_shader_subgroup_arithmetic : enable
-#extension GL_KHR_shader_subgroup_shuffle : enable
 #include "shared_load.glsl"
 RELIDAR_CONSTANT(uint, TOGETHER, 0u);
 const uint kSharesLoads = 2u;
