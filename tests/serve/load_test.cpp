@@ -27,17 +27,15 @@ class Load : public ServiceTest {
 protected:
     /// Sends calls from 8 clients, each with a separate connection.
     /// @return number of calls whose response contains this image
-    int answered(int calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
+    int answered(int n_calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
         std::atomic<int> next = 0, good = 0;
         std::vector<std::jthread> clients;
         for (int c = 0; c < 8; ++c)
             clients.emplace_back([&] {
                 const auto mine = stub();
-                while (next++ < calls) {
-                    grpc::ClientContext context;
-                    v1::LidarScan scan;
-                    good +=
-                        mine->RenderLidar(&context, request, &scan).ok() && scan.image().range_m() == range_m;
+                while (next++ < n_calls) {
+                    const auto [status, scan] = call(*mine, &Stub::RenderLidar, request);
+                    good += status.ok() && scan.image().range_m() == range_m;
                 }
             });
         clients.clear();
@@ -49,7 +47,7 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
     request.mutable_sensor()->set_name("VLP-16:128x10");
-    const v1::LidarScan truth = ScanClient(address()).render_scan(request);
+    const v1::LidarScan truth = scan_of(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
     const double before_mib = measure_resident_mib();
@@ -63,17 +61,16 @@ class Occupant {
 public:
     explicit Occupant(v1::RenderService::Stub& stub) {
         v1::UploadSensorRequest upload;
-        v1::UploadSensorResponse upload_response;
         *upload.mutable_sensor() = make_rays_ahead(200'000);
-        grpc::ClientContext context;
-        EXPECT_TRUE(stub.UploadSensor(&context, upload, &upload_response).ok());
+        const std::string handle =
+            serve::call(stub, &v1::RenderService::Stub::UploadSensor, upload).answer.handle();
         v1::RenderRigRequest request;
         *request.mutable_rig() = make_standing_request();
         request.mutable_rig()->clear_wanted();
         for (int i = 0; i < 64; ++i) {
             v1::RigSensor& sensor = *request.add_sensors();
             sensor.set_name(std::to_string(i));
-            sensor.mutable_sensor()->set_handle(upload_response.handle());
+            sensor.mutable_sensor()->set_handle(handle);
         }
         reader_ = stub.RenderRig(&context_, request);
         v1::RigScan first;
@@ -89,8 +86,8 @@ private:
     std::unique_ptr<grpc::ClientReader<v1::RigScan>> reader_;
 };
 
-grpc::Status call(v1::RenderService::Stub& stub,
-                  std::chrono::milliseconds patience = std::chrono::seconds(60)) {
+grpc::Status render(v1::RenderService::Stub& stub,
+                    std::chrono::milliseconds patience = std::chrono::seconds(60)) {
     grpc::ClientContext context;
     context.set_deadline(std::chrono::system_clock::now() + patience);
     v1::LidarScan scan;
@@ -99,28 +96,26 @@ grpc::Status call(v1::RenderService::Stub& stub,
 
 TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
     start(1);  // two slots
-    const auto calls = stub();
     Occupant one(*calls), two(*calls);
-    const grpc::Status status = call(*calls);
+    const grpc::Status status = render(*calls);
     EXPECT_EQ(status.error_code(), Code::RESOURCE_EXHAUSTED);
     EXPECT_THAT(status.error_message(), test::Names("queue ... 2"));
     EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
     EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
-    grpc::Status after = call(*calls);
+    grpc::Status after = render(*calls);
     // waits until the server has noticed
     for (int tries = 0; tries < 200 && after.error_code() == Code::RESOURCE_EXHAUSTED; ++tries) {
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
-        after = call(*calls);
+        after = render(*calls);
     }
     EXPECT_TRUE(after.ok()) << after.error_message();
 }
 
 TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
     start(8);
-    const auto calls = stub();
     Occupant occupant(*calls);
-    EXPECT_EQ(call(*calls, std::chrono::milliseconds(1)).error_code(), Code::DEADLINE_EXCEEDED);
-    EXPECT_EQ(call(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED)
+    EXPECT_EQ(render(*calls, std::chrono::milliseconds(1)).error_code(), Code::DEADLINE_EXCEEDED);
+    EXPECT_EQ(render(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED)
         << "over before it began";
     for (int i = 0; i < 20; ++i) {  // cancels while a call is being processed
         grpc::ClientContext context;
@@ -133,7 +128,7 @@ TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
         EXPECT_TRUE(code == Code::CANCELLED || code == Code::OK) << code;
     }
     EXPECT_EQ(occupant.leave().error_code(), Code::CANCELLED);
-    EXPECT_TRUE(call(*calls).ok());
+    EXPECT_TRUE(render(*calls).ok());
 }
 
 TEST_F(Load, ConnectionsThatBreakLeaveTheServerAlive) {
@@ -143,16 +138,15 @@ TEST_F(Load, ConnectionsThatBreakLeaveTheServerAlive) {
         Occupant occupant(*doomed);
         occupant.leave();
     }
-    EXPECT_TRUE(call(*stub()).ok());
+    EXPECT_TRUE(render(*stub()).ok());
 }
 
 TEST_F(Load, StopsWhileCallsAreInWork) {
     start(8);
-    const auto calls = stub();
     Occupant occupant(*calls);
     server->stop_and_wait(std::chrono::milliseconds(100));
     EXPECT_FALSE(occupant.leave().ok());
-    EXPECT_EQ(call(*calls).error_code(), Code::UNAVAILABLE);
+    EXPECT_EQ(render(*calls).error_code(), Code::UNAVAILABLE);
 }
 
 }  // namespace

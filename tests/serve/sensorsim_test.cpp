@@ -3,7 +3,7 @@
 #include <set>
 
 #include <gmock/gmock.h>
-#include <grpcpp/generic/generic_stub.h>
+#include <grpcpp/impl/client_unary_call.h>
 
 #include <relidar/log/sensor_files.hpp>
 
@@ -18,19 +18,9 @@ namespace wire = nre::grpc::protos::sensorsim;
 using test::Names;
 using Code = grpc::StatusCode;
 
-void set_pose(wire::Pose& message, const Pose& pose) {
-    message.mutable_translation()->set_x(float(pose.translation.x));
-    message.mutable_translation()->set_y(float(pose.translation.y));
-    message.mutable_translation()->set_z(float(pose.translation.z));
-    message.mutable_rotation()->set_w(float(pose.rotation.w));
-    message.mutable_rotation()->set_x(float(pose.rotation.x));
-    message.mutable_rotation()->set_y(float(pose.rotation.y));
-    message.mutable_rotation()->set_z(float(pose.rotation.z));
-}
-
 void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
-    set_pose(*message.mutable_start(), start);
-    set_pose(*message.mutable_end(), end);
+    write_pose(start, *message.mutable_start());
+    write_pose(end, *message.mutable_end());
 }
 
 /// Poses in the world of the protocol. The sensor first looks along x. In 0.1 s, it moves
@@ -56,26 +46,21 @@ wire::DynamicObject& add_car(wire::LidarRenderRequest& request, const Pose& star
 
 class Sensorsim : public ServiceTest {
 protected:
-    std::unique_ptr<wire::SensorsimService::Stub> calls;
+    using Stub = wire::SensorsimService::Stub;
+    std::unique_ptr<Stub> calls;
 
     void start_sensorsim(PoseTransformOrder order = PoseTransformOrder::rotation_first) {
         sensorsim = order;
         start();
         calls = wire::SensorsimService::NewStub(open_channel(address()));
     }
-    grpc::Status call(const wire::LidarRenderRequest& request, wire::LidarRenderReturn& answer) {
-        grpc::ClientContext context;
-        return calls->render_lidar(&context, request, &answer);
-    }
     wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
-        wire::LidarRenderReturn answer;
-        const grpc::Status status = call(request, answer);
+        const auto [status, answer] = call(*calls, &Stub::render_lidar, request);
         EXPECT_TRUE(status.ok()) << status.error_message();
         return answer;
     }
     grpc::Status refused(const wire::LidarRenderRequest& request) {
-        wire::LidarRenderReturn answer;
-        return call(request, answer);
+        return call(*calls, &Stub::render_lidar, request).status;
     }
     /// Returns x of each point in the world of the protocol, for a sensor that has the
     /// pose `end`.
@@ -177,19 +162,13 @@ TEST_F(Sensorsim, AggregatesLidarScansAlone) {
     *request.add_lidar() = moving();
     *request.add_lidar() = moving();
     request.mutable_lidar(1)->mutable_lidar()->set_lidar_type(wire::AT128);
-    wire::AggregatedRenderReturn answer;
-    {
-        grpc::ClientContext context;
-        ASSERT_TRUE(calls->render_aggregated(&context, request, &answer).ok());
-    }
+    const auto [status, answer] = call(*calls, &Stub::render_aggregated, request);
+    ASSERT_TRUE(status.ok());
     ASSERT_EQ(answer.lidar_size(), 2);
     EXPECT_EQ(answer.lidar(0).SerializeAsString(), render(request.lidar(0)).SerializeAsString());
     EXPECT_EQ(answer.lidar(1).SerializeAsString(), render(request.lidar(1)).SerializeAsString());
     EXPECT_NE(answer.lidar(0).count(), answer.lidar(1).count());
-    const auto refused = [&] {
-        grpc::ClientContext context;
-        return calls->render_aggregated(&context, request, &answer);
-    };
+    const auto refused = [&] { return call(*calls, &Stub::render_aggregated, request).status; };
     for (int i = 2; i < 65; ++i) request.add_lidar();
     EXPECT_EQ(refused().error_code(), Code::INVALID_ARGUMENT);
     EXPECT_THAT(refused().error_message(), Names("lidar ... 65 ... 64"));
@@ -204,44 +183,38 @@ TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
     EXPECT_EQ(refused(moving()).error_code(), Code::UNIMPLEMENTED);
 }
 
-struct SensorsimCase {
-    std::function<void(wire::LidarRenderRequest&)> spoil;
-    const char* says;
-    Code code = Code::INVALID_ARGUMENT;
-};
-
 TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     start_sensorsim();
-    const Pose here{};
+    const std::string pose = "{ translation { } rotation { w: 1 } }", start = "sensor_pose { start " + pose,
+                      still = "pose { start " + pose + " end " + pose + " }",
+                      car = "dynamic_objects { track_id: 'car' " + still + " }";
+    struct SensorsimCase {
+        std::string fields;  ///< added to a valid request; a pose replaces the valid pose
+        const char* says;
+        Code code = Code::INVALID_ARGUMENT;
+    };
     const std::vector<SensorsimCase> cases = {
-        {[](auto& r) { r.set_scene_id("smal"); }, "scene_id ... \"smal\" ... \"small\"", Code::NOT_FOUND},
-        {[](auto& r) { r.clear_sensor_pose(); }, "sensor_pose ... start"},
-        {[](auto& r) { r.mutable_sensor_pose()->clear_end(); }, "end"},
-        {[](auto& r) { r.mutable_sensor_pose()->mutable_end()->clear_rotation(); },
-         "sensor_pose.end ... rotation"},
-        {[](auto& r) { r.mutable_sensor_pose()->mutable_end()->mutable_rotation()->Clear(); },
-         "sensor_pose.end.rotation ... 0"},
-        {[](auto& r) { r.mutable_sensor_pose()->mutable_start()->mutable_translation()->set_z(NAN); },
+        {"scene_id: 'smal'", "scene_id ... \"smal\" ... \"small\"", Code::NOT_FOUND},
+        {"sensor_pose { end { } }", "sensor_pose ... start"},
+        {"sensor_pose { start { } }", "end"},
+        {start + "end { translation { } } }", "sensor_pose.end ... rotation"},
+        {start + "end { translation { } rotation { } } }", "sensor_pose.end.rotation ... 0"},
+        {"sensor_pose { start { translation { z: nan } rotation { w: 1 } } end { } }",
          "sensor_pose.start.translation.z ... nan"},
-        {[](auto& r) { r.set_frame_end_us(399'999); }, "frame_end_us ... 399999 ... frame_start_us 400000"},
-        {[](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, "frame_end_us"},
-        {[](auto& r) { r.set_frame_end_us(400'000); }, "sensor_pose ... duration"},
-        {[](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); },
-         "lidar.lidar_type ... 7 ... (PANDAR128), 1 (AT128) ... 2 (OTHER)"},
-        {[](auto& r) { r.mutable_lidar()->set_logical_id("roof"); }, "lidar.logical_id ... \"roof\"",
-         Code::NOT_FOUND},
-        {[&](auto& r) { add_car(r, here, here).set_track_id("cat"); },
+        {"frame_end_us: 399999", "frame_end_us ... 399999 ... frame_start_us 400000"},
+        {"frame_end_us: 100400000", "frame_end_us"},
+        {"frame_end_us: 400000", "sensor_pose ... duration"},
+        {"lidar { lidar_type: 7 }", "lidar.lidar_type ... 7 ... (PANDAR128), 1 (AT128) ... 2 (OTHER)"},
+        {"lidar { logical_id: 'roof' }", "lidar.logical_id ... \"roof\"", Code::NOT_FOUND},
+        {"dynamic_objects { track_id: 'cat' " + still + " }",
          "dynamic_objects[0].track_id ... \"cat\" ... \"car\"", Code::NOT_FOUND},
-        {[&](auto& r) { add_car(r, here, here).clear_pose(); }, "dynamic_objects[0].pose ... start"},
-        {[&](auto& r) {
-             for (int i = 0; i < 2; ++i) add_car(r, here, here);
-         },
-         "dynamic_objects[1].track_id ... \"car\""},
+        {"dynamic_objects { track_id: 'car' }", "dynamic_objects[0].pose ... start"},
+        {car + car, "dynamic_objects[1].track_id ... \"car\""},
     };
     for (const SensorsimCase& wrong : cases) {
         wire::LidarRenderRequest request = moving();
-        wrong.spoil(request);
-        const grpc::Status status = refused(request);
+        if (wrong.fields.starts_with("sensor_pose")) request.clear_sensor_pose();
+        const grpc::Status status = refused(merge(request, wrong.fields));
         EXPECT_EQ(status.error_code(), wrong.code) << wrong.says;
         EXPECT_THAT(status.error_message(), Names(wrong.says));
     }
@@ -253,37 +226,22 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
         << "a sensor that stands may take no time";
 }
 
-std::string call_renamed(const std::string& address, const std::string& method, const std::string& request) {
-    grpc::GenericStub stub(open_channel(address));
-    grpc::ClientContext context;
-    grpc::CompletionQueue queue;
-    const grpc::Slice slice(request);
-    const auto call =
-        stub.PrepareUnaryCall(&context, "/nurec.grpc.protos.sensorsim.SensorsimService/" + method,
-                              grpc::ByteBuffer(&slice, 1), &queue);
-    call->StartCall();
-    grpc::ByteBuffer answer;
-    grpc::Status status;
-    call->Finish(&answer, &status, &queue);
-    void* tag = nullptr;
-    bool is_done = false;
-    queue.Next(&tag, &is_done);
-    EXPECT_TRUE(status.ok()) << method << ": " << status.error_message();
-    grpc::Slice bytes;
-    EXPECT_TRUE(answer.DumpToSingleSlice(&bytes).ok());
-    return {reinterpret_cast<const char*>(bytes.begin()), bytes.size()};
-}
-
 TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
     start_sensorsim();
-    const std::string renamed = call_renamed(address(), "render_lidar", moving().SerializeAsString());
-    EXPECT_EQ(renamed, render(moving()).SerializeAsString());
-    wire::LoadedScenes loaded;
-    ASSERT_TRUE(loaded.ParseFromString(call_renamed(address(), "get_loaded_scenes", "")));
-    ASSERT_EQ(loaded.scenes_size(), 1) << "a scan of the only scene was rendered";
-    EXPECT_EQ(loaded.scenes(0).scene_id(), "small");
-    EXPECT_EQ(loaded.scenes(0).loaded_instance_count(), 1u);
-    EXPECT_EQ(loaded.loaded_instance_capacity(), 1u);
+    const auto channel = open_channel(address());
+    const auto call_renamed = [&](const char* method, const auto& request, auto answer) {
+        const std::string name = std::string("/nurec.grpc.protos.sensorsim.SensorsimService/") + method;
+        const grpc::internal::RpcMethod rpc(name.c_str(), grpc::internal::RpcMethod::NORMAL_RPC);
+        grpc::ClientContext context;
+        EXPECT_TRUE(grpc::internal::BlockingUnaryCall(channel.get(), rpc, &context, request, &answer).ok());
+        return answer;
+    };
+    EXPECT_EQ(call_renamed("render_lidar", moving(), wire::LidarRenderReturn()).SerializeAsString(),
+              render(moving()).SerializeAsString());
+    EXPECT_THAT(call_renamed("get_loaded_scenes", wire::Empty(), wire::LoadedScenes()),
+                IsMessage(R"(loaded_instance_capacity: 1
+        scenes { scene_id: "small" loaded_instance_count: 1 reusable_instance_count: 1 })"))
+        << "a scan of the only scene was rendered";
 }
 
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
@@ -312,35 +270,22 @@ TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
 
 TEST_F(Sensorsim, ListsTheActorsOfTheLog) {
     start_sensorsim();
-    wire::SceneRequest which;
-    wire::DynamicObjectTracks answer;
-    grpc::ClientContext context;
-    ASSERT_TRUE(calls->get_dynamic_objects(&context, which, &answer).ok());
-    ASSERT_EQ(answer.dynamic_objects_size(), 1);
-    const wire::DynamicObjectTrack& car = answer.dynamic_objects(0);
-    EXPECT_EQ(car.id(), "car");
-    EXPECT_EQ(car.semantic_class(), "Car");
-    EXPECT_EQ(car.object_size().x(), 1.0f);
-    ASSERT_EQ(car.trajectory().poses_size(), 2);
-    EXPECT_EQ(car.trajectory().poses(1).timestamp_us(), 1'000'000u);
-    EXPECT_EQ(car.trajectory().poses(1).pose().translation().x(), 4.0f);
+    EXPECT_THAT(call(*calls, &Stub::get_dynamic_objects, {}).answer, IsMessage(R"(dynamic_objects {
+        id: "car" semantic_class: "Car" object_size { x: 1 y: 1 z: 1 } trajectory {
+            poses { pose { translation { x: 4 } rotation { w: 1 } } }
+            poses { pose { translation { x: 4 } rotation { w: 1 } } timestamp_us: 1000000 } } })"));
 }
 
+/// The vehicle and its LiDAR have the same trajectory in relidar's world, near the log.
 TEST_F(Sensorsim, TellsTheWaysOfTheLog) {
     start_sensorsim();
-    wire::SceneRequest which;
-    which.set_scene_id("small");
-    wire::AvailableTrajectories answer;
-    grpc::ClientContext context;
-    ASSERT_TRUE(calls->get_available_trajectories(&context, which, &answer).ok());
-    ASSERT_EQ(answer.trajectories_size(), 2) << "the vehicle's and that of its LiDAR";
-    for (const wire::AvailableTrajectory& available_trajectory : answer.trajectories()) {
-        ASSERT_EQ(available_trajectory.trajectory().poses_size(), 3);
-        EXPECT_EQ(available_trajectory.trajectory().poses(1).timestamp_us(), 500'000u);
-        EXPECT_EQ(available_trajectory.trajectory().poses(1).pose().translation().x(), 0.0f)
-            << "relidar's world, near the log";
-        EXPECT_EQ(available_trajectory.trajectory().poses(1).pose().rotation().w(), 1.0f);
-    }
+    const auto which = parse<wire::SceneRequest>("scene_id: 'small'");
+    const std::string trajectory = R"(trajectories { trajectory {
+        poses { pose { translation { } rotation { w: 1 } } }
+        poses { pose { translation { } rotation { w: 1 } } timestamp_us: 500000 }
+        poses { pose { translation { } rotation { w: 1 } } timestamp_us: 1000000 } } })";
+    EXPECT_THAT(call(*calls, &Stub::get_available_trajectories, which).answer,
+                IsMessage(trajectory + trajectory));
 }
 
 }  // namespace

@@ -14,6 +14,10 @@
 
 #include <stdlib.h>
 
+#include <gmock/gmock.h>
+#include <google/protobuf/text_format.h>
+#include <google/protobuf/util/message_differencer.h>
+
 #include <relidar/run/run.hpp>
 
 #include "../support/device.hpp"
@@ -22,6 +26,24 @@
 #include "server.hpp"
 
 namespace relidar::serve {
+
+/// Adds the fields of a text in Protobuf's text format to a message.
+template <class Message>
+Message& merge(Message& message, const std::string& text) {
+    EXPECT_TRUE(google::protobuf::TextFormat::MergeFromString(text, &message)) << text;
+    return message;
+}
+
+template <class Message>
+Message parse(const std::string& text) {
+    Message message;
+    return merge(message, text);
+}
+
+MATCHER_P(IsMessage, text, text) {
+    return google::protobuf::util::MessageDifferencer::Equals(arg,
+                                                              parse<std::remove_cvref_t<arg_type>>(text));
+}
 
 inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
@@ -63,12 +85,14 @@ inline Run make_small_run(const std::filesystem::path& folder) {
 
 class ServiceTest : public test::DeviceTest {
 protected:
+    using Stub = v1::RenderService::Stub;
     std::filesystem::path folder;         ///< folder of the runs
     std::vector<std::string> assets;      ///< folders of the assets
     std::optional<std::string> channels;  ///< channels of all scans
     Weather weather;                      ///< weather of scans whose request has no weather
     std::optional<PoseTransformOrder> sensorsim;
     std::optional<ScanServer> server;
+    std::unique_ptr<Stub> calls;  ///< a connection to the server
 
     void SetUp() override {
         DeviceTest::SetUp();
@@ -98,10 +122,14 @@ protected:
         options.memory_mib = memory_mib;
         options.device = apply_environment({.traversal = device().backend()});
         server.emplace(options);
+        calls = stub();
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
-    std::unique_ptr<v1::RenderService::Stub> stub() const {
-        return v1::RenderService::NewStub(open_channel(address()));
+    std::unique_ptr<Stub> stub() const { return v1::RenderService::NewStub(open_channel(address())); }
+    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) const {
+        const auto [status, scan] = call(*calls, &Stub::RenderLidar, request);
+        EXPECT_TRUE(status.ok()) << status.error_message();
+        return scan;
     }
 };
 
@@ -119,11 +147,9 @@ inline void set_path(v1::RenderLidarRequest& request, const PoseTrack& path) {
 }
 
 inline v1::RenderLidarRequest make_standing_request() {
-    v1::RenderLidarRequest request;
+    auto request =
+        parse<v1::RenderLidarRequest>("wanted { points: true range_image: true drop_probability: true }");
     add_pose(*request.mutable_path(), 0.5, make_pose_at_x(0.0));
-    request.mutable_wanted()->set_points(true);
-    request.mutable_wanted()->set_range_image(true);
-    request.mutable_wanted()->set_drop_probability(true);
     return request;
 }
 

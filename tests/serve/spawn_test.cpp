@@ -53,10 +53,12 @@ ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     return {facts, run};
 }
 
-v1::SpawnActorsRequest make_spawn_request(
-    const std::vector<std::pair<std::string, std::string>>& name_and_source) {
+using NamesAndSources = std::vector<std::pair<std::string, std::string>>;
+
+/// @param actors name of each actor, and an actor of the run or "asset NAME"
+v1::SpawnActorsRequest make_spawn_request(const NamesAndSources& actors) {
     v1::SpawnActorsRequest request;
-    for (const auto& [name, source] : name_and_source) {
+    for (const auto& [name, source] : actors) {
         v1::Spawn& spawn = *request.add_actors();
         spawn.set_name(name);
         if (source.starts_with("asset ")) spawn.set_asset(source.substr(6));
@@ -84,36 +86,23 @@ protected:
         save_asset(make_plate_asset("gauss", 3, PrimitiveType::gaussian), folder / "assets" / "gauss");
         assets = {(folder / "assets").string()};
     }
-    grpc::Status spawn(const v1::SpawnActorsRequest& request, v1::SpawnActorsResponse& answer) {
-        grpc::ClientContext context;
-        return stub()->SpawnActors(&context, request, &answer);
-    }
-    v1::SpawnActorsResponse spawned(const std::vector<std::pair<std::string, std::string>>& requests) {
-        v1::SpawnActorsResponse answer;
-        const grpc::Status status = spawn(make_spawn_request(requests), answer);
+    v1::SpawnActorsResponse spawned(const NamesAndSources& actors) {
+        const auto [status, answer] = call(*calls, &Stub::SpawnActors, make_spawn_request(actors));
         EXPECT_TRUE(status.ok()) << status.error_message();
         return answer;
     }
     void expect_refused(const v1::SpawnActorsRequest& request, Code code, const std::string& says) {
-        v1::SpawnActorsResponse answer;
-        const grpc::Status status = spawn(request, answer);
+        const grpc::Status status = call(*calls, &Stub::SpawnActors, request).status;
         EXPECT_EQ(status.error_code(), code) << status.error_message();
         EXPECT_THAT(status.error_message(), Names(says));
     }
-    grpc::Status despawn(const std::vector<std::string>& names, std::uint32_t& left) {
-        grpc::ClientContext context;
+    Reply<v1::DespawnActorsResponse> despawn(const std::vector<std::string>& names) {
         v1::DespawnActorsRequest request;
-        for (const std::string& name : names) request.add_names(name);
-        v1::DespawnActorsResponse answer;
-        const grpc::Status status = stub()->DespawnActors(&context, request, &answer);
-        left = answer.left();
-        return status;
-    }
-    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
-        return ScanClient(address()).render_scan(request);
+        request.mutable_names()->Assign(names.begin(), names.end());
+        return call(*calls, &Stub::DespawnActors, request);
     }
     std::vector<std::string> listed() {
-        const v1::ListScenesResponse scenes = ScanClient(address()).list_scenes();
+        const v1::ListScenesResponse scenes = call(*calls, &Stub::ListScenes, {}).answer;
         std::vector<std::string> names;
         for (const v1::SpawnedActor& actor : scenes.scenes(0).spawned()) names.push_back(actor.name());
         return names;
@@ -164,36 +153,24 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
 
 TEST_F(Spawn, IsListedUntilItIsTakenOut) {
     start();
-    const v1::ListScenesResponse before = ScanClient(address()).list_scenes();
+    const v1::ListScenesResponse before = call(*calls, &Stub::ListScenes, {}).answer;
     ASSERT_EQ(before.assets_size(), 2);
-    const v1::Asset& asset = before.assets(1);
-    EXPECT_EQ(asset.name(), "van-1");
-    EXPECT_EQ(asset.category(), "Van");
-    EXPECT_EQ(asset.kind(), "vehicle");
-    EXPECT_EQ(asset.size_m().z(), 2.5);
-    EXPECT_EQ(asset.score(), 0.75);
-    EXPECT_EQ(asset.seen(), 0.5);
-    EXPECT_EQ(asset.nearest_m(), 6.0);
-    EXPECT_EQ(asset.surfels(), 1u);
-    EXPECT_EQ(asset.sensor(), "HDL-64E");
+    EXPECT_THAT(before.assets(1), IsMessage(R"(name: "van-1" category: "Van" kind: "vehicle"
+        size_m { x: 5 y: 2 z: 2.5 } score: 0.75 seen: 0.5 nearest_m: 6 surfels: 1 sensor: "HDL-64E")"));
     EXPECT_TRUE(before.scenes(0).spawned().empty());
 
     const v1::SpawnActorsResponse answer = spawned({{"a", "asset van-1"}, {"b", "car"}});
-    EXPECT_EQ(answer.actors(0).asset(), "van-1");
-    EXPECT_EQ(answer.actors(0).size_m().x(), 5.0);
-    EXPECT_EQ(answer.actors(1).actor(), "car");
-    EXPECT_EQ(answer.actors(1).size_m().x(), 1.0);
-    EXPECT_EQ(answer.actors(1).surfels(), 1u);
+    EXPECT_THAT(answer, IsMessage(R"(
+        actors { name: "a" asset: "van-1" instance: 2 size_m { x: 5 y: 2 z: 2.5 } surfels: 1 }
+        actors { name: "b" actor: "car" instance: 3 size_m { x: 1 y: 1 z: 1 } surfels: 1 })"));
     EXPECT_THAT(listed(), ElementsAre("a", "b"));
-    std::uint32_t left = 9;
-    EXPECT_TRUE(despawn({"a"}, left).ok());
-    EXPECT_EQ(left, 1u);
+    const auto [despawned, answer_of_despawn] = despawn({"a"});
+    EXPECT_TRUE(despawned.ok());
+    EXPECT_EQ(answer_of_despawn.left(), 1u);
     EXPECT_THAT(listed(), ElementsAre("b"));
     v1::RenderLidarRequest request = make_standing_request();
     place(request, "a", beside(3.0, 0.0));
-    grpc::ClientContext context;
-    v1::LidarScan scan;
-    const grpc::Status status = stub()->RenderLidar(&context, request, &scan);
+    const grpc::Status status = call(*calls, &Stub::RenderLidar, request).status;
     EXPECT_EQ(status.error_code(), Code::NOT_FOUND);
     EXPECT_THAT(status.error_message(), Names("actors.actors[0].name ... \"a\""));
     EXPECT_EQ(spawned({{"again", "asset van-1"}}).actors(0).instance(), answer.actors(0).instance())
@@ -203,32 +180,30 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
 TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
-    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "\"mine\"");
-    expect_refused(make_spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
-                   "spawn \"mine\"");
-    expect_refused(make_spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
-                   "spawn \"x\"");
-    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "run");
-    expect_refused(make_spawn_request({{"x", "cat"}}), Code::NOT_FOUND, "actors[0].actor ... \"cat\"");
-    expect_refused(make_spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
-                   "actors[0].asset ... \"van-2\"");
-    expect_refused(make_spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor ... \"mine\"");
-    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "asset");
-    expect_refused(make_spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
-    expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT, "201 bytes");
-    expect_refused({}, Code::INVALID_ARGUMENT, "actors");
-    expect_refused(make_spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
-    std::vector<std::pair<std::string, std::string>> many;
+    NamesAndSources many;
     for (std::size_t i = 0; i <= SpawnedActorRegistry::kMaxSlots; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
-    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "4096 ... actors");
+    const std::vector<std::tuple<NamesAndSources, Code, const char*>> cases{
+        {{{"mine", "car"}}, Code::ALREADY_EXISTS, "\"mine\""},
+        {{{"x", "car"}, {"mine", "car"}}, Code::ALREADY_EXISTS, "spawn \"mine\""},
+        {{{"x", "car"}, {"x", "asset van-1"}}, Code::ALREADY_EXISTS, "spawn \"x\""},
+        {{{"car", "asset van-1"}}, Code::ALREADY_EXISTS, "run"},
+        {{{"x", "cat"}}, Code::NOT_FOUND, "actors[0].actor ... \"cat\""},
+        {{{"x", "asset van-2"}}, Code::NOT_FOUND, "actors[0].asset ... \"van-2\""},
+        {{{"x", "mine"}}, Code::NOT_FOUND, "actors[0].actor ... \"mine\""},
+        {{{"x", ""}}, Code::INVALID_ARGUMENT, "asset"},
+        {{{"", "car"}}, Code::INVALID_ARGUMENT, "actors[0].name"},
+        {{{std::string(201, 'x'), "car"}}, Code::INVALID_ARGUMENT, "201 bytes"},
+        {{}, Code::INVALID_ARGUMENT, "actors"},
+        {{{"x", "asset gauss"}}, Code::FAILED_PRECONDITION, "3D Gaussians"},
+        {many, Code::RESOURCE_EXHAUSTED, "4096 ... actors"}};
+    for (const auto& [actors, code, says] : cases) expect_refused(make_spawn_request(actors), code, says);
     v1::SpawnActorsRequest elsewhere = make_spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
     expect_refused(elsewhere, Code::NOT_FOUND, "scene ... \"nowhere\"");
-    std::uint32_t left = 0;
     for (const std::vector<std::string>& names :
          {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
-        const grpc::Status status = despawn(names, left);
+        const grpc::Status status = despawn(names).status;
         EXPECT_EQ(status.error_code(), Code::NOT_FOUND) << names[0];
         EXPECT_THAT(status.error_message(), Names("despawn \"" + names[0] + "\""));
     }

@@ -8,11 +8,13 @@
 namespace relidar::serve {
 namespace {
 
-// Metres or seconds. ScanRenderer rejects larger values.
+// ScanRenderer rejects larger values.
 constexpr double kMaxCoordinate_m = 1e10;
 // Normalising a unit quaternion would only add rounding errors.
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
+
+}  // namespace
 
 double checked_number(double value, const std::string& name) {
     if (!(std::abs(value) <= kMaxCoordinate_m))
@@ -20,26 +22,14 @@ double checked_number(double value, const std::string& name) {
     return value;
 }
 
-}  // namespace
-
-double checked_time(double time_s, const std::string& name) { return checked_number(time_s, name); }
-
-/// Reads a pose and checks its values. Normalises the rotation, which clients may send
-/// with float precision.
-Pose read_pose(const v1::Pose& message, const std::string& name) {
-    const v1::Vector& t = message.translation();
-    Pose pose;
-    pose.translation = {checked_number(t.x(), name + ".translation.x"),
-                        checked_number(t.y(), name + ".translation.y"),
-                        checked_number(t.z(), name + ".translation.z")};
-    if (!message.has_rotation()) return pose;
-    const v1::Quaternion& q = message.rotation();
-    pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
+Pose checked_pose(const Pose& pose, const std::string& name) {
+    for (int axis = 0; axis < 3; ++axis)
+        checked_number(pose.translation[axis], fmt::format("{}.translation.{}", name, "xyz"[axis]));
     const double length = glm::length(pose.rotation);
     if (!(std::abs(length - 1.0) <= kUnitSlack))
         reject_field(name + ".rotation", fmt::format("a quaternion of length {}", length), "length 1");
-    if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
-    return pose;
+    if (std::abs(length - 1.0) <= kDoublePrecision) return pose;
+    return {glm::normalize(pose.rotation), pose.translation};
 }
 
 /// Reads a list of poses. Times must increase, because poses are interpolated in time.
@@ -51,7 +41,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
         const std::string entry = fmt::format("{}[{}]", name, i);
-        const double time_s = checked_time(messages[i].time_s(), entry + ".time_s");
+        const double time_s = checked_number(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
             reject_field(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
                          "increasing times");
@@ -59,20 +49,6 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }
     return track;
-}
-
-void write_vector(const glm::dvec3& vector, v1::Vector& message) {
-    message.set_x(vector.x);
-    message.set_y(vector.y);
-    message.set_z(vector.z);
-}
-
-void write_pose(const Pose& pose, v1::Pose& message) {
-    write_vector(pose.translation, *message.mutable_translation());
-    message.mutable_rotation()->set_w(pose.rotation.w);
-    message.mutable_rotation()->set_x(pose.rotation.x);
-    message.mutable_rotation()->set_y(pose.rotation.y);
-    message.mutable_rotation()->set_z(pose.rotation.z);
 }
 
 void write_track(const PoseTrack& track, google::protobuf::RepeatedPtrField<v1::TimedPose>& messages) {

@@ -50,9 +50,19 @@ v1::RenderLidarRequest sweep_request(const LatencyOptions& options, const std::s
     return request;
 }
 
-LatencySample measure_render(ScanClient& client, const v1::RenderLidarRequest& request) {
+using Stub = v1::RenderService::Stub;
+
+template <class Answer>
+Answer checked(const Reply<Answer>& reply) {
+    if (!reply.status.ok())
+        fail("the service returned status {}: {}", int(reply.status.error_code()),
+             reply.status.error_message());
+    return reply.answer;
+}
+
+LatencySample measure_render(Stub& service, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
-    const v1::LidarScan scan = client.render_scan(request);
+    const v1::LidarScan scan = checked(call(service, &Stub::RenderLidar, request));
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.rays()),
             scan.points().count()};
@@ -63,15 +73,15 @@ LatencySample measure_render(ScanClient& client, const v1::RenderLidarRequest& r
 /// Measures the latency of a render service. Each client is a thread with its own
 /// connection and sends its next call when the previous response has arrived.
 LatencyResult measure_latency(const LatencyOptions& options) {
-    ScanClient first(options.address);
-    const v1::ListScenesResponse scenes = first.list_scenes();
+    Stub first(open_channel(options.address));
+    const v1::ListScenesResponse scenes = checked(call(first, &Stub::ListScenes, {}));
     if (scenes.scenes().empty())
         fail("the service at {} serves no scene, expected at least one", options.address);
     LatencyResult result;
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
-    const v1::GetTracksResponse tracks = first.tracks(which);
+    const v1::GetTracksResponse tracks = checked(call(first, &Stub::GetTracks, which));
     // The first call is not measured. It takes longer, because it computes the rays of
     // the sensor and allocates memory.
     measure_render(first, sweep_request(options, result.scene, tracks, 0));
@@ -86,7 +96,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
         for (int c = 0; c < options.clients; ++c)
             clients.emplace_back([&] {
                 try {
-                    ScanClient client(options.address);
+                    Stub client(open_channel(options.address));
                     // All clients share one counter, so faster clients send more calls.
                     for (int number = next++; number < options.calls; number = next++) {
                         const LatencySample sample =

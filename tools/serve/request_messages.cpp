@@ -32,7 +32,7 @@ bool is_far_from_path(double time_s, const PoseTrack& path) {
 /// Checks a time and returns it. Rejects times more than one second outside the sensor's
 /// path, because the pose of the sensor is unknown there.
 double time_near_path(double time_s, const PoseTrack& path, const std::string& field) {
-    checked_time(time_s, field);
+    checked_number(time_s, field);
     if (is_far_from_path(time_s, path))
         reject_field(field,
                      fmt::format("{} s, but the path covers {} to {} s", time_s, path.time_s.front(),
@@ -114,12 +114,7 @@ int RequestReader::find_lidar(std::size_t scene, const std::string& name, const 
 }
 
 std::pair<std::string, SensorPtr> RequestReader::cache_sensor(const v1::SensorSpec& spec) {
-    const std::string handle = uploaded_.add_upload(read_sensor(spec, "sensor"));
-    const SensorPtr sensor = uploaded_.find_cached(handle);
-    if (!sensor)
-        refuse(Code::RESOURCE_EXHAUSTED,
-               "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
-    return {handle, sensor};
+    return uploaded_.add_upload(read_sensor(spec, "sensor"));
 }
 
 SensorPtr RequestReader::find_built_in(const std::string& sensor_name, std::size_t scene, int lidar) {

@@ -9,7 +9,7 @@
 
 #include "relidar/v1/render.pb.h"
 #include "scene_source.hpp"
-#include "sensor_cache.hpp"
+#include "sensor_messages.hpp"
 
 namespace relidar::serve {
 

@@ -7,6 +7,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
@@ -248,6 +249,41 @@ FiringTimeSpan firing_span(const SimulatedSensor& sensor) {
 std::size_t count_rays(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > 0 || !sensor.pattern) return sensor.rays.size();
     return summarise_pattern(*sensor.pattern).n_rays;
+}
+
+std::pair<std::string, SensorPtr> SensorCache::add_upload(SimulatedSensor sensor) {
+    const std::string handle = fmt::format("sensor-{}", ++n_uploads_);
+    return {handle, add_sensor(handle, std::move(sensor))};
+}
+
+SensorPtr SensorCache::add_sensor(const std::string& key, SimulatedSensor sensor) {
+    const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
+    const std::lock_guard lock(mutex_);
+    while (!entries_.empty() &&
+           (entries_.size() >= kMostSensors || cached_rays() + shared_sensor->rays.size() > kMostRays))
+        remove_oldest();
+    entries_[key] = {shared_sensor, ++clock_};
+    return shared_sensor;
+}
+
+SensorPtr SensorCache::find_cached(const std::string& key) {
+    const std::lock_guard lock(mutex_);
+    const auto entry = entries_.find(key);
+    if (entry == entries_.end()) return nullptr;
+    entry->second.used = ++clock_;
+    return entry->second.sensor;
+}
+
+void SensorCache::remove_oldest() {
+    entries_.erase(std::min_element(
+        entries_.begin(), entries_.end(),
+        [](const auto& first, const auto& second) { return first.second.used < second.second.used; }));
+}
+
+std::size_t SensorCache::cached_rays() const {
+    std::size_t rays = 0;
+    for (const auto& [handle, entry] : entries_) rays += entry.sensor->rays.size();
+    return rays;
 }
 
 }  // namespace relidar::serve

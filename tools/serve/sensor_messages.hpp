@@ -1,12 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks every value of a sensor before its rays are computed.
+// Reads the sensors of requests, whose values are checked before rays are computed, and
+// caches them.
 #pragma once
 
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <string>
 
-#include <relidar/simulate/render.hpp>
-
 #include "relidar/v1/render.pb.h"
+
+namespace relidar {
+struct Run;
+struct SimulatedSensor;
+}  // namespace relidar
 
 namespace relidar::serve {
 
@@ -27,5 +36,33 @@ struct FiringTimeSpan {
 FiringTimeSpan firing_span(const SimulatedSensor& sensor);
 
 std::size_t count_rays(const SimulatedSensor& sensor);
+
+using SensorPtr = std::shared_ptr<const SimulatedSensor>;
+
+/// The key is the handle of an uploaded sensor, or the name of a built-in sensor. If the
+/// cache is full, the least recently used sensor is removed.
+class SensorCache {
+public:
+    static constexpr std::size_t kMostSensors = 64;
+    static constexpr std::size_t kMostRays = std::size_t(1) << 22;
+
+    /// Returns the handle of the sensor, and the sensor.
+    std::pair<std::string, SensorPtr> add_upload(SimulatedSensor sensor);
+    SensorPtr add_sensor(const std::string& key, SimulatedSensor sensor);
+    SensorPtr find_cached(const std::string& key);
+
+private:
+    struct CachedSensor {
+        SensorPtr sensor;
+        std::uint64_t used;
+    };
+    std::mutex mutex_;
+    std::map<std::string, CachedSensor> entries_;
+    std::uint64_t clock_ = 0;
+    std::atomic<std::uint64_t> n_uploads_ = 0;
+
+    void remove_oldest();
+    std::size_t cached_rays() const;
+};
 
 }  // namespace relidar::serve

@@ -35,17 +35,10 @@ const LidarTypeSensor& sensor_of_type(sensorsim::LidarType lidar_type) {
 
 /// Writes a pose in the order that the client expects. With translation_first, the
 /// translation is R^-1 t, because R (p + R^-1 t) = R p + t.
-void write_pose(const Pose& pose, PoseTransformOrder order, sensorsim::Pose& message) {
-    const glm::dvec3 t = order == PoseTransformOrder::rotation_first
-                             ? pose.translation
-                             : glm::inverse(pose.rotation) * pose.translation;
-    message.mutable_translation()->set_x(float(t.x));
-    message.mutable_translation()->set_y(float(t.y));
-    message.mutable_translation()->set_z(float(t.z));
-    message.mutable_rotation()->set_w(float(pose.rotation.w));
-    message.mutable_rotation()->set_x(float(pose.rotation.x));
-    message.mutable_rotation()->set_y(float(pose.rotation.y));
-    message.mutable_rotation()->set_z(float(pose.rotation.z));
+void write_pose(Pose pose, PoseTransformOrder order, sensorsim::Pose& message) {
+    if (order == PoseTransformOrder::translation_first)
+        pose.translation = glm::inverse(pose.rotation) * pose.translation;
+    serve::write_pose(pose, message);
 }
 
 /// Writes a track with times in microseconds, which cannot be negative.
@@ -95,16 +88,7 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
         reject_field(field,
                      message.has_translation() ? "a pose without rotation" : "a pose without translation",
                      "both");
-    // Converts to doubles, so that serve::read_pose() can check the numbers.
-    v1::Pose wide;
-    wide.mutable_translation()->set_x(double(message.translation().x()));
-    wide.mutable_translation()->set_y(double(message.translation().y()));
-    wide.mutable_translation()->set_z(double(message.translation().z()));
-    wide.mutable_rotation()->set_w(double(message.rotation().w()));
-    wide.mutable_rotation()->set_x(double(message.rotation().x()));
-    wide.mutable_rotation()->set_y(double(message.rotation().y()));
-    wide.mutable_rotation()->set_z(double(message.rotation().z()));
-    Pose pose = serve::read_pose(wide, field);
+    Pose pose = serve::read_pose(message, field);
     // R (p + t) = R p + R t
     if (order_ == PoseTransformOrder::translation_first) pose.translation = pose.rotation * pose.translation;
     return pose;
@@ -134,8 +118,8 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
                      fmt::format("a time from 0 to {} microseconds after frame_start_us", kLongestFrame_us));
     RenderRequest render_request;
     render_request.scene = find_scene(message.scene_id());
-    const SensorsimTimeFrame frame{checked_time(double(start_us) * kMicrosecond_s, "frame_start_us"),
-                                   checked_time(double(end_us) * kMicrosecond_s, "frame_end_us"),
+    const SensorsimTimeFrame frame{checked_number(double(start_us) * kMicrosecond_s, "frame_start_us"),
+                                   checked_number(double(end_us) * kMicrosecond_s, "frame_end_us"),
                                    outlines_[render_request.scene].sequence.world_offset_m};
     render_request.sensor = find_or_make_sensor(message, render_request.scene);
     // The time of the scan is the middle of the interval, because firing times are
@@ -170,14 +154,12 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
 
 void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
-        const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
-        if (box == run.sequence.boxes.end()) continue;
+        const BoxTrack* box = find_box(run.sequence, name);
+        if (!box) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
         object.set_id(name);
         object.set_semantic_class(label_of(*box));
-        object.mutable_object_size()->set_x(float(box->size_m.x));
-        object.mutable_object_size()->set_y(float(box->size_m.y));
-        object.mutable_object_size()->set_z(float(box->size_m.z));
+        write_vector(box->size_m, *object.mutable_object_size());
         // Leaves out poses before 0 s, because the message format has no negative times.
         PoseTrack track;
         for (std::size_t i = 0; i < box->world_from_box.pose.size(); ++i)

@@ -6,7 +6,7 @@
 #pragma once
 
 #include "request_messages.hpp"
-#include "sensor_cache.hpp"
+#include "sensor_messages.hpp"
 #include "sensorsim/sensorsim.pb.h"
 #include "server.hpp"
 

@@ -2,12 +2,10 @@
 #include "sensorsim_service.hpp"
 
 #include <grpcpp/impl/rpc_service_method.h>
-#include <grpcpp/impl/service_type.h>
 #include <grpcpp/support/method_handler.h>
 
 #include "refusal.hpp"
 #include "render_requests.hpp"
-#include "scenes.hpp"
 #include "sensorsim_messages.hpp"
 
 namespace relidar::serve {
@@ -20,104 +18,61 @@ constexpr int kMostScans = 64;
            rpc_name, found);
 }
 
-// NuRec uses the second name since version 26.10.
-constexpr const char* kPackageNames[] = {"nre.grpc.protos", "nurec.grpc.protos"};
-
 }  // namespace
 
-/// All names share the message types, because the wire format has no names of messages.
-class SensorsimService::NamedService final : public grpc::Service {
-public:
-    NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
-        using Context = const ServerContext&;
-        register_method<sensorsim::Empty, sensorsim::VersionId>(
-            "get_version", [&](Context, const auto&, auto& answer) { calls.get_version(answer); });
-        register_method<sensorsim::Empty, sensorsim::AvailableScenes>(
-            "get_available_scenes",
-            [&](Context, const auto&, auto& answer) { calls.get_available_scenes(answer); });
-        register_method<sensorsim::Empty, sensorsim::LoadedScenes>(
-            "get_loaded_scenes",
-            [&](Context, const auto&, auto& answer) { calls.get_loaded_scenes(answer); });
-        register_method<sensorsim::SceneRequest, sensorsim::DynamicObjectTracks>(
-            "get_dynamic_objects",
-            [&](Context, const auto& request, auto& answer) { calls.get_dynamic_objects(request, answer); });
-        register_method<sensorsim::SceneRequest, sensorsim::AvailableTrajectories>(
-            "get_available_trajectories", [&](Context, const auto& request, auto& answer) {
-                calls.get_available_trajectories(request, answer);
-            });
-        // relidar has no cameras, so this answer and the next one stay empty.
-        register_method<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
-            "get_available_cameras",
-            [&](Context, const auto& request, auto&) { calls.reader_->find_scene(request.scene_id()); });
-        register_method<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
-                                                                        [](Context, const auto&, auto&) {});
-        register_method<sensorsim::LidarRenderRequest, sensorsim::LidarRenderReturn>(
-            "render_lidar", [&](Context context, const auto& request, auto& answer) {
-                calls.render_lidar(context, request, answer);
-            });
-        register_method<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
-            "render_rgb",
-            [](Context, const auto&, auto&) { reject_camera("render_rgb", "a request for an image"); });
-        register_method<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
-            "render_aggregated", [&](Context context, const auto& request, auto& answer) {
-                calls.render_aggregated(context, request, answer);
-            });
-    }
-
-private:
-    const std::string path_;
-    // gRPC keeps pointers to the names, and a deque does not move its elements.
-    std::deque<std::string> methods_;
-
-    /// Registers an RPC method with gRPC.
-    /// @param handle_call computes the answer, or throws RejectedRequest
-    template <class RequestMessage, class Answer, class Function>
-    void register_method(const std::string& method_name, Function handle_call) {
-        using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
-        const auto call = [handle_call](NamedService*, ServerContext* context, const RequestMessage* request,
-                                        Answer* answer) {
-            return call_handler([&] { handle_call(*context, *request, *answer); });
-        };
-        AddMethod(new RpcServiceMethod(
-            methods_.emplace_back(path_ + method_name).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
-            new RpcMethodHandler<NamedService, RequestMessage, Answer>(call, this)));
-    }
-};
-
-SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTransformOrder order)
+SensorsimService::SensorsimService(const std::string& name, RenderQueue& queue, SceneSet& scenes,
+                                   PoseTransformOrder order)
     : queue_(queue),
       scenes_(scenes),
       order_(order),
       scene_reader_(std::make_unique<RequestReader>(scenes)),
       reader_(std::make_unique<SensorsimReader>(scenes.runs(), *scene_reader_, order)) {
-    for (const std::string& name : full_names())
-        named_.push_back(std::make_unique<NamedService>(*this, name));
+    const std::string path = "/" + name + "/";
+    add_call(path + "get_version", &SensorsimService::get_version);
+    add_call(path + "get_available_scenes", &SensorsimService::get_available_scenes);
+    add_call(path + "get_loaded_scenes", &SensorsimService::get_loaded_scenes);
+    add_call(path + "get_dynamic_objects", &SensorsimService::get_dynamic_objects);
+    add_call(path + "get_available_trajectories", &SensorsimService::get_available_trajectories);
+    add_call(path + "get_available_cameras", &SensorsimService::get_available_cameras);
+    add_call(path + "get_available_ego_masks", &SensorsimService::get_available_ego_masks);
+    add_call(path + "render_lidar", &SensorsimService::render_lidar);
+    add_call(path + "render_rgb", &SensorsimService::render_rgb);
+    add_call(path + "render_aggregated", &SensorsimService::render_aggregated);
 }
 
 SensorsimService::~SensorsimService() = default;
 
-std::vector<std::string> SensorsimService::full_names() {
-    std::vector<std::string> names;
-    for (const std::string package : kPackageNames) names.push_back(package + ".sensorsim.SensorsimService");
-    return names;
+template <class Request, class Answer>
+void SensorsimService::add_call(const std::string& full_name, Call<Request, Answer> call) {
+    using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
+    const auto handle = [call](SensorsimService* self, ServerContext* context, const Request* request,
+                               Answer* answer) {
+        return call_handler([&] { (self->*call)(*context, *request, *answer); });
+    };
+    AddMethod(new RpcServiceMethod(method_names_.emplace_back(full_name).c_str(),
+                                   grpc::internal::RpcMethod::NORMAL_RPC,
+                                   new RpcMethodHandler<SensorsimService, Request, Answer>(handle, this)));
 }
 
-void SensorsimService::register_in(grpc::ServerBuilder& builder) {
-    for (const std::unique_ptr<NamedService>& service : named_) builder.RegisterService(service.get());
+const Run& SensorsimService::find_run(const sensorsim::SceneRequest& request) const {
+    return scenes_.runs()[reader_->find_scene(request.scene_id())];
 }
 
-void SensorsimService::get_version(sensorsim::VersionId& answer) const {
+void SensorsimService::get_version(const ServerContext&, const sensorsim::Empty&,
+                                   sensorsim::VersionId& answer) {
     answer.set_version("relidar " RELIDAR_VERSION);
     answer.mutable_numbers()->set_major(RELIDAR_VERSION_MAJOR);
     answer.mutable_numbers()->set_minor(RELIDAR_VERSION_MINOR);
     answer.mutable_numbers()->set_patch(RELIDAR_VERSION_PATCH);
 }
 
-void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) const {
+void SensorsimService::get_available_scenes(const ServerContext&, const sensorsim::Empty&,
+                                            sensorsim::AvailableScenes& answer) {
     for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
 }
 
-void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
+void SensorsimService::get_loaded_scenes(const ServerContext&, const sensorsim::Empty&,
+                                         sensorsim::LoadedScenes& answer) {
     // Only the render thread may use the scenes, so the queue runs this function.
     reserve_slot(queue_).run_function([&] {
         for (std::size_t i = 0; i < scenes_.sources().size(); ++i) {
@@ -131,14 +86,26 @@ void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
     answer.set_loaded_instance_capacity(scenes_.sources().size());
 }
 
-void SensorsimService::get_dynamic_objects(const sensorsim::SceneRequest& request,
+void SensorsimService::get_dynamic_objects(const ServerContext&, const sensorsim::SceneRequest& request,
                                            sensorsim::DynamicObjectTracks& answer) {
-    write_actors(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
+    write_actors(find_run(request), order_, answer);
 }
 
-void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest& request,
+void SensorsimService::get_available_trajectories(const ServerContext&,
+                                                  const sensorsim::SceneRequest& request,
                                                   sensorsim::AvailableTrajectories& answer) {
-    write_paths(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
+    write_paths(find_run(request), order_, answer);
+}
+
+/// relidar has no cameras, so the answer is empty.
+void SensorsimService::get_available_cameras(const ServerContext&, const sensorsim::SceneRequest& request,
+                                             sensorsim::AvailableCameras&) {
+    (void)find_run(request);
+}
+
+void SensorsimService::render_rgb(const ServerContext&, const sensorsim::RgbRenderRequest&,
+                                  sensorsim::RgbRenderReturn&) {
+    reject_camera("render_rgb", "a request for an image");
 }
 
 void SensorsimService::render_points(QueueSlot& slot, const RenderRequest& render_request,

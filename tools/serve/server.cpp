@@ -64,7 +64,7 @@ struct ScanServer::Impl {
     std::optional<Device> device;
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
-    std::optional<SensorsimService> sensorsim;
+    std::vector<std::unique_ptr<SensorsimService>> sensorsim;  ///< one for each name
     std::optional<Acceptor> acceptor;
     std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
     std::unique_ptr<grpc::Server> server;
@@ -113,7 +113,7 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
     connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials);
     builder.RegisterService(&*service);
-    if (sensorsim) sensorsim->register_in(builder);
+    for (const auto& named : sensorsim) builder.RegisterService(named.get());
     server = builder.BuildAndStart();
     if (!server)
         fail<UsageError>("cannot listen at {}: the gRPC server does not start{}", options.listen,
@@ -130,9 +130,8 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
 void ScanServer::Impl::set_health(bool is_serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), is_serving);
-    if (sensorsim)
-        for (const std::string& name : SensorsimService::full_names())
-            health.SetServingStatus(name, is_serving);
+    if (!sensorsim.empty())
+        for (const char* name : SensorsimService::kNames) health.SetServingStatus(name, is_serving);
     // The empty name means the complete server in the gRPC health protocol.
     if (!is_serving) health.SetServingStatus("", false);
 }
@@ -150,7 +149,10 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
     });
     if (ScanRenderer::default_parallel(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
-    if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
+    if (options.sensorsim)
+        for (const char* name : SensorsimService::kNames)
+            impl_->sensorsim.push_back(
+                std::make_unique<SensorsimService>(name, impl_->queue, *impl_->scenes, *options.sensorsim));
     impl_->start_listening(options);
 }
 

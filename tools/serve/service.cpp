@@ -47,11 +47,12 @@ void RenderService::render_points(QueueSlot& slot, std::span<const RenderRequest
 Status RenderService::ListScenes(ServerContext*, const v1::ListScenesRequest*,
                                  v1::ListScenesResponse* answer) {
     return call_handler([&] {
-        for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
-            write_scene(scenes_.sources()[i].name, scenes_.runs()[i], *answer->add_scenes());
-        for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
-            for (const SpawnSlot& spawn_slot : scenes_.spawned().list_occupied(i))
-                write_spawned(spawn_slot, scenes_.runs()[i], *answer->mutable_scenes(int(i))->add_spawned());
+        for (std::size_t i = 0; i < scenes_.runs().size(); ++i) {
+            v1::Scene& scene = *answer->add_scenes();
+            write_scene(scenes_.sources()[i].name, scenes_.runs()[i], scene);
+            for (const SpawnSlot& slot : scenes_.spawned().list_occupied(i))
+                write_spawned(slot, scenes_.runs()[i], *scene.add_spawned());
+        }
         for (const AssetCatalogue::CatalogueEntry& entry : scenes_.assets().entries())
             write_asset(entry.facts, *answer->add_assets());
         for (const std::string& name : list_sensors()) answer->add_sensors(name);
