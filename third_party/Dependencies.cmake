@@ -185,11 +185,12 @@ if((RELIDAR_BUILD_TOOLS OR RELIDAR_FUZZ) AND RELIDAR_SERVE AND NOT RELIDAR_FOR_P
     if(PKG_CONFIG_FOUND)   # not gRPC's CMake package: Debian 12's stops with an error in its own modules
         pkg_check_modules(RELIDAR_GRPC QUIET IMPORTED_TARGET GLOBAL grpc++ protobuf)
     endif()
-    if(RELIDAR_PROTOC AND RELIDAR_GRPC_PLUGIN AND RELIDAR_REFLECTION_LIBRARY AND TARGET PkgConfig::RELIDAR_GRPC)
+    if(RELIDAR_PROTOC AND RELIDAR_GRPC_PLUGIN AND RELIDAR_REFLECTION_LIBRARY AND TARGET PkgConfig::RELIDAR_GRPC AND RELIDAR_beast_INCLUDE)
+        relidar_dependency(beast APT libboost-dev BUILD_ONLY HEADER boost/beast/websocket/stream.hpp)
         relidar_dependency(grpc APT libgrpc++-dev BUILD_ONLY HEADER grpcpp/grpcpp.h
             LINK -Wl,--as-needed ${RELIDAR_REFLECTION_LIBRARY} PkgConfig::RELIDAR_GRPC)   # of the many libraries that it names few are used
     else()
-        message(STATUS "relidar: no `relidar serve` (needs libgrpc++-dev protobuf-compiler-grpc libprotobuf-dev; tools/dev/setup --serve)")
+        message(STATUS "relidar: no `relidar serve` (needs libboost-dev libgrpc++-dev protobuf-compiler-grpc libprotobuf-dev; tools/dev/setup --serve)")
     endif()
 endif()
 

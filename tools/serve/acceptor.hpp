@@ -8,6 +8,9 @@
 #include <thread>
 #include <vector>
 
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+
 namespace relidar::serve {
 
 class Acceptor {
@@ -15,7 +18,8 @@ public:
     /// Must close the file descriptor. Runs on the thread of the acceptor.
     using ConnectionCallback = std::function<void(int listener, int connection)>;
 
-    /// @param address HOST:PORT; port 0 selects a free port
+    /// Listens at all addresses of a host name.
+    /// @param address HOST:PORT; port 0 selects a free port, which is the same for all
     /// @throws UsageError if the address is invalid or not available
     explicit Acceptor(const std::string& address);
     ~Acceptor();
@@ -26,15 +30,13 @@ public:
     void stop();
 
 private:
-    std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< Pipe that stop() uses to wake the thread that waits for connections.
+    boost::asio::io_context io_{1};
+    std::vector<boost::asio::ip::tcp::acceptor> listeners_;
     int port_ = 0;
     ConnectionCallback receive_;
     std::thread thread_;
 
-    void close_listeners();
-    void run_accept_loop();
-    void accept_one(int listening_socket);
+    void accept_next(boost::asio::ip::tcp::acceptor& listener);
 };
 
 }  // namespace relidar::serve
