@@ -22,10 +22,9 @@ Needs carla and the packages of closed_loop_client.py.
 import argparse
 import pathlib
 
-import grpc
 import numpy as np
 
-from closed_loop_client import v1, v1_grpc
+from closed_loop_client import connect, find_scene, v1
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])   # Converts between left-handed and right-handed frames.
 NEARLY = 1e-6   # Tolerance in seconds for a period that consists of ticks.
@@ -96,10 +95,7 @@ class CarlaLidar:
     """Scans of a scene along the way of CARLA's ego vehicle: tick() takes each world snapshot, and returns a scan once a sweep is over."""
 
     def __init__(self, service, world, options):
-        scenes = service.ListScenes(v1.ListScenesRequest()).scenes
-        self.scene = next((s for s in scenes if s.name == options.scene), scenes[0] if not options.scene else None)
-        if self.scene is None:
-            raise SystemExit(f"--scene: found {options.scene}, expected one of {', '.join(s.name for s in scenes)}")
+        self.scene = find_scene(service, options.scene)
         self.service, self.world, self.options = service, world, options
         self.traffic = Traffic(service, self.scene)
         self.dataset_from_carla = pose_matrix(*options.dataset_from_carla)
@@ -176,8 +172,7 @@ def main():
     import carla
     host, port = options.carla.rsplit(":", 1)
     world = carla.Client(host, int(port)).get_world()
-    channel = grpc.insecure_channel(options.address, options=[("grpc.max_receive_message_length", -1)])
-    lidar = CarlaLidar(v1_grpc.RenderServiceStub(channel), world, options)
+    lidar = CarlaLidar(connect(options.address), world, options)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
     n_scans = 0

@@ -40,6 +40,20 @@ with tempfile.TemporaryDirectory() as stubs:
     from relidar.v1 import render_pb2 as v1, render_pb2_grpc as v1_grpc
 
 
+def connect(address):
+    """Returns the calls of a server. The size of its answers is not limited."""
+    return v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
+
+
+def find_scene(service, name):
+    """Returns a scene of a server, the first if the name is empty."""
+    scenes = service.ListScenes(v1.ListScenesRequest()).scenes
+    for scene in scenes:
+        if name in ("", scene.name):
+            return scene
+    raise SystemExit(f"--scene: found {name}, expected one of {', '.join(s.name for s in scenes)}")
+
+
 def gap_ahead(points):
     """Distance to the nearest point ahead in the own lane, above the ground and beyond the own bonnet; 100 m where there is none."""
     xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3)
@@ -64,9 +78,8 @@ def lead_of(service, scene, asset):
 
 
 def main(address="127.0.0.1:50051", sensor="", asset=""):
-    channel = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)])
-    service = v1_grpc.RenderServiceStub(channel)
-    scene = service.ListScenes(v1.ListScenesRequest()).scenes[0]
+    service = connect(address)
+    scene = find_scene(service, "")
     lead, height_m = lead_of(service, scene, asset)
     tracks = service.GetTracks(v1.GetTracksRequest(scene=scene.name))
     start = tracks.dataset_from_sensor[0].pose
@@ -88,8 +101,7 @@ def main(address="127.0.0.1:50051", sensor="", asset=""):
             scene=scene.name, sensor=v1.Sensor(name=sensor), path=drives(t, ego_m, ego_m + ego_mps * STEP_S),
             actors=v1.ActorTracks(actors=[actor])), timeout=30)
         gap_m = gap_ahead(scan.points)
-        for sparse in scan.sparse_actors:
-            coarse.add(sparse.name)
+        coarse.update(sparse.name for sparse in scan.sparse_actors)
         if gap_m < 6.0 + ego_mps**2 / (2 * EGO_BRAKES) * 1.3:
             ego_mps = max(0.0, ego_mps - EGO_BRAKES * STEP_S)
         if step * STEP_S > 2.0:

@@ -6,16 +6,7 @@ sensor_msgs/PointCloud2, and the pose of the sensor on /tf.
     relidar serve RUN &
     tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop] [--clock]
 
-Each option is also a parameter of the node, which replaces the option. ros2_lidar.launch.py starts the
-node with parameters.
-
-Each cloud contains one motion-compensated sweep. Its points (x, y, z, intensity as float32, ring as
-uint16) are in the sensor's frame at the header's stamp, which is the end of the sweep. /tf has the
-pose of this frame for the same stamp. The cloud has no time field, because a subscriber could use it
-to compensate the motion a second time. Stamps start at the time of the node's clock and advance with
-the log. If the server is slower than the sensor, the stamps fall behind, and a warning is printed once.
-With --clock, stamps are times of the log, and /clock has the stamp of each sweep for nodes with
-use_sim_time.
+ros2_lidar.md describes parameters, topics, stamps and frames.
 
 Needs rclpy with sensor_msgs, geometry_msgs, rosgraph_msgs, tf2_msgs, and the packages of
 closed_loop_client.py.
@@ -24,7 +15,6 @@ import argparse
 import sys
 import time
 
-import grpc
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
@@ -35,7 +25,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from closed_loop_client import v1, v1_grpc
+from closed_loop_client import connect, find_scene, v1
 
 POINT = np.dtype({"names": ["x", "y", "z", "intensity", "ring"], "formats": ["<f4", "<f4", "<f4", "<f4", "<u2"],
                   "offsets": [0, 4, 8, 12, 16], "itemsize": 20})
@@ -72,10 +62,7 @@ class Sweeps:
 
     def __init__(self, service, options):
         self.service, self.options = service, options
-        scenes = service.ListScenes(v1.ListScenesRequest()).scenes
-        self.scene = next((s for s in scenes if s.name == options.scene), scenes[0] if not options.scene else None)
-        if self.scene is None:
-            raise SystemExit(f"--scene: found {options.scene}, expected one of {', '.join(s.name for s in scenes)}")
+        self.scene = find_scene(service, options.scene)
         self.path = list(service.GetTracks(v1.GetTracksRequest(scene=self.scene.name, lidar=options.lidar)).dataset_from_sensor)
         self.times_s = [pose.time_s for pose in self.path]
         self.period_s = 1.0 / options.rate
@@ -122,8 +109,7 @@ def main(arguments=None):
     rclpy.init(args=arguments)
     node = rclpy.create_node("relidar")
     read_parameters(node, options)
-    channel = grpc.insecure_channel(options.address, options=[("grpc.max_receive_message_length", -1)])
-    sweeps = Sweeps(v1_grpc.RenderServiceStub(channel), options)
+    sweeps = Sweeps(connect(options.address), options)
     clouds = node.create_publisher(PointCloud2, options.topic, 5)
     transforms = node.create_publisher(TFMessage, "/tf", 100)
     clock = node.create_publisher(Clock, "/clock", 10) if options.clock else None
