@@ -54,9 +54,9 @@ void read_head(std::string_view input, const fs::path&) {
     }
     (void)view::is_this_machine(lines[0], "machine");
     (void)view::is_same_origin(lines[1], lines[0]);
-    const view::Credentials credentials{lines[0], lines[1], lines[2], lines[3]};
-    const bool shown = view::has_query_token(credentials, "0123456789abcdef") ||
-                       view::has_cookie_token(credentials, "0123456789abcdef", "relidar_8080");
+    constexpr std::string_view kToken = "0123456789abcdef";
+    const bool shown = view::is_same_secret(view::find_list_value(lines[3], "token", '&'), kToken) ||
+                       view::is_same_secret(view::find_list_value(lines[2], "relidar_8080", ';'), kToken);
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
     // aborts if access is granted although the request does not contain the token

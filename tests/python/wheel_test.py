@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the wheel of tools/python from this build and installs it into an empty folder, as `pip
-install tools/python` does."""
+install tools/python` does. Without the compiled part, an import must report what is missing and what
+to do."""
 import importlib.util
 import os
 import pathlib
@@ -53,6 +54,16 @@ class Wheel(unittest.TestCase):
         made = self.build(self.path)
         self.assertNotEqual(made.returncode, 0)
         self.assertIn("-DRELIDAR_PYTHON=ON", made.stdout + made.stderr)
+
+
+class Import(unittest.TestCase):
+    def test_the_source_folder_says_that_it_is_not_built(self):
+        process = subprocess.run([sys.executable, "-B", "-c", "import relidar"], env=dict(os.environ, PYTHONPATH=str(SOURCE)),
+                                 capture_output=True, text=True)
+        self.assertEqual(process.returncode, 1)
+        message = process.stderr.strip().splitlines()[-1]
+        self.assertRegex(message, r"^ModuleNotFoundError: relidar: .*tools/python/relidar .*Python 3\.\d+")
+        self.assertIn("RELIDAR_PYTHON=ON", message)
 
 
 if __name__ == "__main__":

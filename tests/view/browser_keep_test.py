@@ -6,14 +6,12 @@ reloaded and when the program restarts.
     browser_keep_test.py RELIDAR WORK_FOLDER
 
 Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
-import pathlib
 import re
 import subprocess
-import sys
 from urllib.parse import unquote
 
-from browser_page import Page, need   # before selenium: reports missing programs
-from viewer_process import Viewer, train_street
+from browser_page import run_test   # before selenium: reports that it is missing
+from viewer_process import Viewer
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
@@ -222,30 +220,18 @@ def understands_addresses(page, url):
     page.click("#note-close")
 
 
-def main():
-    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
-    need(["chromium", "chromedriver"])
-    train_street(relidar, work)
-    viewer = Viewer(relidar, work, "run", "--insert", "run", "--port", "0")
-    page = None
-    try:
-        page = Page(viewer.url, work)
-        page.wait("points", lambda: page.points() > 10_000)
-        understands_addresses(page, viewer.url)
-        page.driver.get("about:blank")
-        page.driver.get(viewer.url)
-        page.wait("points", lambda: page.points() > 10_000)
-        lists_give_the_keys_back(page)
-        drives_while_keys_are_down(page)
-        places_actors_on_the_ground(page, relidar, work)
-        survives_a_reload(page)
-        assert page.errors() == [], page.errors()   # from here on, a stopped program causes errors
-        goes_on_after_a_restart(page, relidar, work, viewer)
-    finally:
-        viewer.kill()
-        if page:
-            page.driver.quit()
-    print("the page keeps what it should")
+def check(page, viewer, relidar, work):
+    understands_addresses(page, viewer.url)
+    page.driver.get("about:blank")
+    page.driver.get(viewer.url)
+    page.wait("points", lambda: page.points() > 10_000)
+    lists_give_the_keys_back(page)
+    drives_while_keys_are_down(page)
+    places_actors_on_the_ground(page, relidar, work)
+    survives_a_reload(page)
+    assert page.errors() == [], page.errors()   # from here on, a stopped program causes errors
+    goes_on_after_a_restart(page, relidar, work, viewer)
 
 
-main()
+run_test(check, "--insert", "run")
+print("the page keeps what it should")

@@ -2,6 +2,7 @@
 """Helpers for tests of the viewer's page: headless Chromium that displays it.
 
 Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
+import pathlib
 import shutil
 import sys
 import time
@@ -15,17 +16,10 @@ except ImportError:
     print("skipped: python3-selenium is missing (tools/dev/setup --tests)")
     sys.exit(77)
 
-from viewer_process import PATIENCE_S
+from viewer_process import PATIENCE_S, Viewer, train_street
 
 STRIP = """const c = document.getElementById(arguments[0]);
 return Array.from(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer));"""
-
-
-def need(programs):
-    for name in programs:
-        if shutil.which(name) is None:
-            print(f"skipped: {name} is missing (tools/dev/setup --tests)")
-            sys.exit(77)
 
 
 class Page:
@@ -69,3 +63,24 @@ class Page:
 
     def errors(self):
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def run_test(check, *options):
+    """Calls check(page, viewer, relidar, work) with a page that shows points of a trained street.
+
+    options: of `relidar view`"""
+    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
+    for name in ("chromium", "chromedriver"):
+        if shutil.which(name) is None:
+            print(f"skipped: {name} is missing (tools/dev/setup --tests)")
+            sys.exit(77)
+    train_street(relidar, work)
+    viewer, page = Viewer(relidar, work, "run", "--port", "0", *options), None
+    try:
+        page = Page(viewer.url, work)
+        page.wait("more than 10,000 points", lambda: page.points() > 10_000)
+        check(page, viewer, relidar, work)
+    finally:
+        viewer.kill()
+        if page:
+            page.driver.quit()

@@ -7,12 +7,9 @@ the log.
 
 Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
 import os
-import pathlib
 import subprocess
-import sys
 
-from browser_page import Page, need   # before selenium: reports missing programs
-from viewer_process import Viewer, train_street
+from browser_page import run_test   # before selenium: reports that it is missing
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
@@ -49,7 +46,6 @@ def coloured_pixels(page, canvas):
 
 
 def shows_points(page):
-    page.wait("more than 10,000 points", lambda: page.points() > 10_000)
     assert page.find("#image-size").text == "32 × 512", page.find("#image-size").text
     page.wait("more than 5,000 coloured pixels in the view", lambda: coloured_pixels(page, page.find("#view")) > 5_000)
 
@@ -181,7 +177,7 @@ def shows_a_report(page, relidar, work):
               lambda: all(a != canvas.screenshot_as_base64 for a, canvas in zip(pictures, clouds())))
 
 
-def check(page, url, relidar, work):
+def check(page, viewer, relidar, work):
     shows_points(page)
     moves(page)
     changes_sensor(page, work)
@@ -190,29 +186,14 @@ def check(page, url, relidar, work):
     edits(page, relidar, work)
     shows_the_log(page)
     stays_responsive(page)
-    serves_two_tabs(page, url)
+    serves_two_tabs(page, viewer.url)
     shows_a_report(page, relidar, work)
-    page.driver.get(url)
+    page.driver.get(viewer.url)
     page.wait("points after the report", lambda: page.points() > 10_000)
     assert page.errors() == [], page.errors()
+    viewer.end()
+    page.wait("the page to say that the program has ended", lambda: "has ended" in page.find("#message").text)
 
 
-def main():
-    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
-    need(["chromium", "chromedriver"])
-    train_street(relidar, work)
-    viewer = Viewer(relidar, work, "run", "--port", "0", "--channels", "normal,incidence")
-    page = None
-    try:
-        page = Page(viewer.url, work)
-        check(page, viewer.url, relidar, work)
-        viewer.end()
-        page.wait("the page to say that the program has ended", lambda: "has ended" in page.find("#message").text)
-    finally:
-        viewer.kill()
-        if page:
-            page.driver.quit()
-    print("the page does what it should")
-
-
-main()
+run_test(check, "--channels", "normal,incidence")
+print("the page does what it should")

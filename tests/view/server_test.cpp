@@ -17,7 +17,7 @@ namespace {
 using std::chrono::milliseconds;
 using test::ask;
 using test::frame;
-using test::make_text_frame;
+using test::make_upgrade_request;
 using test::RawClient;
 using test::status_of;
 using testing::AnyOf;
@@ -56,18 +56,13 @@ std::string get(const std::string& target, const std::string& fields = "Host: lo
     return "GET " + target + " HTTP/1.1\r\n" + fields + "Connection: close\r\n\r\n";
 }
 
-std::string make_upgrade_request(const std::string& fields = "Host: localhost\r\n",
-                                 const std::string& target = "/live") {
-    return "GET " + target + " HTTP/1.1\r\n" + fields +
-           "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
-           "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
-}
-
 std::string make_foxglove_request(const std::string& origin, const std::string& target = "/") {
     return make_upgrade_request("Host: localhost:8080\r\nOrigin: " + origin +
                                     "\r\nSec-WebSocket-Protocol: foxglove.sdk.v1, foxglove.websocket.v1\r\n",
                                 target);
 }
+
+std::string make_text_frame(std::string_view text) { return frame(0x81, text, true, text.size()); }
 
 struct Socket : RawClient {
     explicit Socket(int port, const std::string& handshake = make_upgrade_request()) : RawClient(port) {

@@ -2,23 +2,19 @@
 #include "access.hpp"
 
 #include <algorithm>
-#include <cctype>
 
 #include <boost/asio/ip/address.hpp>
+#include <boost/beast/core/string.hpp>
 
 namespace relidar::view {
 namespace {
 
 bool is_same_text(std::string_view first, std::string_view second) {
-    return std::equal(first.begin(), first.end(), second.begin(), second.end(), [](char x, char y) {
-        return std::tolower(static_cast<unsigned char>(x)) == std::tolower(static_cast<unsigned char>(y));
-    });
+    return boost::beast::iequals({first.data(), first.size()}, {second.data(), second.size()});
 }
 
 bool is_port(std::string_view text) {
-    return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char character) {
-        return character >= '0' && character <= '9';
-    });
+    return !text.empty() && text.size() <= 5 && text.find_first_not_of("0123456789") == text.npos;
 }
 
 /// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
@@ -86,14 +82,6 @@ std::string_view find_list_value(std::string_view list, std::string_view name, c
             return entry.substr(name.size() + 1);
     }
     return {};
-}
-
-bool has_query_token(const Credentials& credentials, std::string_view token) {
-    return is_same_secret(find_list_value(credentials.query, "token", '&'), token);
-}
-
-bool has_cookie_token(const Credentials& credentials, std::string_view token, std::string_view cookie) {
-    return is_same_secret(find_list_value(credentials.cookie, cookie, ';'), token);
 }
 
 }  // namespace relidar::view

@@ -7,13 +7,6 @@
 
 namespace relidar::view {
 
-struct Credentials {
-    std::string_view host;    ///< Value of the header Host.
-    std::string_view origin;  ///< Value of the header Origin. Empty if the request has no such header.
-    std::string_view cookie;  ///< Value of the header Cookie.
-    std::string_view query;   ///< Part of the URL after '?'.
-};
-
 /// An IP address, "localhost", or `machine_name`. Other names are rejected, because an
 /// attacker's DNS server could resolve them to this machine. The port is not checked,
 /// because a forwarded port has another number.
@@ -29,7 +22,5 @@ bool is_foxglove_origin(std::string_view origin);
 bool is_same_secret(std::string_view given, std::string_view expected);
 /// In a list such as "a=1&b=2" (separator '&') or "a=1; b=2" (separator ';').
 std::string_view find_list_value(std::string_view list, std::string_view name, char separator);
-bool has_query_token(const Credentials& credentials, std::string_view token);
-bool has_cookie_token(const Credentials& credentials, std::string_view token, std::string_view cookie);
 
 }  // namespace relidar::view

@@ -10,7 +10,6 @@
 #include <boost/beast/websocket/rfc6455.hpp>
 
 #include "access.hpp"
-#include "socket_session.hpp"
 
 namespace relidar::view {
 
@@ -90,19 +89,19 @@ std::string_view HttpSession::offered_protocol(const Request& request) const {
 /// checks reveals as little as possible to a client without access.
 std::optional<HttpSession::Status> HttpSession::access_error(const Request& request, bool foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials credentials{to_view(request[http::field::host]), to_view(request[http::field::origin]),
-                                  to_view(request[http::field::cookie]),
-                                  url_query(to_view(request.target()))};
-    if (!is_this_machine(credentials.host, hub_.host_name)) return Status::forbidden;
+    const auto field = [&](http::field name) { return to_view(request[name]); };
+    const std::string_view host = field(http::field::host), origin = field(http::field::origin);
+    if (!is_this_machine(host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
-    const bool knows_token = !token.empty() && has_query_token(credentials, token);
-    const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
-    const bool may_be_foreign = foxglove && (is_foxglove_origin(credentials.origin) || knows_token);
+    const std::string_view shown = find_list_value(url_query(to_view(request.target())), "token", '&');
+    const bool knows_token = !token.empty() && is_same_secret(shown, token);
+    const bool is_foreign = !is_same_origin(origin, host);
+    const bool may_be_foreign = foxglove && (is_foxglove_origin(origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
     // A page of another origin (`is_foreign`) must send the token in the address, because
     // browsers also send cookies with requests of pages from other local servers.
-    if (!token.empty() && !knows_token &&
-        (is_foreign || !has_cookie_token(credentials, token, hub_.cookie_name)))
+    const std::string_view cookie = find_list_value(field(http::field::cookie), hub_.cookie_name, ';');
+    if (!token.empty() && !knows_token && (is_foreign || !is_same_secret(cookie, token)))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;

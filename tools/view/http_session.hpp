@@ -13,7 +13,7 @@
 #include <boost/beast/http/parser.hpp>
 #include <boost/beast/http/string_body.hpp>
 
-#include "hub.hpp"
+#include "socket_session.hpp"
 
 namespace relidar::view {
 

@@ -13,8 +13,6 @@
 #include "base/fail.hpp"
 
 #include "http_session.hpp"
-#include "hub.hpp"
-#include "socket_session.hpp"
 
 namespace relidar::view {
 namespace {

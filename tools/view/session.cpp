@@ -77,23 +77,22 @@ void ViewerSession::handle_message(TabId id, const std::string& message) {
 /// the mutex.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
-    if (!tab->greeted) {
-        tab->greeted = true;
-        return ViewerJob{tab_id, "hello", [this, tab_id] {
-                             Json hello = scanner_.page_data();
-                             hello["save_folder"] = save_folder_.string();
-                             answers_.text(tab_id, dump_utf8(hello));
-                         }};
-    }
-    if (const RecordedScans::RecordedScansState state = scanner_.measured_scans().state();
-        state != tab->last_sent_state) {
-        tab->last_sent_state = state;
-        return ViewerJob{tab_id, "log", [this, tab_id, state] {
-                             answers_.text(tab_id, dump_utf8({{"kind", "log"},
-                                                              {"state", state_name(state)},
-                                                              {"why", scanner_.measured_scans().reason()}}));
-                         }};
-    }
+    const auto text_job = [&](const char* about, auto make_answer) {
+        return ViewerJob{tab_id, about,
+                         [this, tab_id, make_answer] { answers_.text(tab_id, dump_utf8(make_answer())); }};
+    };
+    if (!std::exchange(tab->greeted, true))
+        return text_job("hello", [this] {
+            Json hello = scanner_.page_data();
+            hello["save_folder"] = save_folder_.string();
+            return hello;
+        });
+    const RecordedScans::RecordedScansState state = scanner_.measured_scans().state();
+    if (std::exchange(tab->last_sent_state, state) != state)
+        return text_job("log", [this, state] {
+            return Json{
+                {"kind", "log"}, {"state", state_name(state)}, {"why", scanner_.measured_scans().reason()}};
+        });
     if (tab->refused) {
         const std::string why = *std::exchange(tab->refused, std::nullopt);
         return ViewerJob{tab_id, "message", [this, tab_id, why] { send_error(tab_id, "message", why); }};
@@ -101,13 +100,11 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
     if (!tab->others.empty()) {
         const BrowserRequest request = std::move(tab->others.front());
         tab->others.pop_front();
-        return ViewerJob{tab_id, request_name(request), [this, tab_id, tab, request] {
-                             Json response = execute(tab->cache, request);
-                             response["kind"] = std::holds_alternative<SaveRequest>(request)
-                                                    ? "saved"
-                                                    : request_name(request);
-                             answers_.text(tab_id, dump_utf8(response));
-                         }};
+        return text_job(request_name(request), [this, tab, request] {
+            Json response = execute(tab->cache, request);
+            response["kind"] = std::holds_alternative<SaveRequest>(request) ? "saved" : request_name(request);
+            return response;
+        });
     }
     if (tab->scan) {
         const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
