@@ -13,7 +13,6 @@
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/changing_actors.hpp"
-#include "scene/movers/walked_distance.hpp"
 #include "scene/point_surfels.hpp"
 
 namespace relidar {

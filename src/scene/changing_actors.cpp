@@ -4,15 +4,16 @@
 // change of shape: steps, pedals, doors, trailers.
 #include "scene/changing_actors.hpp"
 
-#include <numeric>
-
 #include <fmt/format.h>
+#include <cmath>
+#include <nanoflann.hpp>
+#include <numeric>
 
 #include <relidar/scene/labels.hpp>
 
 #include "base/median.hpp"
 #include "base/parallel.hpp"
-#include "scene/sample_index.hpp"
+#include "scene/point_surfels.hpp"
 
 namespace relidar {
 namespace {
@@ -33,6 +34,57 @@ constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
 // frame to the repeated first frame) / (mean distance walked per frame). A low ratio
 // would show both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
+
+// Time over which positions are averaged, because labelled boxes jitter.
+constexpr double kAveraging_s = 1.0;
+constexpr double kMaxStandingSpeed_mps = 0.2;
+
+std::map<int, SampleIndices> group_samples(const LidarSamples& samples) {
+    std::map<int, SampleIndices> groups;
+    for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
+    return groups;
+}
+
+/// Adapter that gives nanoflann access to some of the samples.
+struct SampleCloud {
+    const LidarSamples& samples;
+    SampleIndices of;  ///< indices of the samples
+    std::size_t kdtree_get_point_count() const { return of.size(); }
+    float kdtree_get_pt(std::size_t index, std::size_t axis) const {
+        return samples[of[index]].position[int(axis)];
+    }
+    bool kdtree_get_bbox(auto&) const { return false; }
+};
+using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleCloud>,
+                                                       SampleCloud, 3, std::size_t>;
+
+/// Spatial index of a subset of the samples.
+struct SampleIndex {
+    SampleCloud cloud;
+    SampleTree tree;
+    SampleIndex(const LidarSamples& samples, SampleIndices indices)
+        : cloud{samples, std::move(indices)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+
+    /// Limited to `max_distance_m`.
+    double nearest_m(const glm::vec3& point_m, double max_distance_m) const {
+        if (cloud.of.empty()) return max_distance_m;
+        std::size_t nearest;
+        float distance2;
+        tree.knnSearch(&point_m.x, 1, &nearest, &distance2);
+        return std::min(max_distance_m, std::sqrt(double(distance2)));
+    }
+    /// Returns at most `max_count` indices of samples, sorted by distance.
+    SampleIndices find_in_radius(const glm::vec3& point_m, double radius_m, std::size_t max_count) const {
+        std::vector<std::size_t> tree_indices(max_count);
+        std::vector<float> distance2(max_count);
+        if (cloud.of.empty()) return {};
+        tree_indices.resize(tree.knnSearch(&point_m.x, max_count, tree_indices.data(), distance2.data()));
+        SampleIndices numbers;
+        for (std::size_t k = 0; k < tree_indices.size() && double(distance2[k]) < radius_m * radius_m; ++k)
+            numbers.push_back(cloud.of[tree_indices[k]]);
+        return numbers;
+    }
+};
 
 struct FrameSamples {
     SampleIndex index;
@@ -223,6 +275,36 @@ void fade_far_swings(Scene& scene, float alpha_min) {
             gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
         }
     }
+}
+
+WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track.time_s) {
+    const auto average = [&](double t_s) {
+        // The window shrinks near the ends of the track, so that it stays symmetric.
+        const double half = std::min({0.5 * kAveraging_s, t_s - time_s_.front(), time_s_.back() - t_s});
+        constexpr int kStepsPerSide = 5;  // number of steps in each direction
+        glm::dvec3 sum(0.0);
+        for (int k = -kStepsPerSide; k <= kStepsPerSide; ++k)
+            sum += track.pose_at(t_s + half * k / kStepsPerSide).translation;
+        return sum / double(2 * kStepsPerSide + 1);
+    };
+    glm::dvec3 before(0.0);
+    double sum = 0.0;
+    for (std::size_t i = 0; i < time_s_.size(); ++i) {
+        const glm::dvec3 at = average(time_s_[i]);
+        const double step = i == 0 ? 0.0 : glm::distance(before, at);
+        // Slower steps are jitter of the labels or standing, so they add no distance.
+        if (i > 0 && step > kMaxStandingSpeed_mps * (time_s_[i] - time_s_[i - 1])) sum += step;
+        walked_m_.push_back(sum);
+        before = at;
+    }
+}
+
+double WalkedDistanceTrack::walked_m(double t_s) const {
+    if (time_s_.size() < 2) return 0.0;
+    const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
+    const std::size_t i = std::size_t(after - time_s_.begin());
+    const double s = (t_s - time_s_[i - 1]) / (time_s_[i] - time_s_[i - 1]);
+    return walked_m_[i - 1] + s * (walked_m_[i] - walked_m_[i - 1]);
 }
 
 }  // namespace relidar

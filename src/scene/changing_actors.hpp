@@ -3,6 +3,8 @@
 // (docs/method.md M14). Private to scene.
 #pragma once
 
+#include <relidar/scene/scene.hpp>
+
 #include "scene/point_surfels.hpp"
 
 namespace relidar {
@@ -22,5 +24,19 @@ struct DeformingActorSurfels {
 /// less than half a metre
 DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOptions& options,
                                      double incidence, std::size_t max_count, const Progress& progress = {});
+
+/// Computes the distance that an actor has walked along its track. Averages the positions
+/// over one second, because labelled positions jitter. Motion slower than 0.2 m/s counts
+/// as standing.
+class WalkedDistanceTrack {
+public:
+    explicit WalkedDistanceTrack(const PoseTrack& world_from_box);
+    /// Returns the distance walked since the first pose, in metres. Before and after the
+    /// track, extrapolates with the speed at that end of the track.
+    double walked_m(double t_s) const;
+
+private:
+    std::vector<double> time_s_, walked_m_;
+};
 
 }  // namespace relidar

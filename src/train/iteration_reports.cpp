@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "base/fail.hpp"
-#include "train/readback_lag.hpp"
 
 namespace relidar {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Copies the losses and the overflow counters of up to 64 iterations to the host, which
-// reads them a few iterations later (readback_lag.hpp).
+// reads them a few iterations later (kReadbackLag).
 #pragma once
 
 #include <array>
@@ -13,7 +13,14 @@
 #include <relidar/diff/loss.hpp>
 #include <relidar/gpu/stream.hpp>
 
+#include "gpu/stream.hpp"
+
 namespace relidar {
+
+/// The host reads the report (losses and counters) of iteration i in iteration i +
+/// kReadbackLag. The stream then waits for iteration i anyway, because it reuses its
+/// command buffer. Constant, so that training is repeatable.
+inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kMaxPending);
 
 struct TrainLogLine {
     int step = 0;

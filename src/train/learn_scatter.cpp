@@ -5,7 +5,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
-#include "train/frames/measured_frame.hpp"
+#include "train/frames/frame_data.hpp"
 
 namespace relidar {
 namespace {

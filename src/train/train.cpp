@@ -11,7 +11,6 @@
 
 #include "base/fail.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
-#include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

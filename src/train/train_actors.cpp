@@ -13,7 +13,7 @@
 #include <relidar/scene/labels.hpp>
 
 #include "base/parallel.hpp"
-#include "train/poses/placed_box.hpp"
+#include "train/frames/frame_data.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

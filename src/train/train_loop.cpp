@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs a training iteration (docs/method.md sections 4-6). The host submits each
 // iteration to the GPU without waiting, and reads the losses a few iterations later
-// (readback_lag.hpp).
+// (iteration_reports.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -14,8 +14,7 @@
 #include <relidar/run/stage_options.hpp>
 
 #include "base/fail.hpp"
-#include "train/logit_factors.hpp"
-#include "train/readback_lag.hpp"
+#include "train/iteration_reports.hpp"
 
 namespace relidar {
 

@@ -6,7 +6,7 @@
 #include <relidar/read/dataset.hpp>
 
 #include "base/random.hpp"
-#include "scene/movers/walked_distance.hpp"
+#include "scene/changing_actors.hpp"
 
 #include "../support/device.hpp"
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 
 #include <relidar/read/dataset.hpp>
@@ -293,32 +292,6 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
     EXPECT_THAT(notes[0], test::Names("write ... iteration 10 ... iteration 5"));
     EXPECT_EQ(newest()->iteration, 5);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1);
-}
-
-TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
-    const Config config = make_resumed_config();
-    const Scene initial = init_scene(street, split.train, config.init);
-    const std::size_t poisoned = 6;  // index among the training frames
-    FrameSampler sampler(split.train.size(), config.train.seed);
-    int expected = 1;
-    while (sampler.next_frame() != poisoned) {
-        ++expected;
-        sampler.generator().next_uint64();
-    }
-    Frame& frame = street.frames[std::size_t(split.train[poisoned])];
-    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
-              std::numeric_limits<float>::quiet_NaN());
-    TrainLoop loop(device(), street, split, initial, config);
-    Checkpoint checkpoint;
-    for (int step = 1; step <= 10; ++step) {
-        loop.run_iteration(step);
-        if (step == expected - 1) loop.save_to(checkpoint);
-    }
-    const std::string message = get_data_error_message([&] { loop.finish_steps(); });
-    ASSERT_GT(expected, 1);
-    EXPECT_THAT(message, test::Names("iteration " + std::to_string(expected) + ", frame " +
-                                     std::to_string(frame.index) + " ... intensity"));
-    EXPECT_NO_THROW(check_finite_arrays(checkpoint)) << "of the iteration before";
 }
 
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {

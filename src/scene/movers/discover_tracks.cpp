@@ -6,13 +6,103 @@
 #include <fmt/format.h>
 
 #include "base/progress_blocks.hpp"
-#include "scene/movers/mover_boxes.hpp"
-#include "scene/movers/mover_clusters.hpp"
-#include "scene/movers/mover_evidence.hpp"
 #include "scene/movers/mover_tracks.hpp"
+#include "scene/visibility.hpp"
 
 namespace relidar {
 namespace {
+
+// Closer returns can belong to the same static object, because poses have errors.
+constexpr double kSamePosition_m = 0.2;
+// Margin around the tracked box, because the tracked object may still be there.
+constexpr double kTrackedBoxMargin_m = 0.4;
+// At least this share of the returns of a track must be proven to lie on a moving object.
+constexpr double kMinMovedReturnShare = 0.25;
+// Minimum n_moved_returns / n_decided_returns of a track.
+constexpr double kMinConfirmedShare = 0.85;
+constexpr double kMinMovedFrameShare =
+    0.5;  // motion must be proven in at least this share of a track's frames
+
+/// Number of frames which show that the object at a position has not moved, or has moved.
+struct MotionEvidence {
+    /// Frames that have a return at the position although the tracked object is
+    /// elsewhere.
+    std::size_t n_occupied_frames = 0;
+    std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
+    void operator+=(const MotionEvidence& other) {
+        n_occupied_frames += other.n_occupied_frames;
+        n_empty_frames += other.n_empty_frames;
+    }
+    bool is_observed() const { return n_occupied_frames + n_empty_frames > 0; }
+    bool is_static() const { return n_occupied_frames > 0 && n_occupied_frames >= n_empty_frames; }
+    bool is_moving() const { return n_empty_frames > kMuchMore * n_occupied_frames; }
+    /// Other objects that pass behind or near a moving object occupy its positions.
+    static constexpr std::size_t kMuchMore = 3;
+};
+
+struct TrackMotionEvidence {
+    MotionEvidence frame_evidence;
+    std::size_t n_returns = 0;
+    std::size_t n_decided_returns = 0;  ///< returns whose position other frames observe
+    std::size_t n_moved_returns = 0;    ///< returns that other frames prove to have moved
+    /// Frames in which the object was observed, and those of them that prove its motion.
+    std::size_t n_frames = 0, n_moved_frames = 0;
+    void operator+=(const TrackMotionEvidence& other) {
+        frame_evidence += other.frame_evidence;
+        n_returns += other.n_returns;
+        n_decided_returns += other.n_decided_returns;
+        n_moved_returns += other.n_moved_returns;
+        n_frames += other.n_frames;
+        n_moved_frames += other.n_moved_frames;
+    }
+    /// Returns true if the counts prove that the object moves. Other frames observe empty
+    /// space at nearly all positions of a moving object, and only at the edges of a
+    /// static object. The counts prove little if the box hardly moves.
+    bool is_moving() const {
+        return frame_evidence.is_moving() &&
+               double(n_moved_returns) >= kMinMovedReturnShare * double(n_returns) &&
+               double(n_moved_returns) >= kMinConfirmedShare * double(n_decided_returns) &&
+               double(n_moved_frames) >= kMinMovedFrameShare * double(n_frames);
+    }
+};
+
+/// Counts the frames that show whether the object at a point (world) moved. Skips frames
+/// in which the box of the track contains the point. The box stays at its first pose
+/// before the track, and at its last pose after it.
+MotionEvidence weigh_point(const VisibilityChecker& checker, const glm::dvec3& point_m, const BoxTrack& box) {
+    const std::vector<double>& times = box.world_from_box.time_s;
+    MotionEvidence evidence;
+    for (const std::uint32_t view : checker.find_views_near(point_m)) {
+        if (box.contains_point(point_m, std::clamp(checker.view_time_s(view), times.front(), times.back()),
+                               kTrackedBoxMargin_m))
+            continue;
+        if (checker.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
+        else if (checker.classify_point(view, point_m) == PointVisibility::empty) ++evidence.n_empty_frames;
+    }
+    return evidence;
+}
+
+/// Removes the returns of a cluster that other frames prove to be static.
+/// @return evidence of motion, summed over all returns of the cluster before the removal
+TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& cluster, const BoxTrack& box) {
+    TrackMotionEvidence sum;
+    std::vector<glm::dvec3> remaining_m;
+    for (const glm::dvec3& p : cluster.points_m) {
+        const MotionEvidence evidence = weigh_point(view, p, box);
+        sum.frame_evidence += evidence;
+        sum.n_decided_returns += evidence.is_observed();
+        sum.n_moved_returns += evidence.is_moving();
+        if (!evidence.is_static()) remaining_m.push_back(p);
+    }
+    sum.n_returns = cluster.points_m.size();
+    // One cluster is the observation of one frame.
+    sum.n_frames = 1;
+    sum.n_moved_frames = sum.frame_evidence.is_moving();
+    cluster.points_m = std::move(remaining_m);
+    cluster.centre_m = glm::dvec3(0.0);
+    for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());
+    return sum;
+}
 
 // A second track inside this margin around the box of a person or vehicle is a part of
 // the same object.

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fits a box to each track of a moving object. Uses the end of the object that faces the
 // sensor, because it is the only end that the sensor reliably sees.
-#include "scene/movers/mover_boxes.hpp"
 
 #include <cmath>
 
-#include "scene/movers/mover_path.hpp"
+#include "scene/movers/mover_tracks.hpp"
 
 namespace relidar {
 namespace {

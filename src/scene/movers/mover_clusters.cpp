@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Decides which returns of a frame belong to moving objects. Groups these returns into
 // clusters.
-#include "scene/movers/mover_clusters.hpp"
+#include "scene/movers/mover_tracks.hpp"
 
 #include <iterator>
 

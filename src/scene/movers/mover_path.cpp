@@ -5,7 +5,7 @@
 //   state = (p, v, a)
 //   F = [1 dt dt^2/2; 0 1 dt; 0 0 1]
 //   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
-#include "scene/movers/mover_path.hpp"
+#include "scene/movers/mover_tracks.hpp"
 
 #include <algorithm>
 #include <cmath>

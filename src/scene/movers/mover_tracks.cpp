@@ -7,8 +7,6 @@
 #include <numeric>
 #include <tuple>
 
-#include "scene/movers/mover_path.hpp"
-
 namespace relidar {
 namespace {
 

@@ -6,6 +6,7 @@
 
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
+#include "simulate/render/channel_makers.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "simulate/render/channel_pairs.hpp"
-#include "simulate/render/empty_scan.hpp"
 
 namespace relidar {
 namespace {

@@ -12,7 +12,7 @@
 #include "gpu/context.hpp"
 #include "simulate/render/body_rays.hpp"
 #include "simulate/render/channel_makers.hpp"
-#include "simulate/render/empty_scan.hpp"
+#include "simulate/render/channel_pairs.hpp"
 #include "simulate/render/footprint.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"

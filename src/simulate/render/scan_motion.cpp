@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/scan_motion.hpp"
 
+#include <relidar/simulate/render.hpp>
+
 namespace relidar {
 
 RayMotion MotionDuringScan::motion_of_ray(const RenderedScan& scan, std::size_t ray) const {
@@ -27,6 +29,21 @@ glm::dvec3 MotionDuringScan::object_velocity(std::int32_t instance, double after
     // velocity of a rigid body: translation plus rotation about its centre
     const glm::dvec3 middle_m = object.motion.pose_at(object.world_from_model, after_s).translation;
     return object.motion.velocity_mps + glm::cross(object.motion.angular_velocity_radps, point_m - middle_m);
+}
+
+FiringPoseInterpolator::FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset)
+    : scan_(scan),
+      target_from_dataset_(target_from_dataset),
+      moves_(scan.track.pose.size() > 1),
+      made_(moves_ && scan.image.rows > 1 ? std::size_t(scan.image.columns) : 1,
+            {std::numeric_limits<float>::quiet_NaN(), {}}) {}
+
+const Pose& FiringPoseInterpolator::pose_of(std::size_t ray) {
+    CachedFiringPose& made = made_[ray % made_.size()];
+    const float time_offset_s = moves_ ? scan_.time_offset_s[ray] : 0.0f;
+    if (made.time_offset_s != time_offset_s)
+        made = {time_offset_s, target_from_dataset_ * scan_.firing_pose(ray)};
+    return made.target_from_firing;
 }
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "simulate/render/scan_plan.hpp"
+#include "simulate/render/scan_renderer.hpp"
 
 #include "base/fail.hpp"
 

@@ -9,7 +9,6 @@
 #include <relidar/run/stage_options.hpp>
 #include "base/fail.hpp"
 #include "simulate/render/channel_pairs.hpp"
-#include "simulate/render/empty_scan.hpp"
 
 namespace relidar {
 

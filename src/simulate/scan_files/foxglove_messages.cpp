@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts scans to Foxglove's protobuf messages. Also writes the descriptors that
 // readers need to decode these messages.
-#include "recording_format.hpp"
+#include "simulate/scan_files/recording_format.hpp"
 
 #include <initializer_list>
 

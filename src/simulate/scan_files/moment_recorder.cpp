@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "moment_recorder.hpp"
 #include "base/fail.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/place_points.hpp>
-#include "placed_scan.hpp"
-#include "seen_actors.hpp"
+#include "simulate/scan_files/placed_scan.hpp"
+#include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar::scan_files {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "placed_scan.hpp"
+#include "simulate/scan_files/placed_scan.hpp"
 
 #include <relidar/base/float_step.hpp>
 #include <relidar/simulate/place_points.hpp>

@@ -3,7 +3,9 @@
 #pragma once
 
 #include <relidar/simulate/scan_files.hpp>
-#include "recorded_moment.hpp"
+
+#include "base/codecs/cdr.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 
 namespace relidar::scan_files {
 
@@ -36,5 +38,46 @@ std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, 
 
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
+
+constexpr std::uint64_t kNsPerSecond = 1'000'000'000;  // nanoseconds per second
+// All elements are 0, because simulated poses and velocities are exact.
+constexpr int kCovarianceValues = 36;
+
+inline void add_time(codecs::CdrWriter& cdr, std::uint64_t time_ns) {
+    cdr.add_number(std::int32_t(time_ns / kNsPerSecond)).add_number(std::uint32_t(time_ns % kNsPerSecond));
+}
+inline void add_header(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
+    add_time(cdr, stamp_ns);
+    cdr.append_string(frame_id);
+}
+
+inline void add_vector(codecs::CdrWriter& cdr, const glm::dvec3& vector) {
+    cdr.add_number(vector.x).add_number(vector.y).add_number(vector.z);
+}
+inline void add_pose(codecs::CdrWriter& cdr, const Pose& pose) {
+    add_vector(cdr, pose.translation);
+    cdr.add_number(pose.rotation.x)
+        .add_number(pose.rotation.y)
+        .add_number(pose.rotation.z)
+        .add_number(pose.rotation.w);
+}
+inline void add_covariance(codecs::CdrWriter& cdr) {
+    for (int i = 0; i < kCovarianceValues; ++i) cdr.add_number(0.0);
+}
+inline void add_velocity(codecs::CdrWriter& cdr, const Velocity& velocity) {
+    add_vector(cdr, velocity.linear_mps);
+    add_vector(cdr, velocity.angular_radps);
+    add_covariance(cdr);
+}
+
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
+std::vector<RecordedTopic> ros_actor_topics();
+/// Definition of a message type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry",
+/// followed by those of all types that it contains.
+std::string ros_definition(const std::string& type);
+/// @param is_latched true if subscribers that join later receive the last message
+RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
+                             std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
+                             bool is_latched = false);
 
 }  // namespace relidar::scan_files

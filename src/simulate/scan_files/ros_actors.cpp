@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the boxes of actors as vision_msgs/Detection3DArray messages and as Autoware's
 // tracked objects.
-#include "ros_parts.hpp"
+#include "simulate/scan_files/recording_format.hpp"
 
 #include <cctype>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "ros_parts.hpp"
+#include "simulate/scan_files/recording_format.hpp"
 
 #include <sstream>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes point clouds as sensor_msgs/PointCloud2 messages.
-#include "ros_parts.hpp"
+#include "simulate/scan_files/recording_format.hpp"
 
 namespace relidar::scan_files {
 namespace {

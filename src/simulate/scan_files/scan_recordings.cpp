@@ -13,8 +13,8 @@
 #include "base/base64.hpp"
 #include "base/codecs/mcap_writer.hpp"
 #include "base/fail.hpp"
-#include "simulate/scan_files/moment_recorder.hpp"
 #include "simulate/scan_files/packet_files.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "seen_actors.hpp"
+#include "simulate/scan_files/seen_actors.hpp"
 
 #include <relidar/scene/labels.hpp>
 

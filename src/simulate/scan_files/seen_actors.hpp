@@ -4,7 +4,7 @@
 #pragma once
 
 #include <relidar/simulate/actor_boxes.hpp>
-#include "recorded_moment.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 
 namespace relidar::scan_files {
 

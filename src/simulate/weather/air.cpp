@@ -3,6 +3,9 @@
 // (see <relidar/simulate/weather.hpp>).
 #include "simulate/weather/air.hpp"
 
+#include <bit>
+
+#include "base/parallel.hpp"
 #include "simulate/render/footprint.hpp"
 
 namespace relidar {
@@ -48,6 +51,137 @@ std::vector<std::unique_ptr<RayWeatherEffect>> make_effects(const WeatherInput& 
     }
     return effects;
 }
+
+// Makes the random numbers of weather and sampled returns independent.
+constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
+constexpr const char* kSourceChannel = "source";
+
+using ReturnCauses = std::vector<std::int32_t>;
+
+/// Returns the channel "source", which stores the cause of each return, and sets all
+/// causes to `nothing`. Adds the channel if the scan does not have it.
+ScanChannel& prepare_causes(RenderedScan& scan) {
+    const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
+    const auto source = std::ranges::find_if(scan.channels, has_name);
+    const bool is_there = source != scan.channels.end();
+    ScanChannel& channel =
+        is_there ? *source
+                 : scan.channels.emplace_back(ScanChannel{parse_channels(kSourceChannel).front(), {}});
+    const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
+    channel.values = nothing;
+    if (!scan.second_returns.empty()) channel.second = nothing;
+    return channel;
+}
+
+/// Returns the channel "velocity" of a scan with a value for each second return, or null
+/// if the scan does not have this channel.
+ScanChannel* prepare_velocity(RenderedScan& scan) {
+    for (ScanChannel& channel : scan.channels) {
+        if (channel.info.name != "velocity") continue;
+        if (!scan.second_returns.empty()) channel.second = std::vector<float>(scan.instance.size(), 0.0f);
+        return &channel;
+    }
+    return nullptr;
+}
+
+/// Removes the surface of a ray: its instance and all channels that describe surfaces.
+void clear_surface(RenderedScan& scan, std::size_t ray) {
+    scan.instance[ray] = -1;
+    for (ScanChannel& channel : scan.channels)
+        if (!channel.info.of_ray)
+            std::visit([&]<class T>(std::vector<T>& values) { values[ray] = empty_value<T>(channel.info); },
+                       channel.values);
+}
+
+class ScanWeatherApplier {
+public:
+    ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
+        : scan_(scan),
+          input_(input),
+          air_(input),
+          channel_(prepare_causes(scan)),
+          velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity(scan) : nullptr) {}
+
+    /// Computes the returns of a ray in the weather. In clear air, sets only the causes.
+    void apply_to_ray(std::size_t ray_index, std::uint64_t seed) {
+        const bool has_second = !scan_.second_returns.empty();
+        RayWeatherState ray{.index = ray_index};
+        if (is_ray_returned(scan_.image.drop_prob[ray_index], scan_.median_range_m[ray_index]))
+            ray.strongest =
+                surface_echo_of(scan_.median_range_m[ray_index], scan_.image.intensity[ray_index]);
+        if (has_second)
+            ray.second = surface_echo_of(scan_.second_returns[0].range_m[ray_index],
+                                         scan_.second_returns[0].intensity[ray_index]);
+        EchoPair echoes{ray.strongest, ray.second};
+        if (!input_.weather.is_clear()) {
+            const bool is_blind = !input_.blind.empty() && input_.blind[ray_index] != 0;
+            ray.free_m = is_blind ? 0.0 : free_path_m(ray);
+            echoes = air_.echoes_of_ray(ray, seed);
+            write_strongest(ray_index, ray.strongest, echoes.strongest);
+            if (has_second) write_second(scan_.second_returns[0], ray_index, echoes.second);
+            if (velocity_) {
+                set_air_velocity(velocity_->values, ray_index, echoes.strongest);
+                if (has_second) set_air_velocity(velocity_->second, ray_index, echoes.second);
+            }
+        }
+        std::get<ReturnCauses>(channel_.values)[ray_index] = std::int32_t(echoes.strongest.source);
+        if (has_second)
+            std::get<ReturnCauses>(channel_.second)[ray_index] = std::int32_t(echoes.second.source);
+    }
+
+private:
+    RenderedScan& scan_;
+    const WeatherInput& input_;
+    const WeatherRaySimulator air_;
+    ScanChannel& channel_;
+    ScanChannel* const velocity_;  // null if the scan has no channel "velocity"
+
+    LidarEcho surface_echo_of(float range_m, float intensity) const {
+        if (!(range_m > 0.0f)) return {};
+        return {double(range_m), double(intensity) / input_.response.range_factor(double(range_m)),
+                ReturnCause::surface};
+    }
+    float reported_intensity(const LidarEcho& echo) const {
+        return std::min(static_cast<float>(echo.reflectivity * input_.response.range_factor(echo.range_m)),
+                        1.0f);
+    }
+    /// Returns the distance that light travels through the air: to the first opaque
+    /// surface, with or without a return, or to the maximum range.
+    double free_path_m(const RayWeatherState& ray) const {
+        const float median_m = scan_.median_range_m[ray.index];
+        const bool is_blocked =
+            ray.strongest.source == ReturnCause::surface || scan_.weight[ray.index] >= 0.5f;
+        if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
+        return std::max(double(median_m), ray.second.range_m);
+    }
+    /// Writes the strongest return. Keeps the surface values if the return is still the
+    /// surface, otherwise removes them.
+    void write_strongest(std::size_t ray_index, const LidarEcho& before, const LidarEcho& after) {
+        RangeImage& image = scan_.image;
+        if (after.source == ReturnCause::nothing) {
+            if (before.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
+            return;
+        }
+        image.intensity[ray_index] = reported_intensity(after);
+        if (after.source == before.source && after.range_m == before.range_m) return;
+        image.drop_prob[ray_index] = 0.0f;
+        image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
+            static_cast<float>(after.range_m);
+        clear_surface(scan_, ray_index);
+    }
+    /// Sets the velocity of fog, rain, snow and mirrored objects. Sunlight and stray
+    /// light have no object, so their velocity stays 0.
+    void set_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
+        if (echo.source < ReturnCause::fog || echo.source > ReturnCause::mirror) return;
+        const RayMotion ray = input_.motion->motion_of_ray(scan_, ray_index);
+        std::get<std::vector<float>>(values)[ray_index] =
+            float(echo.away_mps - ray.sensor_away_mps - echo.fall_mps * ray.direction.z);
+    }
+    void write_second(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {
+        second.range_m[ray_index] = static_cast<float>(echo.range_m);
+        second.intensity[ray_index] = echo.source == ReturnCause::nothing ? 0.0f : reported_intensity(echo);
+    }
+};
 
 }  // namespace
 
@@ -104,6 +238,14 @@ EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t s
     if (candidates.empty()) return {};
     const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);
     return {strongest.echo, select_second(candidates, strongest, sensor_.separation_m)};
+}
+
+void add_weather(RenderedScan& scan, const WeatherInput& input) {
+    const std::uint64_t of_scan =
+        hash_pair(hash_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
+    ScanWeatherApplier rays(scan, input);
+    parallel_blocks(scan.image.range_m.size(),
+                    [&](std::size_t ray) { rays.apply_to_ray(ray, hash_pair(of_scan, ray)); });
 }
 
 }  // namespace relidar

@@ -1,21 +1,48 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the ray-drop network (paper, section 3.5) with the nominal rays of the sensor.
 // Measured rays have jitter only if they have a return, which would reveal the answer.
+
+#include <fmt/format.h>
 #include <algorithm>
+#include <array>
+#include <functional>
 #include <map>
 #include <optional>
 
+#include <relidar/diff/network.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
 #include "base/fail.hpp"
-#include "train/drops/refine_keeper.hpp"
+#include "train/checkpoints/checkpoint_keeper.hpp"
+#include "train/checkpoints/fingerprint.hpp"
 #include "train/drops/stripes.hpp"
-#include "train/frames/measured_frame.hpp"
+#include "train/frames/frame_data.hpp"
 
 namespace relidar {
 namespace {
+
+/// Returns true if a setting changes the rendered images or the network.
+bool affects_network(const std::string& setting_key) {
+    constexpr std::array kNetworkPrefixes{"refine.", "image.",       "sensor.",
+                                          "init.",   "render.range", "train.seed"};
+    return setting_key != "refine.enabled" && std::ranges::any_of(kNetworkPrefixes, [&](const char* group) {
+               return setting_key.starts_with(group);
+           });
+}
+
+std::vector<ResumeFingerprint> fingerprint_run(const Run& run) {
+    std::vector<ResumeFingerprint> marks = fingerprint_log(run.sequence, run.split);
+    marks.push_back(fingerprint_scene(run.scene));
+    return marks;
+}
+
+std::vector<ConfigKey> list_network_settings(const Config& config) {
+    std::vector<ConfigKey> settings = list_config_keys(config);
+    std::erase_if(settings, [](const ConfigKey& key) { return !affects_network(key.key); });
+    return settings;
+}
 
 bool uses_grid_rays(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
@@ -121,7 +148,26 @@ std::vector<RayDropImage> render_images(Device& device, const Run& run, const Co
     return images;
 }
 
+/// @throws DataError if the checkpoint is not from the training of a network
+RayDropTrainState read_drop_state(const Checkpoint& checkpoint) {
+    RayDropTrainState state;
+    state.visit_state(CheckpointReader(checkpoint));
+    return state;
+}
+
 }  // namespace
+
+void check_drop_resume(const Checkpoint& checkpoint, const Run& run) {
+    const std::string doing =
+        fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
+    check_same(list_network_settings(run.config), checkpoint, doing);
+    for (const ResumeFingerprint& mark : fingerprint_run(run)) check_same(checkpoint, mark, doing);
+    read_drop_state(checkpoint);  // throws an error if the state is incomplete
+}
+
+void read_drop_settings(const Checkpoint& checkpoint, Config& config) {
+    for (const auto& [key, value] : read_settings(checkpoint)) set_value(config, key, value);
+}
 
 RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session) {
     if (session.start) check_drop_resume(*session.start, run);
@@ -132,7 +178,10 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     const std::vector<RayDropImage> images = render_images(device, run, config, session);
     begin_stage(session.stages, "network");
     if (images.empty()) return {};
-    RayDropCheckpointKeeper checkpoints(run, session);
+    CheckpointFolder checkpoints(
+        session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
+        run.config.train.checkpoint_minutes, session.note,
+        [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); });
     const std::optional<RayDropTrainState> start =
         session.start ? std::optional(read_drop_state(*session.start)) : std::nullopt;
     bool stopped = false;
@@ -141,7 +190,11 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
                                 const std::function<RayDropTrainState()>& state) {
         if (session.step) session.step(progress);
         stopped = session.stop && session.stop();
-        checkpoints.save_due(progress, stopped, state);
+        const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
+        if (checkpoints.is_enabled() && (ends_epoch || checkpoints.is_time_due() || stopped))
+            checkpoints.save(progress.step, [&](Checkpoint& checkpoint) {
+                state().visit_state(CheckpointWriter(checkpoint));
+            });
         return !stopped;
     };
     RayDropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,

@@ -11,10 +11,23 @@
 #include <relidar/gpu/stream.hpp>
 #include <relidar/log/sequence.hpp>
 #include <relidar/run/config.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "train/shared/train.h"
 
 namespace relidar {
+
+struct SimulatedSensor;
+
+struct PosedBox {
+    Pose box_from_world;
+    glm::dvec3 half_size_m;
+
+    /// Distances at which a ray enters and leaves the box, at least 0, by the slab
+    /// method. Entry > exit if the ray misses it.
+    /// @param margin_m  enlarges the box on every side
+    glm::dvec2 intersect_m(const WorldRay& ray, double margin_m = 0.0) const;
+};
 
 /// Device arrays with the rays of a frame. They can be longer than the frame, because
 /// frames of different lengths use the same arrays.
@@ -67,5 +80,17 @@ struct IgnoredMeasurements {
 /// box, and dropped rays that may have hit such a box.
 void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
+
+/// If the scan has other rows and columns than the LiDAR, the rays of the scan.
+SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame);
+
+IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);
+
+/// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object
+/// without a model in the scene.
+std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules);
+
+/// All positions if `max_count` is 0.
+std::vector<int> select_evenly(const std::vector<int>& frames, int max_count);
 
 }  // namespace relidar

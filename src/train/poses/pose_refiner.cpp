@@ -9,8 +9,8 @@
 #include <relidar/train/train.hpp>
 
 #include "train/frames/training_frames.hpp"
+#include "train/iteration_reports.hpp"
 #include "train/poses/moved_rays.hpp"
-#include "train/readback_lag.hpp"
 
 namespace relidar {
 namespace {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of the sensor and of the actors' boxes during training
 // (train.refine_poses). The host updates the few poses in double precision, a fixed
-// number of iterations later, so that it does not wait (readback_lag.hpp). A checkpoint
+// number of iterations later, so that it does not wait (kReadbackLag). A checkpoint
 // includes the pending gradients.
 #pragma once
 

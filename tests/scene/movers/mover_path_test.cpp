@@ -7,8 +7,7 @@
 #include <relidar/base/math.hpp>
 
 #include "base/random.hpp"
-#include "scene/movers/mover_boxes.hpp"
-#include "scene/movers/mover_path.hpp"
+#include "scene/movers/mover_tracks.hpp"
 
 namespace relidar {
 namespace {

@@ -9,6 +9,77 @@
 namespace relidar {
 namespace {
 
+using test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to, test::surface_at;
+
+/// Returns the integral of 2 c function(c) over the cosine c, which is the mean over a
+/// diffuse surface.
+double average_over_dull_surface(const std::function<double(double)>& function) {
+    double sum = 0.0;
+    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * function((i + 0.5) / 20'000) / 20'000;
+    return sum;
+}
+
+TEST(WetGround, WaterMirrorsAsFresnelSays) {
+    constexpr double n = 1.33;
+    EXPECT_NEAR(water_reflectance(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(water_reflectance(0.0), 1.0, 1e-12);
+    // At Brewster's angle, only light that is polarised perpendicular to the plane of
+    // incidence is reflected.
+    const double brewster = std::cos(std::atan(n));
+    EXPECT_NEAR(water_reflectance(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(average_over_dull_surface(water_reflectance), 0.066, 0.001)
+        << "the diffuse reflectance of water in tables";
+}
+
+/// Compares with the sum over all reflections between the ground and the surface of the
+/// water film. The light that is reflected back into the water is an integral over
+/// directions with total reflection. The closed form does not use this integral.
+TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
+    constexpr double n = 1.33;
+    const auto compute_internal_reflectance = [](double in_water) {
+        const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
+        return squared <= 0.0 ? 1.0 : water_reflectance(std::sqrt(squared));
+    };
+    const double internal_reflectance = average_over_dull_surface(compute_internal_reflectance);
+    for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
+        for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
+            const double passes = 1.0 - water_reflectance(cosine);
+            double light = passes, returned = 0.0;  // per albedo
+            for (int bounce = 0; bounce < 2000; ++bounce) {
+                returned += light;
+                light *= albedo * internal_reflectance;
+            }
+            EXPECT_NEAR(wet_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
+                << cosine << ' ' << albedo;
+        }
+    }
+    EXPECT_EQ(film_fraction(0.0), 0.0);
+    EXPECT_EQ(film_fraction(0.25), 0.25);
+    EXPECT_EQ(film_fraction(3.0), 1.0);
+}
+
+/// The sensor detects a reflectivity of at least 0.005 at 80 m.
+TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
+    const LidarEcho ground = surface_at(40.0, 0.1), mirrored{60.0, 0.5, ReturnCause::mirror};
+    // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
+    const EchoPair echoes = echoes_of(make_air_with(make_sensor_to(80.0), mirrored, 0.5, 0.01), ground, 1);
+    EXPECT_EQ(echoes.strongest.source, ReturnCause::mirror);
+    EXPECT_EQ(echoes.strongest.range_m, 60.0);
+    EXPECT_EQ(echoes.strongest.reflectivity, 0.25);
+    EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
+    const EchoPair both = echoes_of(make_air_with(make_sensor_to(80.0), mirrored, 0.5, 0.9), ground, 1);
+    EXPECT_EQ(both.strongest.source, ReturnCause::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
+    EXPECT_EQ(both.second.source, ReturnCause::surface);
+    EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
+}
+
+TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
+    const WeatherRaySimulator air = make_air_with(make_sensor_to(80.0), {84.5, 0.5, ReturnCause::mirror});
+    const EchoPair echoes = echoes_of(air, surface_at(40.0, 0.1), 1);
+    EXPECT_EQ(echoes.strongest.source, ReturnCause::surface);
+    EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
+}
+
 using test::echoes, test::echoes_of, test::make_air_of, test::make_sensor_to, test::surface_at;
 
 double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
@@ -66,4 +137,5 @@ TEST(ThinWeather, FogReturnsFromNearbyOnly) {
 }
 
 }  // namespace
+
 }  // namespace relidar

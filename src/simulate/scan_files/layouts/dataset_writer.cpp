@@ -11,7 +11,7 @@
 
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
-#include "layout.hpp"
+#include "simulate/scan_files/layouts/layout.hpp"
 
 namespace relidar::layouts {
 namespace {

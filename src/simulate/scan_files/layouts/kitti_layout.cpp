@@ -2,12 +2,11 @@
 // Writes the layouts of KITTI's object and tracking benchmarks, after the readme files of
 // their development kits. There is no camera: the image boxes are 0, and the calibration
 // has a virtual camera at the origin of the rig.
-#include "layout.hpp"
+#include "simulate/scan_files/layouts/layout.hpp"
 
 #include <fmt/format.h>
 
 #include "base/fail.hpp"
-#include "object_names.hpp"
 
 namespace relidar::layouts {
 namespace {

@@ -1,16 +1,40 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "layout.hpp"
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <cmath>
 
 #include <relidar/scene/labels.hpp>
+#include <relidar/scene/scene.hpp>
 #include <relidar/simulate/place_points.hpp>
+
+#include "simulate/scan_files/layouts/layout.hpp"
 #include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar::layouts {
 namespace {
+
+struct NamesOfWord {
+    const char* word;
+    ObjectNames names;
+};
+/// The first word that a category contains decides, so "caravan" precedes "van".
+constexpr NamesOfWord kNamesOfWords[] = {{"caravan", {"Misc", "vehicle.trailer", 20, 259}},
+                                         {"trailer", {"Misc", "vehicle.trailer", 20, 259}},
+                                         {"bus", {"Misc", "vehicle.bus.rigid", 13, 257}},
+                                         {"truck", {"Truck", "vehicle.truck", 18, 258}},
+                                         {"large_vehicle", {"Truck", "vehicle.truck", 18, 258}},
+                                         {"tram", {"Tram", "vehicle.train", 16, 256}},
+                                         {"train", {"Tram", "vehicle.train", 16, 256}},
+                                         {"van", {"Van", "vehicle.car", 10, 252}},
+                                         {"motorcycl", {"Cyclist", "vehicle.motorcycle", 32, 255}},
+                                         {"sitting", {"Person_sitting", "human.pedestrian.adult", 30, 254}}};
+/// [ObjectKind] names of categories without such a word
+constexpr ObjectNames kNamesOfKinds[] = {{"Car", "vehicle.car", 10, 252},
+                                         {"Cyclist", "vehicle.bicycle", 31, 253},
+                                         {"Pedestrian", "human.pedestrian.adult", 30, 254},
+                                         {"Misc", "other", 99, 259}};
 
 /// Directions that the rays of a scan cover: azimuths between neighbouring rays, and an
 /// interval of elevations for each sector of azimuth.
@@ -116,6 +140,18 @@ std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
 }
 
 }  // namespace
+
+ObjectNames find_object_names(const std::string& category) {
+    std::string word = category;
+    std::ranges::transform(word, word.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    for (const NamesOfWord& row : kNamesOfWords)
+        if (word.find(row.word) != std::string::npos) return row.names;
+    return kNamesOfKinds[std::size_t(parse_kind(category))];
+}
+
+std::string nuscenes_category(const std::string& category) {
+    return category.find('.') == std::string::npos ? find_object_names(category).nuscenes : category;
+}
 
 bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m) {
     return glm::all(glm::lessThanEqual(glm::abs(point_in_box_m), 0.5 * size_m));

@@ -5,18 +5,30 @@
 
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
-
-#include <nlohmann/json.hpp>
 
 #include <relidar/read/points.hpp>
 #include <relidar/simulate/dataset_layouts.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar::layouts {
+
+/// Names of a class of objects. Numbers are those of SemanticKITTI.
+struct ObjectNames {
+    const char* kitti;
+    const char* nuscenes;
+    int still_class, moving_class;
+};
+
+/// Returns the names for a class name of any dataset.
+ObjectNames find_object_names(const std::string& category);
+
+/// Returns the name of nuScenes. Keeps a name that already has the form of nuScenes.
+std::string nuscenes_category(const std::string& category);
 
 using Json = nlohmann::ordered_json;
 

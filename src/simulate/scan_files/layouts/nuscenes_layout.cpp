@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the 13 tables of nuScenes v1.0 and the LiDAR files of a scene. Every frame is a
 // keyframe.
-#include "layout.hpp"
+#include "simulate/scan_files/layouts/layout.hpp"
 
 #include <cctype>
 #include <fstream>
@@ -13,7 +13,6 @@
 #include <relidar/base/images.hpp>
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
-#include "object_names.hpp"
 
 namespace relidar::layouts {
 namespace {

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes labels as ASAM OpenLABEL 1.0 (JSON), next to the points in the folders of
 // SemanticKITTI: velodyne/, labels/, calib.txt, poses.txt and times.txt.
-#include "layout.hpp"
+#include "simulate/scan_files/layouts/layout.hpp"
 
 #include <fmt/format.h>
 
 #include <relidar/scene/labels.hpp>
 #include "base/bytes.hpp"
 #include "log/classes/dataset_classes.hpp"
-#include "object_names.hpp"
 
 namespace relidar::layouts {
 namespace {
