@@ -181,6 +181,16 @@ TEST(Packets, OfAQt64HaveTheFieldsOfItsManual) {
     }
 }
 
+/// Returns CRC-32/MPEG-2.
+std::uint32_t crc_of(const std::string& bytes) {
+    std::uint32_t sum = ~0u;
+    for (const char byte : bytes) {
+        sum ^= std::uint32_t(static_cast<unsigned char>(byte)) << 24;
+        for (int bit = 0; bit < 8; ++bit) sum = sum << 1 ^ (sum >> 31 ? 0x04C11DB7u : 0u);
+    }
+    return sum;
+}
+
 /// Compares with the user manual of the QT128C2X. With two returns, a packet has one
 /// firing of 96 lasers: all but lasers 1 to 32 in sequence 1, and all but lasers 33 to 64
 /// in sequence 2. The mode flag is 1 for sequence 1.
@@ -195,6 +205,9 @@ TEST(Packets, OfAQt128AlternateBetweenItsLasers) {
         const std::string& bytes = packets[p].bytes;
         const double sent_s = expect_fields(bytes, kQt128, p);
         EXPECT_EQ(number_at<std::uint8_t>(bytes, 1066), p % 2 == 0);
+        // A checksum follows the blocks, the safety field and the tail.
+        for (const auto& [begin, end] : {std::pair{12u, 1040u}, {1045u, 1057u}, {1061u, 1091u}})
+            EXPECT_EQ(number_at<std::uint32_t>(bytes, end), crc_of(bytes.substr(begin, end - begin)));
         // The last block starts 9 us after the packet's time.
         const double time_s =
             0.95 + (double(p) - 1.5) * sensor.period_s / sensor.columns - (9.0 + 0.6) * 1e-6;
@@ -261,6 +274,10 @@ Log write_and_load_log(const SpinningSensor& sensor, const PacketOptions& option
     return load_sequence(file.string(), {.poses_file = kNoPoses, .max_range_m = sensor.max_range_m});
 }
 
+double measure_angle_deg(const glm::vec3& first, const glm::vec3& second) {
+    return double(glm::length(first - second)) * 180.0 / kPi;
+}
+
 void expect_same_returns(const WrittenProduct& product) {
     const auto& [name, profile, returns, quantum_m] = product;
     SCOPED_TRACE(std::string(name) + " " + profile + ", returns " + std::to_string(returns));
@@ -297,6 +314,7 @@ void expect_same_returns(const WrittenProduct& product) {
             ASSERT_NEAR(std::remainder(time_s - 1.0 - fired_s, sensor.period_s), 0.0, 1e-6);
             ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.5001 * quantum_m);
             ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
+            ASSERT_LT(measure_angle_deg(frame.scan.rays.direction[i], scan.rays.direction[ray]), 0.012);
             for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
                 ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
                             0.5001 * quantum_m);
@@ -375,10 +393,9 @@ void expect_rays_of_lasers(const AlternatingProduct& product) {
             for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
                 ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
                             0.002001);
-            const double apart_deg =
-                glm::length(glm::dvec3(frame.scan.rays.direction[i] - scan.rays.direction[ray])) * 180.0 /
-                kPi;
-            ASSERT_LT(apart_deg, product.most_apart_deg) << "laser " << laser;
+            ASSERT_LT(measure_angle_deg(frame.scan.rays.direction[i], scan.rays.direction[ray]),
+                      product.most_apart_deg)
+                << "laser " << laser;
             parities[laser].insert(firing % 2);
             ++n_matched_returns;
         }
