@@ -6,6 +6,7 @@
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
+#include <array>
 #include <span>
 #include <string_view>
 #include <utility>
@@ -29,13 +30,32 @@ namespace {
 
 constexpr double kDegree = kPi / 180.0;
 
-struct BeamTableSensor {
-    const char* name;
-    int columns;
-    double min_range_m, max_range_m, divergence_rad;
+/// Evenly spaced beams from `top_deg` to `bottom_deg`.
+struct BeamFan {
+    int n_beams = 0;
+    double top_deg = 0.0, bottom_deg = 0.0;
 };
 
-constexpr BeamTableSensor kTabledSensors[] = {
+/// Data sheet of a spinning sensor.
+struct DataSheet {
+    std::string_view name;
+    int columns;
+    double min_range_m, max_range_m, divergence_rad;
+    const char* about = nullptr;       ///< source of the beams; null: the table in `tables`
+    std::array<BeamFan, 2> fans = {};  ///< from the highest to the lowest; unused with a table
+};
+
+// The upper 32 beams of the HDL-64E start at +2 degrees, with steps of 1/3 degree. The
+// lower 32 beams end at -24.33 degrees, with steps of 1/2 degree. Waymo publishes only
+// the highest and the lowest elevation of the short-range LiDARs.
+constexpr DataSheet kSpinningSensors[] = {
+    {"HDL-64E",
+     2083,
+     0.0,
+     120.0,
+     2.0e-3,
+     "evenly spaced beams as in the data sheet",
+     {{{32, 2.0, 2.0 - 31.0 / 3.0}, {32, -24.33 + 31.0 * 0.5, -24.33}}}},
     {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3},
@@ -59,56 +79,28 @@ constexpr BeamTableSensor kTabledSensors[] = {
     {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},
     {"OS2-128", 1024, 1.0, 240.0, 0.0},
     {"waymo-top", 2650, 0.0, 75.0, 0.0},
+    {"waymo-side",
+     600,
+     0.0,
+     20.0,
+     0.0,
+     "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 degrees",
+     {{{200, 30.0 - 0.5 * (120.0 / 200.0), -90.0 + 0.5 * (120.0 / 200.0)}}}},
 };
-
-SpinningSensor make_spinning(const std::string& name, int n_columns, double rate_hz) {
-    SpinningSensor sensor;
-    sensor.name = name;
-    sensor.columns = n_columns;
-    sensor.period_s = 1.0 / rate_hz;
-    sensor.first_azimuth_rad = kPi - kPi / n_columns;
-    return sensor;
-}
-
-void append_beams(SpinningSensor& sensor, int n_beams, double top_deg, double bottom_deg) {
-    for (int i = 0; i < n_beams; ++i)
-        sensor.beams.push_back(
-            {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n_beams - 1)) * kDegree});
-}
 
 SensorModel make_model(SpinningSensor sensor, const std::string& text) {
     return {sensor.name, text, sensor.range_limits(), std::move(sensor)};
 }
 
-/// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
-/// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
-/// steps of 1/2 degree.
-SensorModel make_hdl64e(int columns, double rate_hz) {
-    SpinningSensor sensor = make_spinning("HDL-64E", columns ? columns : 2083, rate_hz);
-    append_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
-    append_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
-    sensor.max_range_m = 120.0;
-    sensor.divergence_rad = 2.0e-3;
-    return make_model(std::move(sensor), "evenly spaced beams as in the data sheet");
-}
-
-/// Waymo publishes only the highest and the lowest elevation.
-SensorModel make_waymo_side(int columns, double rate_hz) {
-    SpinningSensor sensor = make_spinning("waymo-side", columns ? columns : 600, rate_hz);
-    constexpr double step_deg = 120.0 / 200.0;
-    append_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
-    sensor.max_range_m = 20.0;
-    return make_model(
-        std::move(sensor),
-        "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 degrees");
-}
-
 /// The rays are the pixels of the KITTI-360 range images that publications use.
 SensorModel make_kitti360(int columns, double rate_hz) {
     const RangeImageGrid grid = kitti360_grid();
-    SpinningSensor sensor = make_spinning(grid.name, columns ? columns : grid.columns, rate_hz);
-    sensor.first_azimuth_rad = kPi;
-    sensor.max_range_m = grid.max_range_m;
+    SpinningSensor sensor{.name = grid.name,
+                          .beams = {},
+                          .columns = columns ? columns : grid.columns,
+                          .period_s = 1.0 / rate_hz,
+                          .first_azimuth_rad = kPi,
+                          .max_range_m = grid.max_range_m};
     for (int row = 0; row < grid.rows; ++row)
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
     return make_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
@@ -125,18 +117,33 @@ std::string find_beam_table(const std::string& name) {
 
 std::string source_of(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-/// Combines the table of beams with the data sheet. `columns` is 0 for the default.
-SensorModel make_tabled(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
-    const std::string table = find_beam_table(data_sheet.name);
-    SpinningSensor sensor =
-        parse_beams(table, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
+/// Combines the beams with the data sheet.
+/// @param columns  0: the default
+SensorModel make_spinning(const DataSheet& data_sheet, int columns, double rate_hz) {
+    if (columns == 0) columns = data_sheet.columns;
+    SpinningSensor sensor;
+    std::string about;
+    if (data_sheet.about) {
+        about = data_sheet.about;
+        sensor.columns = columns;
+        sensor.period_s = 1.0 / rate_hz;
+        sensor.first_azimuth_rad = kPi - kPi / columns;
+        for (const auto& [n, top_deg, bottom_deg] : data_sheet.fans)
+            for (int i = 0; i < n; ++i)
+                sensor.beams.push_back(
+                    {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n - 1)) * kDegree});
+    } else {
+        const std::string table = find_beam_table(std::string(data_sheet.name));
+        about = source_of(table);
+        sensor = parse_beams(table, std::string(data_sheet.name), columns, rate_hz);
+    }
     sensor.name = data_sheet.name;
     // exactly backward
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet.min_range_m;
     sensor.max_range_m = data_sheet.max_range_m;
     sensor.divergence_rad = data_sheet.divergence_rad;
-    return make_model(std::move(sensor), source_of(table));
+    return make_model(std::move(sensor), about);
 }
 
 /// Returns the AT128 as a table of rays. Mirrors scan 120 degrees from left to right in
@@ -204,9 +211,9 @@ std::optional<double> nominal_max_range_m(const std::string& sensor_name) {
 }
 
 std::vector<std::string> list_sensors() {
-    std::vector<std::string> names{"kitti360", "HDL-64E"};
-    for (const BeamTableSensor& row : kTabledSensors) names.emplace_back(row.name);
-    for (const char* name : {"waymo-side", "AT128", "window-128", "rosette"}) names.emplace_back(name);
+    std::vector<std::string> names{"kitti360"};
+    for (const DataSheet& sensor : kSpinningSensors) names.emplace_back(sensor.name);
+    for (const char* name : {"AT128", "window-128", "rosette"}) names.emplace_back(name);
     return names;
 }
 
@@ -214,19 +221,14 @@ std::optional<SensorModel> find_built_in(const std::string& name, int columns, d
     const auto sensor_name = find_name(name, list_sensors());
     if (!sensor_name) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
-    const bool spins = *sensor_name != "AT128" && *sensor_name != "window-128" && *sensor_name != "rosette";
-    if (!spins && (columns > 0 || rate_hz > 0.0))
+    if (*sensor_name == "kitti360") return make_kitti360(columns, rate);
+    const auto* spinning = std::ranges::find(kSpinningSensors, *sensor_name, &DataSheet::name);
+    if (spinning != std::end(kSpinningSensors)) return make_spinning(*spinning, columns, rate);
+    if (columns > 0 || rate_hz > 0.0)
         fail<UsageError>(
             "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name);
-    if (*sensor_name == "kitti360") return make_kitti360(columns, rate);
-    if (*sensor_name == "HDL-64E") return make_hdl64e(columns, rate);
-    if (*sensor_name == "waymo-side") return make_waymo_side(columns, rate);
     if (*sensor_name == "AT128") return make_at128();
-    if (*sensor_name == "window-128") return make_window_128();
-    if (*sensor_name == "rosette") return make_rosette();
-    return make_tabled(*std::ranges::find(kTabledSensors, *sensor_name,
-                                          [](const BeamTableSensor& row) { return std::string(row.name); }),
-                       columns, rate);
+    return *sensor_name == "window-128" ? make_window_128() : make_rosette();
 }
 
 }  // namespace relidar

@@ -15,37 +15,35 @@
 
 namespace relidar {
 
-PatternKind window_kind();
-PatternKind rosette_kind();
-
-const std::vector<PatternKind>& all_pattern_kinds() {
-    static const std::vector<PatternKind> kinds{
-        spinning_kind(),
-        window_kind(),
-        rosette_kind(),
-        ray_table_kind(),
-    };
-    return kinds;
-}
-
 namespace {
-
-const PatternKind& kind_of(const SensorPattern& pattern) {
-    return *std::ranges::find_if(all_pattern_kinds(), [&](const PatternKind& k) { return k.holds(pattern); });
-}
 
 constexpr double kLargestRange_m = 1e12, kLongestPeriod_s = 3600.0;
 
 }  // namespace
 
+const std::vector<PatternKind>& all_pattern_kinds() {
+    static const std::vector<PatternKind> kinds{
+        {"spinning", "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}], azimuth_deg: [first, last]",
+         sensor::parse_spinning},
+        {"window", "rows, columns, left_deg, right_deg, top_deg, bottom_deg", sensor::parse_window},
+        {"rosette", "rays, deflection_deg, first_hz, second_hz", sensor::parse_rosette},
+        {"rays", "directions: [[x, y, z], ...], origin: [[x, y, z], ...], time: [...], ring: [...]",
+         sensor::parse_ray_table},
+    };
+    return kinds;
+}
+
 RayTable make_rays(const SensorPattern& pattern, double time_s) {
-    return kind_of(pattern).make_rays(pattern, time_s);
+    if (const auto* rays = std::get_if<RayTable>(&pattern)) return *rays;
+    if (const auto* rosette = std::get_if<RosetteSensor>(&pattern)) return make_rays(*rosette, time_s);
+    if (const auto* window = std::get_if<WindowScanSensor>(&pattern)) return make_rays(*window);
+    return make_rays(std::get<SpinningSensor>(pattern));
 }
 
 RayTable make_rays(const SensorModel& sensor, double time_s) { return make_rays(sensor.pattern, time_s); }
 
 ScanPatternSummary summarise_pattern(const SensorPattern& pattern) {
-    return kind_of(pattern).describe(pattern);
+    return std::visit([](const auto& sensor) { return sensor::describe(sensor); }, pattern);
 }
 
 double scan_period_s(const SensorPattern& pattern) { return summarise_pattern(pattern).period_s; }
@@ -80,12 +78,11 @@ SensorModel read_sensor_json(const JsonField& field, const std::string& default_
 }
 
 std::string format_sensor_json(const SensorModel& sensor) {
-    const PatternKind& kind = kind_of(sensor.pattern);
     nlohmann::ordered_json json = {{"name", sensor.name}, {"min_range_m", sensor.limits.min_m}};
     if (!std::isinf(sensor.limits.max_m)) json["max_range_m"] = sensor.limits.max_m;
-    json.update(kind.write(sensor.pattern));
-    return nlohmann::ordered_json{{kind.name, json}}.dump(1, ' ', false,
-                                                          nlohmann::ordered_json::error_handler_t::replace);
+    json.update(std::visit([](const auto& pattern) { return sensor::write(pattern); }, sensor.pattern));
+    return nlohmann::ordered_json{{all_pattern_kinds()[sensor.pattern.index()].name, json}}.dump(
+        1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
 namespace sensor {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Table of the kinds of sensors, such as "spinning" or "rays". Sensor files, rigs, logs
-// and runs store a sensor as a JSON object with one member, {"<kind>": {...}}. The table
-// row of a kind contains the functions that read and write this member.
+// and runs store a sensor as a JSON object with one member, {"<kind>": {...}}. Each kind
+// has functions that read and write this member.
 #pragma once
 
 #include <string>
@@ -15,45 +15,38 @@
 
 namespace relidar {
 
-/// A kind of sensor. holds() tests a pattern; the other functions accept only such
-/// patterns.
+/// A kind of sensor. The index of a kind is that of its struct in SensorPattern.
 struct PatternKind {
     const char* name;     ///< key of the JSON object that describes the sensor
     const char* members;  ///< names of the members of the JSON object, for the command-line help
-    bool (*holds)(const SensorPattern& pattern);
     /// @param name  used if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the JSON object without name and range limits. It reads back exactly.
-    nlohmann::ordered_json (*write)(const SensorPattern& pattern);
-    RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
-    ScanPatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// Makes the table row of a sensor kind from the static functions of a struct.
-/// @tparam Functions struct with the type Pattern and the static functions parse, write,
-/// make_rays and describe
-template <class Functions>
-PatternKind make_kind(const char* kind_name, const char* json_member_names) {
-    using Pattern = typename Functions::Pattern;
-    return {kind_name,
-            json_member_names,
-            [](const SensorPattern& p) { return std::holds_alternative<Pattern>(p); },
-            [](const JsonField& field, const std::string& of) { return Functions::parse(field, of); },
-            [](const SensorPattern& p) { return Functions::write(std::get<Pattern>(p)); },
-            [](const SensorPattern& p, double t) { return Functions::make_rays(std::get<Pattern>(p), t); },
-            [](const SensorPattern& p) { return Functions::describe(std::get<Pattern>(p)); }};
-}
-
 const std::vector<PatternKind>& all_pattern_kinds();
-/// In a log folder, a JSON object without a kind is of this kind.
-PatternKind spinning_kind();
-/// In a sensor file, an object with the member "directions" is of this kind.
-PatternKind ray_table_kind();
 /// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_kind(const JsonField& field);
 
 namespace sensor {
+
+/// In a log folder, a JSON object without a kind is a spinning sensor. In a sensor file,
+/// an object with the member "directions" is a table of rays.
+SensorModel parse_spinning(const JsonField& field, const std::string& default_name);
+SensorModel parse_window(const JsonField& field, const std::string& default_name);
+SensorModel parse_rosette(const JsonField& field, const std::string& default_name);
+SensorModel parse_ray_table(const JsonField& field, const std::string& default_name);
+
+/// Returns the JSON object without name and range limits. It reads back exactly.
+nlohmann::ordered_json write(const SpinningSensor& sensor);
+nlohmann::ordered_json write(const WindowScanSensor& window);
+nlohmann::ordered_json write(const RosetteSensor& rosette);
+nlohmann::ordered_json write(const RayTable& rays);
+
+ScanPatternSummary describe(const SpinningSensor& sensor);
+ScanPatternSummary describe(const WindowScanSensor& window);
+ScanPatternSummary describe(const RosetteSensor& rosette);
+ScanPatternSummary describe(const RayTable& rays);
 
 /// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians

@@ -9,7 +9,6 @@
 #include <relidar/base/math.hpp>
 
 namespace relidar {
-
 double RayTable::max_divergence_rad() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
@@ -68,6 +67,18 @@ RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_i
     some.columns = int(ray_indices.size());
     for (const std::size_t ray : ray_indices) some.append_ray(rays, ray);
     return some;
+}
+
+std::size_t RayDropTable::index_of(std::uint16_t channel, const glm::vec3& direction) const {
+    // Bin 0 begins at +180 degrees; bins continue clockwise, like columns.
+    const double revolution_fraction =
+        (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
+    const int bin = std::clamp(int(revolution_fraction * bins), 0, bins - 1);
+    return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);
+}
+
+float RayDropTable::probability_of(std::uint16_t channel, const glm::vec3& direction) const {
+    return empty() || channel >= channels ? 0.0f : probability[index_of(channel, direction)];
 }
 
 }  // namespace relidar

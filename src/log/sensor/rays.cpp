@@ -3,6 +3,9 @@
 // the azimuth theta at the time -theta / (2 pi) * period. An image column has one
 // azimuth, and contains for each beam the firing whose ray is nearest to this azimuth.
 // Therefore a beam with an azimuth offset is shifted by an integer number of columns.
+// A beam measures:
+//   range_measured = range + range_offset
+//   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -34,36 +37,26 @@ RayTable make_ray_table(int rows, int columns, double divergence_rad) {
 }
 
 void check_spinning(const SpinningSensor& sensor) {
-    const auto refuse = [&](const std::string& text) {
-        fail<UsageError>("sensor '{}': found {}", sensor.name, text);
+    const auto check = [&](bool is_right, const std::string& value, const std::string& expected) {
+        if (!is_right) fail<UsageError>("sensor '{}': found {}, expected {}", sensor.name, value, expected);
     };
-    if (sensor.beams.empty()) refuse("no beams, expected at least one");
-    if (sensor.beams.size() > 65535)
-        refuse(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
-    if (sensor.columns <= 0)
-        refuse(fmt::format("{} columns per sweep, expected at least one", sensor.columns));
-    if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
-        refuse(fmt::format("{} beams and {} columns, which are {} rays per sweep; expected at most {} rays",
-                           sensor.beams.size(), sensor.columns,
-                           sensor.beams.size() * std::size_t(sensor.columns), kMaxRays));
-    if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m))
-        refuse(fmt::format("range limits of {} to {} m, expected 0 <= min_range_m < max_range_m",
-                           sensor.min_range_m, sensor.max_range_m));
-    if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s))
-        refuse(fmt::format("a period of {} s, expected a positive number", sensor.period_s));
-    if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad))
-        refuse(fmt::format("first_azimuth_rad = {} and divergence_rad = {}, expected finite numbers",
-                           sensor.first_azimuth_rad, sensor.divergence_rad));
-    for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
-        const Beam& beam = sensor.beams[b];
-        // The sum is not finite if one of the values is not.
-        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m +
-                           beam.origin_up_m + beam.origin_left_m + beam.intensity_gain +
-                           beam.intensity_offset + beam.range_offset_m;
-        if (!std::isfinite(sum))
-            refuse(fmt::format(
-                "an angle, an offset or a gain of beam {} that is not finite, expected finite numbers", b));
-    }
+    const std::size_t n_beams = sensor.beams.size();
+    check(n_beams > 0 && n_beams <= 65535, fmt::format("{} beams", n_beams), "1 to 65535");
+    check(sensor.columns > 0, fmt::format("{} columns per sweep", sensor.columns), "at least one");
+    check(n_beams * std::size_t(sensor.columns) <= kMaxRays,
+          fmt::format("{} beams and {} columns", n_beams, sensor.columns),
+          fmt::format("at most {} rays per sweep", kMaxRays));
+    check(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m,
+          fmt::format("range limits of {} to {} m", sensor.min_range_m, sensor.max_range_m),
+          "0 <= min_range_m < max_range_m");
+    check(sensor.period_s > 0.0 && std::isfinite(sensor.period_s),
+          fmt::format("a period of {} s", sensor.period_s), "a positive number");
+    // A sum is not finite if one of its values is not.
+    double sum = sensor.first_azimuth_rad + sensor.divergence_rad;
+    for (const Beam& beam : sensor.beams)
+        sum += beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m +
+               beam.origin_left_m + beam.intensity_gain + beam.intensity_offset + beam.range_offset_m;
+    check(std::isfinite(sum), "an angle, an offset or a gain that is not finite", "finite numbers");
 }
 
 }  // namespace
@@ -153,6 +146,28 @@ RayTable make_rays(const RangeImageGrid& grid) {
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
     }
     return make_rays(sensor);
+}
+
+double Beam::to_measured_range_m(double surface_range_m) const {
+    return surface_range_m > 0.0 ? std::max(surface_range_m + range_offset_m, 0.0) : surface_range_m;
+}
+
+double Beam::to_surface_range_m(double measured_range_m) const {
+    return measured_range_m > 0.0 ? std::max(measured_range_m - range_offset_m, 1e-3) : measured_range_m;
+}
+
+double Beam::to_measured_intensity(double surface_intensity, double intensity_factor_at_range) const {
+    return std::clamp(intensity_gain * intensity_factor_at_range * surface_intensity + intensity_offset, 0.0,
+                      1.0);
+}
+
+double Beam::to_surface_intensity(double measured_intensity, double intensity_factor_at_range) const {
+    return (measured_intensity - intensity_offset) / intensity_gain / intensity_factor_at_range;
+}
+
+const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel) {
+    static const Beam ideal;
+    return channel < beams.size() ? beams[channel] : ideal;
 }
 
 }  // namespace relidar

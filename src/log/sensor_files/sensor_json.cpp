@@ -117,7 +117,7 @@ SensorModel parse_json_sensor(const std::string& json_text, const std::string& s
     }
     const JsonField root(json, where, "");
     // It does not name the kind "rays".
-    if (root.has_member("directions")) return ray_table_kind().parse(root, sensor_name);
+    if (root.has_member("directions")) return sensor::parse_ray_table(root, sensor_name);
     if (find_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);

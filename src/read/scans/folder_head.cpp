@@ -113,7 +113,7 @@ void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_kind(field);
     const JsonField members = kind ? field.at(kind->name) : field;
-    set_sensor(lidar, kind ? read_sensor_json(field, "") : spinning_kind().parse(field, ""));
+    set_sensor(lidar, kind ? read_sensor_json(field, "") : sensor::parse_spinning(field, ""));
     if (lidar.pattern && must_spin)
         field.reject(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
                      "expected a spinning sensor, or \"spins\": false");

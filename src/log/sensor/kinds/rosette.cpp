@@ -35,41 +35,27 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     return rays;
 }
 
-namespace {
+SensorModel sensor::parse_rosette(const JsonField& field, const std::string& default_name) {
+    check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
+    const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
+    return {name, "", limits,
+            RosetteSensor{.name = name,
+                          .deflection_rad = read_angle_rad(field, "deflection", 45.0),
+                          .first_hz = field.at("first_hz").number_in(-1e5, 1e5),
+                          .second_hz = field.at("second_hz").number_in(-1e5, 1e5),
+                          .n_rays = int(field.at("rays").integer_in(1, std::int64_t(kMaxRays))),
+                          .period_s = period_s,
+                          .divergence_rad = divergence_rad}};
+}
 
-struct RosetteFunctions {
-    using Pattern = RosetteSensor;
+nlohmann::ordered_json sensor::write(const RosetteSensor& rosette) {
+    return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},
+            {"first_hz", rosette.first_hz}, {"second_hz", rosette.second_hz},
+            {"period_s", rosette.period_s}, {"divergence_rad", rosette.divergence_rad}};
+}
 
-    static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
-        const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
-        return {name, "", limits,
-                RosetteSensor{.name = name,
-                              .deflection_rad = read_angle_rad(field, "deflection", 45.0),
-                              .first_hz = field.at("first_hz").number_in(-1e5, 1e5),
-                              .second_hz = field.at("second_hz").number_in(-1e5, 1e5),
-                              .n_rays = int(field.at("rays").integer_in(1, std::int64_t(kMaxRays))),
-                              .period_s = period_s,
-                              .divergence_rad = divergence_rad}};
-    }
-    static nlohmann::ordered_json write(const RosetteSensor& rosette) {
-        return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},
-                {"first_hz", rosette.first_hz}, {"second_hz", rosette.second_hz},
-                {"period_s", rosette.period_s}, {"divergence_rad", rosette.divergence_rad}};
-    }
-    static RayTable make_rays(const RosetteSensor& rosette, double time_s) {
-        return relidar::make_rays(rosette, time_s);
-    }
-    static ScanPatternSummary describe(const RosetteSensor& rosette) {
-        return {
-            .n_rays = std::size_t(rosette.n_rays), .period_s = rosette.period_s, .has_rays_by_time = true};
-    }
-};
-
-}  // namespace
-
-PatternKind rosette_kind() {
-    return make_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
+ScanPatternSummary sensor::describe(const RosetteSensor& rosette) {
+    return {.n_rays = std::size_t(rosette.n_rays), .period_s = rosette.period_s, .has_rays_by_time = true};
 }
 
 }  // namespace relidar

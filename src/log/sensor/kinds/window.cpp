@@ -39,47 +39,35 @@ RayTable make_rays(const WindowScanSensor& window) {
     return rays;
 }
 
-namespace {
+SensorModel sensor::parse_window(const JsonField& field, const std::string& default_name) {
+    check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
+    const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
+    const WindowScanSensor window{.name = name,
+                                  .rows = int(field.at("rows").integer_in(1, 65535)),
+                                  .columns = int(field.at("columns").integer_in(1, 1'000'000)),
+                                  .left_rad = read_angle_rad(field, "left", 180.0),
+                                  .right_rad = read_angle_rad(field, "right", 180.0),
+                                  .top_rad = read_angle_rad(field, "top", 90.0),
+                                  .bottom_rad = read_angle_rad(field, "bottom", 90.0),
+                                  .period_s = period_s,
+                                  .divergence_rad = divergence_rad};
+    if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
+        field.reject(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                     fmt::format("expected at most {} rays", kMaxRays));
+    return {name, "", limits, window};
+}
 
-struct WindowScanFunctions {
-    using Pattern = WindowScanSensor;
+nlohmann::ordered_json sensor::write(const WindowScanSensor& window) {
+    return {{"rows", window.rows},         {"columns", window.columns},
+            {"left_rad", window.left_rad}, {"right_rad", window.right_rad},
+            {"top_rad", window.top_rad},   {"bottom_rad", window.bottom_rad},
+            {"period_s", window.period_s}, {"divergence_rad", window.divergence_rad}};
+}
 
-    static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
-        const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
-        const WindowScanSensor window{.name = name,
-                                      .rows = int(field.at("rows").integer_in(1, 65535)),
-                                      .columns = int(field.at("columns").integer_in(1, 1'000'000)),
-                                      .left_rad = read_angle_rad(field, "left", 180.0),
-                                      .right_rad = read_angle_rad(field, "right", 180.0),
-                                      .top_rad = read_angle_rad(field, "top", 90.0),
-                                      .bottom_rad = read_angle_rad(field, "bottom", 90.0),
-                                      .period_s = period_s,
-                                      .divergence_rad = divergence_rad};
-        if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
-            field.reject(fmt::format("found {} rows x {} columns", window.rows, window.columns),
-                         fmt::format("expected at most {} rays", kMaxRays));
-        return {name, "", limits, window};
-    }
-    static nlohmann::ordered_json write(const WindowScanSensor& window) {
-        return {{"rows", window.rows},         {"columns", window.columns},
-                {"left_rad", window.left_rad}, {"right_rad", window.right_rad},
-                {"top_rad", window.top_rad},   {"bottom_rad", window.bottom_rad},
-                {"period_s", window.period_s}, {"divergence_rad", window.divergence_rad}};
-    }
-    static RayTable make_rays(const WindowScanSensor& window, double) { return relidar::make_rays(window); }
-    static ScanPatternSummary describe(const WindowScanSensor& window) {
-        return {.n_rays = std::size_t(window.rows) * std::size_t(window.columns),
-                .period_s = window.period_s,
-                .sweep = AzimuthSweep{window.left_rad, window.right_rad, window.columns}};
-    }
-};
-
-}  // namespace
-
-PatternKind window_kind() {
-    return make_kind<WindowScanFunctions>("window",
-                                          "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
+ScanPatternSummary sensor::describe(const WindowScanSensor& window) {
+    return {.n_rays = std::size_t(window.rows) * std::size_t(window.columns),
+            .period_s = window.period_s,
+            .sweep = AzimuthSweep{window.left_rad, window.right_rad, window.columns}};
 }
 
 }  // namespace relidar
