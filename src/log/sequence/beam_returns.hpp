@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the returns of a log for the comparison of beams. Used only in src/log/sequence.
+// Collects the returns of a log for the comparison of beams. Used only in
+// src/log/sequence.
 #pragma once
 
-#include <optional>
 #include <vector>
 
 #include <relidar/log/sequence.hpp>
@@ -10,17 +10,21 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-/// Returns the number of the beam that measured a ray (find_global_beam()), or
-/// nothing if the ray has no return closer than max_range_m.
-inline std::optional<std::uint16_t> beam_of_return(const Log& sequence, const Frame& frame, std::size_t ray,
-                                                   double max_range_m) {
-    const float range_m = frame.scan.range_m[ray];
-    return range_m > 0.0f && range_m < max_range_m
-               ? sequence.find_global_beam(frame.lidar, frame.scan.rays.channel[ray])
-               : std::nullopt;
+
+/// Calls visit(ray, beam, place) for each ray of a frame that a known beam has measured
+/// and that has a return closer than max_range_m. The beam has the number of
+/// Log::find_global_beam().
+template <class Visit>
+void visit_returns(const Log& sequence, const Frame& frame, double max_range_m, const Visit& visit) {
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        const float range_m = frame.scan.range_m[ray];
+        if (!(range_m > 0.0f && range_m < max_range_m)) continue;
+        if (const auto beam = sequence.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]))
+            visit(ray, *beam, locate_return(sequence, frame, ray));
+    }
 }
 
-/// Returns the beams of all LiDARs, in the order of beam_of_return().
+/// Returns the beams of all LiDARs, in the order of visit_returns().
 inline std::vector<Beam*> list_beams(Log& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
@@ -41,5 +45,24 @@ auto map_frames(const Log& log, const std::vector<int>& selected, std::size_t ma
     });
     return frames;
 }
+
+/// A return in a grid cell. Intensities of returns in the same cell are compared.
+struct CellReturn {
+    std::uint32_t cell;
+    std::uint32_t beam;
+    float range_m;
+    float cosine;     ///< cosine of the angle of incidence
+    float intensity;  ///< measured intensity
+};
+
+/// LiDAR returns, sorted by grid cell. Cells with a single return are left out. Cell
+/// indices range from 0 to n_cells - 1, with gaps.
+struct CellReturns {
+    std::vector<CellReturn> sorted_returns;
+    std::size_t n_cells = 0;
+};
+/// Collects returns that hit the same grid cell in several sweeps or with several beams,
+/// because only their intensities can be compared.
+CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
 
 }  // namespace relidar

@@ -18,7 +18,6 @@
 
 #include "base/parallel.hpp"
 #include "log/sequence/beam_returns.hpp"
-#include "log/sequence/intensity_places.hpp"
 
 namespace relidar {
 namespace {

@@ -3,7 +3,6 @@
 // several beams hit.
 #include <cmath>
 #include <optional>
-#include <span>
 
 #include <relidar/log/sequence.hpp>
 
@@ -22,7 +21,7 @@ constexpr double kPlaneCell_m = 0.3;
 // Farther cells contain too few returns for a plane.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
-constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
+constexpr std::size_t kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
 // This limit applies twice. Points form a plane if their standard deviation is at most
 // this along the normal, and at least this in both directions within the plane.
 constexpr double kMaxThickness_m = 0.05;
@@ -45,41 +44,26 @@ struct RawReturn {
 
 std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
     std::vector<RawReturn> result;
-    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        const auto beam = beam_of_return(sequence, frame, ray, kMaxRange_m);
-        if (!beam) continue;
-        const WorldReturn w = locate_return(sequence, frame, ray);
-        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});
-    }
+    visit_returns(sequence, frame, kMaxRange_m, [&](std::size_t, std::uint16_t beam, const WorldReturn& w) {
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), beam});
+    });
     return result;
 }
 
-/// Returns of a log, sorted by grid cell and, within a cell, by frame. Range corrections
-/// of beams do not change the cell, because they are very small.
-struct ReturnsByCell {
-    std::vector<RawReturn> returns;
-    std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
-
-    std::size_t size() const { return first.size() - 1; }
-    std::span<const RawReturn> returns_in(std::size_t cell_index) const {
-        return std::span(returns).subspan(first[cell_index], first[cell_index + 1] - first[cell_index]);
-    }
-};
-
-ReturnsByCell group_by_cell(const Log& sequence, const std::vector<int>& frames) {
+/// Returns of a log by grid cell and, within a cell, by frame. Range corrections of beams
+/// do not change the cell, because they are very small.
+std::vector<std::vector<RawReturn>> group_by_cell(const Log& sequence, const std::vector<int>& frames) {
     const std::vector<RawReturn> all =
         concatenate(map_frames(sequence, frames, kMostOffsetReturns,
                                [&](const Frame& frame) { return world_returns(sequence, frame); }));
     const CellItemLists items(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
-    // Sorts the returns by cell: first[k] is the number of returns in earlier cells.
-    ReturnsByCell cells{std::vector<RawReturn>(all.size()), {0}};
-    for (std::size_t cell = 0; cell < items.size(); ++cell)
-        cells.first.push_back(cells.first.back() + items.items_of(cell).size());
+    std::vector<std::vector<RawReturn>> cells(items.size());
     parallel_blocks(items.size(), [&](std::size_t cell) {
-        for (std::size_t k = 0; k < items.items_of(cell).size(); ++k)
-            cells.returns[cells.first[cell] + k] = all[items.items_of(cell)[k]];
+        // Cells with fewer returns have no plane.
+        if (items.items_of(cell).size() < kMinReturns) return;
+        for (const std::uint32_t i : items.items_of(cell)) cells[cell].push_back(all[i]);
     });
     return cells;
 }
@@ -94,10 +78,9 @@ struct CellPlane {
 };
 
 /// Fits a plane to the corrected returns of a cell. Returns nothing if the points are too
-/// few, too thick or too narrow.
-std::optional<CellPlane> fit_cell_plane(std::span<const RawReturn> cell_returns,
+/// thick or too narrow.
+std::optional<CellPlane> fit_cell_plane(const std::vector<RawReturn>& cell_returns,
                                         const std::vector<double>& beam_offsets_m) {
-    if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
     const glm::dvec3 about = corrected_point(cell_returns[0], beam_offsets_m);
     PointMomentSums sums;
     for (const RawReturn& o : cell_returns) sums.add_point(corrected_point(o, beam_offsets_m) - about);
@@ -133,17 +116,18 @@ struct BeamResiduals {
 
 /// Subtracts the current range offsets, fits a plane in each cell, and sums the distances
 /// of returns from planes by beam. The result does not depend on the number of threads.
-BeamResiduals sum_residuals(const ReturnsByCell& cells, const std::vector<double>& beam_offsets_m) {
+BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
+                            const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kCellsPerBlock = 2048;
     BeamResiduals all{
         .fits = std::vector<BeamOffsetSums>(beam_offsets_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
     all += parallel_sum(cells.size(), kCellsPerBlock, [&](std::size_t begin, std::size_t end) {
         BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
-            const std::span<const RawReturn> cell_returns = cells.returns_in(cell);
-            const std::optional<CellPlane> plane = fit_cell_plane(cell_returns, beam_offsets_m);
+            if (cells[cell].empty()) continue;
+            const std::optional<CellPlane> plane = fit_cell_plane(cells[cell], beam_offsets_m);
             if (!plane) continue;
-            for (const RawReturn& o : cell_returns) {
+            for (const RawReturn& o : cells[cell]) {
                 const double facing = glm::dot(plane->normal, glm::dvec3(o.direction)),
                              residual =
                                  glm::dot(plane->normal, corrected_point(o, beam_offsets_m) - plane->point);
@@ -166,9 +150,9 @@ BeamResiduals sum_residuals(const ReturnsByCell& cells, const std::vector<double
 RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frames) {
     const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const ReturnsByCell cells = group_by_cell(sequence, frames);
+    const std::vector<std::vector<RawReturn>> cells = group_by_cell(sequence, frames);
     RangeCalibrationResult result;
-    if (cells.returns.empty()) return result;
+    if (cells.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     // Alternates: planes are fitted with the current offsets, then offsets to these
     // planes.

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <numeric>
 
 #include <fmt/ranges.h>
 
@@ -105,22 +104,20 @@ PoseTrack Log::lidar_track(int lidar_index) const {
 }
 
 int find_lidar(const Log& sequence, const std::string& name) {
-    std::vector<std::string> lidar_names;
-    for (const Lidar& lidar : sequence.lidars) lidar_names.push_back(lidar.name);
-    const auto it = std::find(lidar_names.begin(), lidar_names.end(), name);
-    if (it == lidar_names.end() && !name.empty()) {
-        const std::string expected = lidar_names.size() == 1
-                                         ? "none, because the log has a single LiDAR"
-                                         : fmt::format("one of {}", fmt::join(lidar_names, ", "));
-        fail<UsageError>("lidar: found \"{}\", expected {}", name, expected);
-    }
-    return name.empty() ? 0 : static_cast<int>(it - lidar_names.begin());
+    if (name.empty()) return 0;
+    const auto lidar = std::ranges::find(sequence.lidars, name, &Lidar::name);
+    if (lidar != sequence.lidars.end()) return static_cast<int>(lidar - sequence.lidars.begin());
+    if (sequence.lidars.size() == 1)
+        fail<UsageError>("lidar: found \"{}\", expected none, because the log has a single LiDAR", name);
+    std::vector<std::string> names;
+    for (const Lidar& other : sequence.lidars) names.push_back(other.name);
+    fail<UsageError>("lidar: found \"{}\", expected one of {}", name, fmt::join(names, ", "));
 }
 
 std::size_t Log::count_beams() const {
-    return std::accumulate(
-        lidars.begin(), lidars.end(), std::size_t(0),
-        [](std::size_t count, const Lidar& lidar) { return count + lidar.sensor.beams.size(); });
+    std::size_t n = 0;
+    for (const Lidar& lidar : lidars) n += lidar.sensor.beams.size();
+    return n;
 }
 
 std::optional<std::uint16_t> Log::find_global_beam(int lidar_index, std::uint16_t channel) const {
@@ -137,21 +134,22 @@ const BoxTrack* find_box(const Log& sequence, const std::string& box_id) {
 }
 
 Log strip_frames(const Log& sequence) {
-    return {sequence.name,
-            sequence.source,
-            sequence.lidars,
+    const Log& s = sequence;
+    return {s.name,
+            s.source,
+            s.lidars,
             {},
-            sequence.world_from_vehicle,
-            sequence.boxes,
-            sequence.world_offset_m,
-            sequence.georeference,
-            sequence.intensity_response,
-            sequence.conventions,
-            sequence.start_unix_ns,
-            sequence.notes,
-            sequence.test_frames,
-            sequence.has_poses,
-            sequence.rolling_shutter};
+            s.world_from_vehicle,
+            s.boxes,
+            s.world_offset_m,
+            s.georeference,
+            s.intensity_response,
+            s.conventions,
+            s.start_unix_ns,
+            s.notes,
+            s.test_frames,
+            s.has_poses,
+            s.rolling_shutter};
 }
 
 PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {
@@ -171,12 +169,11 @@ PoseTrack subdivide_turns(const PoseTrack& track) {
             const int n = 1 + static_cast<int>(rotation_rad / kMaxRotation_rad);
             for (int k = 1; k < n; ++k) {
                 const double s = double(k) / n;
-                fine.time_s.push_back(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]));
-                fine.pose.push_back(interpolate(track.pose[i - 1], track.pose[i], s));
+                fine.append(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]),
+                            interpolate(track.pose[i - 1], track.pose[i], s));
             }
         }
-        fine.time_s.push_back(track.time_s[i]);
-        fine.pose.push_back(track.pose[i]);
+        fine.append(track.time_s[i], track.pose[i]);
     }
     return fine;
 }
@@ -360,7 +357,7 @@ WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t r
 }
 
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& p, double t_s, double margin_m) {
-    return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
+    return std::ranges::any_of(boxes, [&](const BoxTrack& box) {
         return box.is_observed(t_s) && box.contains_point(p, t_s, margin_m) && box.is_moving();
     });
 }

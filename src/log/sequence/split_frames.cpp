@@ -72,16 +72,13 @@ Split split_frames(const Log& sequence, int test_every_nth_frame, const std::str
     std::set<int> added_numbers;
     for (const Frame& frame : sequence.frames)
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
-    const std::vector<int>& published_test_frames = sequence.test_frames;
     std::set<int> held_out;
     // The list of the user takes precedence over the published split, and the published
     // split over every n-th frame.
     if (!test_frame_list.empty()) held_out = parse_frame_list(test_frame_list, sweeps);
-    else if (test_every_nth_frame == kPublishedEvery && !published_test_frames.empty()) {
-        for (const int index : sweeps)
-            if (std::ranges::find(published_test_frames, index) != published_test_frames.end())
-                held_out.insert(index);
-    } else held_out = select_nth_frames(test_every_nth_frame, sweeps);
+    else if (test_every_nth_frame == kPublishedEvery && !sequence.test_frames.empty())
+        held_out = {sequence.test_frames.begin(), sequence.test_frames.end()};
+    else held_out = select_nth_frames(test_every_nth_frame, sweeps);
     Split split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);

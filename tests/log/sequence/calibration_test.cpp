@@ -21,31 +21,38 @@ double compute_brightness(const glm::dvec3& point) {
     return (int(std::floor(point.x * 2.0)) + int(std::floor(point.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
 }
 
-/// The sensor looks down from 2 m and drives forward: every beam measures the same tiles.
-Log drive(const std::vector<Beam>& beams, double noise_size) {
+/// Drives 2 m above the ground, by `step_m` per frame. measure(beam, origin, direction,
+/// frame) returns the range and the intensity of a ray.
+template <class Measure>
+Log drive(const std::vector<Beam>& beams, int n_frames, const glm::dvec3& step_m, const Measure& measure) {
     Log sequence;
     sequence.lidars[0].sensor.beams = beams;
     sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
-    std::uint64_t k = 0;
-    for (int f = 0; f < 12; ++f) {
+    for (int f = 0; f < n_frames; ++f) {
         Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
-        Pose pose;
-        pose.translation = {0.37 * f, 0.0, 2.0};
+        const Pose pose{{1, 0, 0, 0}, double(f) * step_m + glm::dvec3(0.0, 0.0, 2.0)};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const glm::dvec3 d(frame.scan.rays.direction[i]);
-            const double range = -2.0 / d.z;
-            const Beam& beam = beams[frame.scan.rays.channel[i]];
-            const double value = beam.intensity_gain * compute_brightness(pose.translation + range * d) +
-                                 beam.intensity_offset + noise_size * noise(++k);
-            frame.scan.range_m.push_back(float(range));
-            frame.scan.intensity.push_back(float(value));
+            const auto [range_m, intensity] = measure(frame.scan.rays.channel[i], pose.translation,
+                                                      glm::dvec3(frame.scan.rays.direction[i]), f);
+            frame.scan.range_m.push_back(float(range_m));
+            frame.scan.intensity.push_back(float(intensity));
         }
         sequence.frames.push_back(frame);
-        sequence.world_from_vehicle.time_s.push_back(frame.time_s);
-        sequence.world_from_vehicle.pose.push_back(pose);
+        sequence.world_from_vehicle.append(frame.time_s, pose);
     }
     return sequence;
+}
+
+/// The sensor looks down: every beam measures the same tiles.
+Log drive_over_tiles(const std::vector<Beam>& beams, double noise_size) {
+    std::uint64_t k = 0;
+    const auto measure = [&](std::size_t b, const glm::dvec3& origin, const glm::dvec3& d, int) {
+        const double range = -2.0 / d.z;
+        return std::pair(range, beams[b].intensity_gain * compute_brightness(origin + range * d) +
+                                    beams[b].intensity_offset + noise_size * noise(++k));
+    };
+    return drive(beams, 12, {0.37, 0.0, 0.0}, measure);
 }
 
 const std::vector<int> kAll{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11};
@@ -69,7 +76,7 @@ std::vector<Beam> make_unequal_beams() {
 
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = make_unequal_beams();
-    Log sequence = drive(truth, 0.01);
+    Log sequence = drive_over_tiles(truth, 0.01);
     const IntensityCalibrationResult calibration = calibrate_intensity(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
@@ -97,7 +104,7 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
-    Log sequence = drive(beams, 0.02);
+    Log sequence = drive_over_tiles(beams, 0.02);
     calibrate_intensity(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6})
@@ -151,7 +158,7 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    Log original = drive(make_unequal_beams(), 0.01), changed = original;
+    Log original = drive_over_tiles(make_unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
     calibrate_intensity(original, without);
@@ -163,15 +170,8 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     }
 }
 
-TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
-    Log sequence = drive(make_unequal_beams(), 0.0);
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, {});
-    EXPECT_EQ(calibration.returns, 0u);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
-}
-
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
-    Log sequence = drive(make_unequal_beams(), 0.0);
+    Log sequence = drive_over_tiles(make_unequal_beams(), 0.0);
     const Frame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
         const WorldReturn w = locate_return(sequence, frame, i);
@@ -224,13 +224,6 @@ TEST(RangeNoise, EachLidarHasItsOwn) {
     EXPECT_TRUE(both.lidars[2].range_noise.sigma_m.empty());
 }
 
-TEST(RangeNoise, NothingSeenMeasuresNothing) {
-    Log street = make_street_log({.n_frames = 2, .rows = 4, .columns = 16});
-    EXPECT_EQ(calibrate_noise(street, {}), 0u);
-    EXPECT_TRUE(street.lidars[0].range_noise.sigma_m.empty());
-    EXPECT_EQ(street.lidars[0].range_noise.lookup_sigma_m(10.0, 1.0), 0.0);
-}
-
 const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // the sum is 0
 
 /// A ground plane, a wall on each side, and square posts with surfaces across the street.
@@ -249,36 +242,23 @@ double cast(const glm::dvec3& o, const glm::dvec3& direction) {
 }
 
 /// The ranges have the offset of their beam and 5 mm of deterministic noise.
-Log drive(bool held_out_is_garbage = false) {
-    Log sequence;
+Log drive_through_street(bool held_out_is_garbage = false) {
+    std::vector<Beam> beams;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
-    sequence.lidars[0].sensor.columns = 1440;
-    sequence.rolling_shutter = false;
+        beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
     std::uint64_t k = 0;
-    for (int f = 0; f < 10; ++f) {
-        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
-        Pose pose;
-        pose.translation = {0.83 * f, 0.1 * f, 2.0};
-        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const double noise = 0.005 * std::fmod(std::sin(double(++k) * 12.9898) * 43758.5453, 1.0);
-            const double range = cast(pose.translation, glm::dvec3(frame.scan.rays.direction[i]));
-            frame.scan.range_m.push_back(
-                range > 60.0 ? 0.0f : float(range + kOffsets_m[frame.scan.rays.channel[i]] + noise));
-            if (held_out_is_garbage && f == 5) frame.scan.range_m.back() = 3.0f;
-            frame.scan.intensity.push_back(0.5f);
-        }
-        sequence.frames.push_back(frame);
-        sequence.world_from_vehicle.time_s.push_back(frame.time_s);
-        sequence.world_from_vehicle.pose.push_back(pose);
-    }
-    return sequence;
+    const auto measure = [&](std::size_t b, const glm::dvec3& origin, const glm::dvec3& direction, int f) {
+        const double range = cast(origin, direction), off_m = kOffsets_m[b] + 0.005 * noise(++k);
+        if (held_out_is_garbage && f == 5) return std::pair(3.0, 0.5);
+        return std::pair(range > 60.0 ? 0.0 : range + off_m, 0.5);
+    };
+    return drive(beams, 10, {0.83, 0.1, 0.0}, measure);
 }
 
 const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
-    Log sequence = drive();
+    Log sequence = drive_through_street();
     const RangeCalibrationResult calibration = calibrate_ranges(sequence, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
@@ -292,7 +272,7 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
 }
 
 TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
-    Log clean = drive(), garbage = drive(true);
+    Log clean = drive_through_street(), garbage = drive_through_street(true);
     calibrate_ranges(clean, kTrain);
     calibrate_ranges(garbage, kTrain);
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
@@ -301,7 +281,7 @@ TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
-    Log sequence = drive();
+    Log sequence = drive_through_street();
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
     const Frame& frame = sequence.frames[2];
@@ -315,7 +295,7 @@ TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
 }
 
 TEST(RangeOffset, EqualLasersHaveNone) {
-    Log sequence = drive();
+    Log sequence = drive_through_street();
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
@@ -324,10 +304,17 @@ TEST(RangeOffset, EqualLasersHaveNone) {
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
-TEST(RangeOffset, NothingToCompareLeavesTheSensorAlone) {
-    Log sequence = drive();
+TEST(Calibration, NothingToCompareLeavesTheSensorAlone) {
+    Log sequence = drive_over_tiles(make_unequal_beams(), 0.0);
+    EXPECT_EQ(calibrate_intensity(sequence, {}).returns, 0u);
     EXPECT_EQ(calibrate_ranges(sequence, {}).returns, 0u);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
+    EXPECT_EQ(calibrate_noise(sequence, {}), 0u);
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) {
+        EXPECT_EQ(beam.intensity_gain, 1.0);
+        EXPECT_EQ(beam.range_offset_m, 0.0);
+    }
+    EXPECT_TRUE(sequence.lidars[0].range_noise.sigma_m.empty());
+    EXPECT_EQ(sequence.lidars[0].range_noise.lookup_sigma_m(10.0, 1.0), 0.0);
 }
 
 constexpr int kColumns = 1024;

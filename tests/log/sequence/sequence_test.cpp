@@ -90,20 +90,15 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
-    const auto make_turned_pose = [](double angle, const glm::dvec3& t) {
+    const auto turned = [](double angle, const glm::dvec3& t) {
         return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
     };
     Log log;
-    log.world_from_vehicle = {{0.0, 1.0},
-                              {make_turned_pose(0.1, {0, 0, 0}), make_turned_pose(0.3, {8, 1, 0})}};
+    log.world_from_vehicle = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
     log.boxes.push_back(
-        {"0",
-         "Car",
-         {4, 2, 1.5},
-         {{0.25, 1.0}, {make_turned_pose(0.7, {10, 3, 0}), make_turned_pose(0.9, {15, 3, 1})}}});
+        {"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
     const Log before = log;
-    const PoseTrack track{{0.0, 1.0},
-                          {make_turned_pose(0.2, {0.3, -0.2, 0.1}), make_turned_pose(0.25, {8.1, 1.4, 0.2})}};
+    const PoseTrack track{{0.0, 1.0}, {turned(0.2, {0.3, -0.2, 0.1}), turned(0.25, {8.1, 1.4, 0.2})}};
     set_trajectory(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
@@ -137,11 +132,9 @@ TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
 BoxTrack driven(int count, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
     box.size_m = {4.4, 1.8, 1.6};
-    for (int i = 0; i < count; ++i) {
-        box.world_from_box.time_s.push_back(step_s * i);
-        box.world_from_box.pose.push_back(
-            make_turned_pose(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
-    }
+    for (int i = 0; i < count; ++i)
+        box.world_from_box.append(step_s * i,
+                                  make_turned_pose(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
     return box;
 }
 
@@ -169,17 +162,13 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     for (int things = 0; things < 200; ++things) {
         PoseTrack keyframes;
         const int n = 2 + things % 12;
-        for (int k = 0; k < n; ++k) {
-            keyframes.time_s.push_back(0.5 * k);
-            keyframes.pose.push_back(
-                make_turned_pose(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
-        }
+        for (int k = 0; k < n; ++k)
+            keyframes.append(0.5 * k,
+                             make_turned_pose(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
         BoxTrack parked{"p", "car", {4.4, 1.8, 1.6}, {}}, driving = parked;
         for (int i = 0; i <= 10 * (n - 1); ++i) {
-            for (BoxTrack* box : {&parked, &driving}) {
-                box->world_from_box.time_s.push_back(0.05 * i);
-                box->world_from_box.pose.push_back(keyframes.pose_at(0.05 * i));
-            }
+            for (BoxTrack* box : {&parked, &driving})
+                box->world_from_box.append(0.05 * i, keyframes.pose_at(0.05 * i));
             driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
         }
         EXPECT_FALSE(parked.is_moving()) << n << " keyframes";
@@ -280,21 +269,25 @@ TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
     EXPECT_FALSE(find_sweep_start(at_once, sensor).has_value());
 }
 
+Log make_numbered_frames(int first, int end) {
+    Log log;
+    for (int i = first; i < end; ++i) log.frames.emplace_back().index = i;
+    return log;
+}
+
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
-    Log sequence;
-    for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
+    const Log sequence = make_numbered_frames(0, 50);
     const Split split = split_frames(sequence, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);
     EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
     EXPECT_THROW(split_frames(sequence, 1), UsageError);
+    EXPECT_EQ(split_frames(sequence, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
-    Log sequence;
-    for (int i = 2351; i <= 2400; ++i)
-        // a frame without a pose shifts no index
-        if (i != 2355) sequence.frames.emplace_back().index = i;
+    Log sequence = make_numbered_frames(2351, 2401);
+    sequence.frames.erase(sequence.frames.begin() + 4);  // a frame without a pose shifts no index
     sequence.test_frames = {2360, 2370, 2380, 2390};
     const auto indices = [&](const Split& split) {
         std::vector<int> all;
@@ -338,10 +331,6 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
     EXPECT_EQ(held_out("106"), std::vector<int>{4});
     EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
     EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
-
-    Log ten;
-    for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
-    EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
@@ -365,10 +354,7 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
 
 TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
     BoxTrack car{"1", "Car", {4, 2, 1.5}, {}};
-    for (int i = 0; i < 6; ++i) {
-        car.world_from_box.time_s.push_back(0.1 * i);
-        car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
-    }
+    for (int i = 0; i < 6; ++i) car.world_from_box.append(0.1 * i, {{}, {double(i), 0.0, 0.0}});
     EXPECT_EQ(car.labelled_part().world_from_box.time_s, car.world_from_box.time_s);
     car.n_before = 2;
     car.n_after = 1;

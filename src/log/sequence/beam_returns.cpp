@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/sequence/intensity_places.hpp"
+#include "log/sequence/beam_returns.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,6 @@
 #include "base/geometry/cell_numbers.hpp"
 #include "base/geometry/plane_sums.hpp"
 #include "base/joined.hpp"
-#include "log/sequence/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -33,17 +32,13 @@ struct ReturnPoint {
 
 std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnPoint> result;
-    const Scan& scan = frame.scan;
-    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
-        if (!beam) continue;
-        const WorldReturn w = locate_return(sequence, frame, ray);
-        // collect_cells() computes the cell (0) and the cosine (0.0f) later.
-        result.push_back(
-            {w.point_m,
-             glm::vec3(w.direction),
-             {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
-    }
+    visit_returns(sequence, frame, sequence.lidar_of(frame).sensor.max_range_m,
+                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& w) {
+                      result.push_back({w.point_m,
+                                        glm::vec3(w.direction),
+                                        {0, beam, surface_return(sequence, frame, ray).range_m, 0.0f,
+                                         frame.scan.intensity[ray]}});
+                  });
     return result;
 }
 
