@@ -1,11 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes the class map of a log, and finds the class of a point. Each labelled return
+// gives one vote to the class of the world grid cell that contains it.
 #include <relidar/log/classes.hpp>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <unordered_set>
 
+#include <relidar/log/sequence.hpp>
+
 #include "base/geometry/cell_key.hpp"
+#include "base/geometry/cell_numbers.hpp"
 #include "base/geometry/nearest_place.hpp"
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -46,6 +54,68 @@ SurfaceClass SurfaceClassLookup::find_class(const glm::dvec3& point_m) const {
     if (!std::isfinite(point.x + point.y + point.z)) return SurfaceClass::unknown;
     const auto [cell, squared_m] = impl_->centres.nearest(point);
     return squared_m <= kClassReach_m * kClassReach_m ? impl_->classes[cell] : SurfaceClass::unknown;
+}
+
+namespace {
+
+/// Returns the world grid cell and the class of each labelled return outside of moving
+/// boxes.
+std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack& world_from_sensor,
+                                            const std::vector<BoxTrack>& moving_boxes, const Frame& frame) {
+    const Scan& scan = frame.scan;
+    std::vector<SurfaceClassCell> votes;
+    for (std::size_t ray = 0; ray < scan.classes.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        const WorldRay world =
+            make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
+        const glm::dvec3 point_m =
+            world.origin_m + double(surface_return(sequence, frame, ray).range_m) * world.direction;
+        const double time_s =
+            frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
+        if (is_in_moving_box(moving_boxes, point_m, time_s, kMoverMargin_m)) continue;
+        votes.push_back({glm::ivec3(glm::floor(point_m / kClassCell_m)), scan.classes[ray]});
+    }
+    return votes;
+}
+
+}  // namespace
+
+SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
+                            const std::vector<BoxTrack>& boxes, const std::vector<int>& frame_indices) {
+    std::vector<PoseTrack> world_from_sensor;
+    for (const Lidar& lidar : sequence.lidars)
+        world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
+    std::vector<BoxTrack> moving = boxes;
+    std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
+    std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
+    parallel_for(int(frame_indices.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
+        votes_of_frame[std::size_t(index)] =
+            collect_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
+    });
+    std::vector<SurfaceClassCell> votes;
+    for (std::vector<SurfaceClassCell>& some : votes_of_frame) {
+        votes.insert(votes.end(), some.begin(), some.end());
+        some = {};
+    }
+    const ItemCellIndices cells = number_cells(
+        votes.size(), [&](std::size_t vote) { return grid_key(glm::dvec3(votes[vote].grid_index), 1.0); });
+    SurfaceClassMap map(cells.n_cells);
+    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
+    for (std::size_t i = 0; i < votes.size(); ++i) {
+        map[cells.of[i]].grid_index = votes[i].grid_index;
+        ++counts[cells.of[i]][std::size_t(votes[i].surface)];
+    }
+    // A cell has the class with most votes. In a tie, the class with the higher number
+    // wins.
+    for (std::size_t cell = 0; cell < map.size(); ++cell) {
+        const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class = counts[cell];
+        std::size_t best = 0;
+        for (std::size_t k = 1; k < votes_per_class.size(); ++k)
+            if (votes_per_class[k] >= votes_per_class[best] && votes_per_class[k] > 0) best = k;
+        map[cell].surface = SurfaceClass(best);
+    }
+    return map;
 }
 
 }  // namespace relidar

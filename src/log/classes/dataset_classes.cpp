@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 #include <vector>
 
 namespace relidar {
@@ -12,12 +13,6 @@ namespace {
 struct ClassNumbers {
     SurfaceClass surface;
     std::vector<int> numbers;
-};
-
-/// First characters of a class name in a dataset, and the matching class of relidar.
-struct ClassPrefixMapping {
-    std::string_view prefix;
-    SurfaceClass surface;
 };
 
 SurfaceClass find_by_number(const std::vector<ClassNumbers>& classes, int number) {
@@ -62,7 +57,7 @@ int to_semantic_kitti(SurfaceClass surface) {
 SurfaceClass from_nuscenes(std::string_view category) {
     using enum SurfaceClass;
     // the first row whose prefix matches
-    static constexpr ClassPrefixMapping kClasses[] = {
+    static constexpr std::pair<std::string_view, SurfaceClass> kClasses[] = {
         {"vehicle.ego", unknown},
         {"vehicle.bicycle", cyclist},
         {"vehicle.motorcycle", cyclist},
@@ -78,9 +73,9 @@ SurfaceClass from_nuscenes(std::string_view category) {
         {"static", object},
         {"movable_object.", object},
     };
-    const auto* row = std::ranges::find_if(
-        kClasses, [&](const ClassPrefixMapping& named) { return category.starts_with(named.prefix); });
-    return row == std::end(kClasses) ? unknown : row->surface;
+    for (const auto& [prefix, surface] : kClasses)
+        if (category.starts_with(prefix)) return surface;
+    return unknown;
 }
 
 SurfaceClass from_waymo(int class_number) {
