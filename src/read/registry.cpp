@@ -15,7 +15,6 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"
-#include "log/checks/box_conventions.hpp"
 #include "log/checks/checks.hpp"
 #include "read/bag/load_ros_bag.hpp"
 #include "read/files/other_formats.hpp"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the points in labelled boxes with the points in boxes that are moved up,
 // turned, or mirrored. Points near the ground do not count.
-#include "log/checks/box_conventions.hpp"
+#include "log/checks/checks.hpp"
 
 #include <algorithm>
 #include <array>

@@ -49,10 +49,14 @@ public:
     FaultReport(const Check& check, const Log& sequence, Notes& notes)
         : check_(check), sequence_(sequence), notes_(notes) {}
 
-    /// Adds a note, or throws DataError if the fault is an error.
-    /// @param lidar  index of the LiDAR that has the fault; -1: the log
+    /// Adds a note about the log, or throws DataError if the fault is an error.
     template <class... Values>
-    void add(int lidar, const Values&... values) const {
+    void add(const Values&... values) const {
+        add_for(-1, values...);
+    }
+    /// Adds a note about one LiDAR.
+    template <class... Values>
+    void add_for(int lidar, const Values&... values) const {
         std::string text = fmt::format(fmt::runtime(check_.text), values...);
         if (check_.is_error) fail("{}: {}", sequence_.name, text);
         const std::string name = lidar < 0 ? "" : sequence_.lidars[std::size_t(lidar)].name;
@@ -65,10 +69,16 @@ private:
     Notes& notes_;
 };
 
-Test test_frames, test_lidar_names, test_frame_numbers, test_frame_times, test_clock_jump, test_poses,
-    test_array_sizes, test_rays, test_box_sizes, test_box_times, test_box_places;
-Test test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_returns, test_rotation,
-    test_equal_intensities, test_dark, test_saturated, test_box_convention;
+Test test_clock_jump, test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_returns,
+    test_rotation, test_equal_intensities, test_dark, test_saturated, test_box_convention;
+
+/// Removes boxes around a LiDAR or the vehicle's origin, with a note. Trackers and
+/// simulators label the recording vehicle itself.
+void remove_ego_boxes(Log& sequence);
+
+/// Returns the probable fault of the boxes, or an empty text. Compares the points in the
+/// boxes with the points in boxes of other conventions.
+std::string describe_fault(const Log& sequence);
 
 /// Adds a note for each fault that a log probably has, such as wrong units or incomplete
 /// scans. check_sequence() throws if a fault makes the log unusable.

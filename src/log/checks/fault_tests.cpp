@@ -9,7 +9,6 @@
 #include <relidar/base/float_step.hpp>
 
 #include "base/median.hpp"
-#include "log/checks/box_conventions.hpp"
 #include "log/checks/checks.hpp"
 #include "log/sequence/match_sweeps.hpp"
 
@@ -104,12 +103,12 @@ bool are_intensities_equal(const CheckedLog& log) {
 
 void test_clock_jump(const CheckedLog& log, const FaultReport& report) {
     if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0 && gaps.longest_s > kMaxGap_s)
-        report.add(-1, gaps.after, gaps.longest_s, gaps.before, kMaxGap_s, gaps.usual_s);
+        report.add(gaps.after, gaps.longest_s, gaps.before, kMaxGap_s, gaps.usual_s);
 }
 
 void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
     if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0)
-        report.add(-1, gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
+        report.add(gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
 }
 
 /// Finds a unit in which the median step between frames is about one sweep, if the
@@ -126,7 +125,7 @@ void test_time_unit(const CheckedLog& log, const FaultReport& report) {
         // milliseconds is lower.
         if (n_sweeps < kMinSweeps || n_sweeps > (per_second > 1000.0 ? kMaxSweepsOfLongSteps : kMaxSweeps))
             continue;
-        return report.add(-1, step_s, sweep_s, unit);
+        return report.add(step_s, sweep_s, unit);
     }
 }
 
@@ -147,7 +146,7 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
         fastest = k;
     }
     if (n_too_fast > 0)
-        report.add(-1, kMaxSpeed_mps, n_too_fast, pose.size() - 1, fastest_mps,
+        report.add(kMaxSpeed_mps, n_too_fast, pose.size() - 1, fastest_mps,
                    find_frame_number(log.sequence, time_s[fastest - 1]),
                    find_frame_number(log.sequence, time_s[fastest]));
 }
@@ -168,7 +167,7 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
             different_m.insert(std::round(n_steps) * step_m);
         }
         if (is_rounded && different_m.size() >= kMinCoordinates)
-            return report.add(-1, axis == 0 ? "x" : "y", step_m, *different_m.rbegin());
+            return report.add(axis == 0 ? "x" : "y", step_m, *different_m.rbegin());
     }
 }
 
@@ -198,25 +197,26 @@ void test_few_returns(const CheckedLog& log, const FaultReport& report) {
             usual_of_worst = usual;
         }
         if (n_small > 0)
-            report.add(int(l), n_small, n_returns.size(), numbers[worst], n_returns[worst], usual_of_worst);
+            report.add_for(int(l), n_small, n_returns.size(), numbers[worst], n_returns[worst],
+                           usual_of_worst);
     }
 }
 
 void test_equal_intensities(const CheckedLog& log, const FaultReport& report) {
-    if (are_intensities_equal(log)) report.add(-1, add_scans(log, -1).highest);
+    if (are_intensities_equal(log)) report.add(add_scans(log, -1).highest);
 }
 
 void test_dark(const CheckedLog& log, const FaultReport& report) {
     for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l)
         if (const float highest = add_scans(log, l).highest; highest >= 0.0f && highest < kMinBrightest)
-            report.add(l, highest);
+            report.add_for(l, highest);
 }
 
 void test_saturated(const CheckedLog& log, const FaultReport& report) {
     for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l) {
         const ReturnStatistics sum = add_scans(log, l);
         const double share = double(sum.n_at_maximum) / double(std::max<std::size_t>(sum.n_returns, 1));
-        if (share > kMaxSaturatedShare) report.add(l, 100.0 * share);
+        if (share > kMaxSaturatedShare) report.add_for(l, 100.0 * share);
     }
 }
 
@@ -245,13 +245,13 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
             for (std::size_t k = 0; k < 2; ++k) fit[k] += std::abs(sums[k]) / double(log.scans[i].n_returns);
         }
         if (n_scans > 0 && fit[1] >= kMinFit * n_scans && fit[0] <= kMaxMisfit * n_scans)
-            report.add(int(l), lidar.sensor.clockwise ? "counterclockwise" : "clockwise",
-                       lidar.sensor.clockwise ? "clockwise" : "counterclockwise");
+            report.add_for(int(l), lidar.sensor.clockwise ? "counterclockwise" : "clockwise",
+                           lidar.sensor.clockwise ? "clockwise" : "counterclockwise");
     }
 }
 
 void test_box_convention(const CheckedLog& log, const FaultReport& report) {
-    if (const std::string fault = checks::describe_fault(log.sequence); !fault.empty()) report.add(-1, fault);
+    if (const std::string fault = checks::describe_fault(log.sequence); !fault.empty()) report.add(fault);
 }
 
 }  // namespace relidar::checks

@@ -6,7 +6,6 @@
 
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
-#include "log/checks/box_conventions.hpp"
 #include "log/checks/checks.hpp"
 #include "read/scans/pose_conventions.hpp"
 #include "support/names.hpp"
@@ -16,7 +15,7 @@ namespace {
 
 const float kNan = std::numeric_limits<float>::quiet_NaN();
 
-const Log& make_good_sequence() {
+const Log& good_log() {
     static const Log log = make_street_log({.n_frames = 3, .rows = 4, .columns = 32});
     return log;
 }
@@ -28,7 +27,7 @@ std::size_t returned(const Scan& scan) {
 }
 
 TEST(CheckSequence, GoodLogsPass) {
-    Log log = make_good_sequence();
+    Log log = good_log();
     EXPECT_NO_THROW(check_sequence(log));
     Scan& scan = log.frames[1].scan;
     scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
@@ -38,7 +37,7 @@ TEST(CheckSequence, GoodLogsPass) {
 
 void expect_errors(const std::vector<std::pair<std::function<void(Log&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
-        Log log = make_good_sequence();
+        Log log = good_log();
         damage(log);
         EXPECT_THAT([&] { check_sequence(log); }, testing::ThrowsMessage<DataError>(test::Names(expected)));
     }
@@ -75,11 +74,9 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
 TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
     PoseTrack backward, forward;
     for (int i = 0; i < 8; ++i) {
-        backward.time_s.push_back(0.2 * i);
-        backward.pose.push_back({{0, 0, 0, 1}, {1.5 * i, 0, 0}});  // faces -x
-        forward.pose.push_back({{1, 0, 0, 0}, {1.5 * i, 0, 0}});
+        backward.append(0.2 * i, {{0, 0, 0, 1}, {1.5 * i, 0, 0}});  // faces -x
+        forward.append(0.2 * i, {{1, 0, 0, 0}, {1.5 * i, 0, 0}});
     }
-    forward.time_s = backward.time_s;
     Notes notes;
     EXPECT_EQ(read::choose_poses({{read::kScalarFirst, backward}, {read::kScalarLast, forward}}, nullptr,
                                  "poses", notes),
@@ -165,27 +162,24 @@ TEST(CheckGaps, AJumpOfTheClockIsAnError) {
 
 using Change = std::function<void(Log&)>;
 
-const Log& make_log() {
+const Log& five_frames() {
     static const Log log = make_street_log({.n_frames = 5, .rows = 8, .columns = 128});
     return log;
 }
 
-void expect_no_fault(const Change& change, Log log = make_log()) {
+Notes notes_after(const Change& change, Log log = five_frames()) {
     log.notes.clear();
     change(log);
     checks::note_faults(log);
-    EXPECT_EQ(log.notes, Notes());
+    return log.notes;
 }
 
 /// @param values  what the note names, as in test::Names()
 void expect_fault(const std::string& id, const std::string& values, const Change& change) {
-    Log log = make_log();
-    log.notes.clear();
-    change(log);
-    checks::note_faults(log);
-    ASSERT_EQ(log.notes.size(), 1u) << id << "\n" << test::join_lines(log.notes);
-    EXPECT_EQ(log.notes[0].id, id);
-    EXPECT_THAT(log.notes[0], test::Names(values));
+    const Notes notes = notes_after(change);
+    ASSERT_EQ(notes.size(), 1u) << id << "\n" << test::join_lines(notes);
+    EXPECT_EQ(notes[0].id, id);
+    EXPECT_THAT(notes[0], test::Names(values));
 }
 
 Change scale_times(double factor) {
@@ -245,19 +239,22 @@ TEST(ImplausibleValues, AreReported) {
 }
 
 TEST(ImplausibleValues, GoodLogsGetNoNote) {
-    expect_no_fault([](Log&) {});
-    expect_no_fault([](Log& log) {
+    const auto expect_none = [](const Change& change, const Log& log = five_frames()) {
+        EXPECT_EQ(notes_after(change, log), Notes());
+    };
+    expect_none([](Log&) {});
+    expect_none([](Log& log) {
         log.world_from_vehicle.pose[2].translation.y += 30.0;
         log.has_poses = false;
     });
     // Scans that were not read are no incomplete scans.
-    expect_no_fault([](Log& log) { log.frames[1].scan = log.frames[3].scan = {}; });
+    expect_none([](Log& log) { log.frames[1].scan = log.frames[3].scan = {}; });
     // A scan every minute, and every fifth scan of a log
-    expect_no_fault(scale_times(600.0));
-    expect_no_fault(scale_times(5.0));
-    expect_no_fault(move_to_map(false));
+    expect_none(scale_times(600.0));
+    expect_none(scale_times(5.0));
+    expect_none(move_to_map(false));
     // A vehicle that leaves a tunnel: the LiDAR gets fewer returns from scan to scan.
-    expect_no_fault(
+    expect_none(
         [](Log& log) {
             for (std::size_t i = 0; i < log.frames.size(); ++i)
                 for (std::size_t ray = 0; ray < log.frames[i].scan.range_m.size(); ++ray)
@@ -281,15 +278,18 @@ void swap_length_and_width(BoxTrack& box, Pose& pose) {
     if (&pose == &box.world_from_box.pose.front()) std::swap(box.size_m.x, box.size_m.y);
 }
 
-TEST(BoxConventions, RightBoxesHaveNoFault) {
+TEST(BoxConventions, BottomCentresAndMirroredBoxesAreRecognised) {
     EXPECT_EQ(describe_fault_after([](BoxTrack&, Pose&) {}), "");
-}
-
-TEST(BoxConventions, BottomCentresAreRecognised) {
     EXPECT_THAT(describe_fault_after([](BoxTrack& box, Pose& pose) {
                     pose.translation -= pose.rotation * glm::dvec3(0, 0, 0.5 * box.size_m.z);
                 }),
                 HasSubstr("bottom"));
+    EXPECT_THAT(describe_fault_after([](BoxTrack&, Pose& pose) {
+                    const glm::dquat q = pose.rotation;
+                    pose.translation.y = -pose.translation.y;
+                    pose.rotation = glm::dquat(q.w, -q.x, q.y, -q.z);
+                }),
+                HasSubstr("sign"));
 }
 
 TEST(BoxConventions, SwappedSidesAndTurnedBoxesAreRecognised) {
@@ -304,15 +304,6 @@ TEST(BoxConventions, SwappedSidesAndTurnedBoxesAreRecognised) {
                   swap_length_and_width(box, pose);
               }),
               "");
-}
-
-TEST(BoxConventions, MirroredBoxesAreRecognised) {
-    EXPECT_THAT(describe_fault_after([](BoxTrack&, Pose& pose) {
-                    pose.translation.y = -pose.translation.y;
-                    pose.rotation =
-                        glm::dquat(pose.rotation.w, -pose.rotation.x, pose.rotation.y, -pose.rotation.z);
-                }),
-                HasSubstr("sign"));
 }
 
 TEST(BoxConventions, TheBoxOfTheRecordingVehicleIsLeftOut) {

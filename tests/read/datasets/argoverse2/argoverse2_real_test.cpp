@@ -12,7 +12,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
-#include "log/checks/box_conventions.hpp"
+#include "log/checks/checks.hpp"
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 
