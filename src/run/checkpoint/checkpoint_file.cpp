@@ -21,36 +21,28 @@ constexpr const char* kCheckpointFormat = "relidar checkpoint";
 constexpr const char* kCheckpointVersion = "1";
 constexpr const char* kChecksumKey = "crc32";
 
-class Crc32 {
-public:
-    void update_crc(const void* bytes, std::size_t n_bytes) {
-        // zlib restarts the checksum if the pointer is null
-        if (n_bytes > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n_bytes);
-    }
-    // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
-    // different checksums.
-    void add_text(const std::string& text) { update_crc(text.c_str(), text.size() + 1); }
-    std::string hex() const { return fmt::format("{:08x}", crc_); }
-
-private:
-    uLong crc_ = ::crc32_z(0, nullptr, 0);
-};
-
 /// Returns the CRC-32 of all metadata and arrays, in hexadecimal digits.
 std::string checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
-    Crc32 crc;
+    uLong crc = ::crc32_z(0, nullptr, 0);
+    const auto add_bytes = [&](const void* bytes, std::size_t n_bytes) {
+        // zlib restarts the checksum if the pointer is null
+        if (n_bytes > 0) crc = ::crc32_z(crc, static_cast<const Bytef*>(bytes), n_bytes);
+    };
+    // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
+    // different checksums.
+    const auto add_text = [&](const std::string& text) { add_bytes(text.c_str(), text.size() + 1); };
     for (const auto& [key, value] : metadata) {
         if (key == kChecksumKey) continue;
-        crc.add_text(key);
-        crc.add_text(value);
+        add_text(key);
+        add_text(value);
     }
     for (const NamedArray& array : arrays) {
-        crc.add_text(array.name);
-        crc.add_text(array.dtype);
-        crc.add_text(fmt::format("{}", fmt::join(array.shape, ",")));
-        crc.update_crc(array.bytes.data(), array.bytes.size());
+        add_text(array.name);
+        add_text(array.dtype);
+        add_text(fmt::format("{}", fmt::join(array.shape, ",")));
+        add_bytes(array.bytes.data(), array.bytes.size());
     }
-    return crc.hex();
+    return fmt::format("{:08x}", crc);
 }
 
 /// Removes an entry from the metadata and returns its value. Used for entries of the file
@@ -68,11 +60,11 @@ void check_equal(const std::string& what, const std::string& found, const std::s
     if (found != expected) fail("{}: found \"{}\", expected \"{}\"", what, quote(found), expected);
 }
 
-int parse_iteration(const std::string& text) {
+/// Parses an integer of at least 0. Returns nothing for other texts.
+std::optional<int> parse_iteration(std::string_view text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
-    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
-        fail("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0", quote(text));
+    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0) return std::nullopt;
     return iteration;
 }
 
@@ -87,8 +79,11 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     const std::string computed_checksum = checksum(metadata, arrays);
     check_equal("checksum of the metadata and arrays", computed_checksum, pop_value(metadata, kChecksumKey));
     for (const char* key : {"format", "version", "relidar"}) pop_value(metadata, key);
-    const int iteration = parse_iteration(pop_value(metadata, "iteration"));
-    Checkpoint checkpoint{iteration, std::move(metadata), std::move(arrays)};
+    const std::string text = pop_value(metadata, "iteration");
+    const std::optional<int> iteration = parse_iteration(text);
+    if (!iteration)
+        fail("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0", quote(text));
+    Checkpoint checkpoint{*iteration, std::move(metadata), std::move(arrays)};
     check_finite_arrays(checkpoint);
     return checkpoint;
 }
@@ -96,13 +91,9 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
 /// Returns the iteration number in the name of a checkpoint file, or nothing if the file
 /// is not a checkpoint.
 std::optional<int> iteration_of_file(const std::filesystem::path& path) {
-    const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
-    if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
-        return std::nullopt;
-    int iteration = 0;
-    const char* last = name.data() + name.size() - end.size();
-    const auto [stop, error] = std::from_chars(name.data() + start.size(), last, iteration);
-    return error == std::errc() && stop == last && iteration >= 0 ? std::optional(iteration) : std::nullopt;
+    const std::string name = path.stem().string(), start = "iteration_";
+    if (path.extension() != ".safetensors" || !name.starts_with(start)) return std::nullopt;
+    return parse_iteration(name.substr(start.size()));
 }
 
 }  // namespace
@@ -131,12 +122,9 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     std::vector<std::filesystem::path> paths;
     // The error of a missing folder is ignored: it has no checkpoints.
     std::error_code failed;
-    for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
+    for (const auto& entry : std::filesystem::directory_iterator(folder, failed))
         if (iteration_of_file(entry.path())) paths.push_back(entry.path());
-    }
-    std::sort(paths.begin(), paths.end(), [](const auto& first, const auto& second) {
-        return *iteration_of_file(first) < *iteration_of_file(second);
-    });
+    std::ranges::sort(paths, {}, iteration_of_file);
     return paths;
 }
 

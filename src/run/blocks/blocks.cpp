@@ -1,0 +1,279 @@
+// SPDX-License-Identifier: Apache-2.0
+// Divides a log into blocks, which are trained separately, and joins the trained blocks.
+// A surfel belongs to the block whose sweeps are nearest.
+#include <relidar/run/blocks.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include <fmt/ranges.h>
+
+#include "base/fail.hpp"
+#include "base/geometry/nearest_place.hpp"
+#include "base/list_text.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Farther boxes have hardly any returns.
+constexpr double kMaxBoxDistance_m = 100.0;
+// A frame counts for an actor up to this distance, because farther boxes have few
+// returns.
+constexpr double kMaxActorDistance_m = 60.0;
+
+/// @return [frames] metres, world frame
+std::vector<glm::dvec3> list_positions(const Log& sequence) {
+    std::vector<glm::dvec3> positions_m;
+    for (const Frame& frame : sequence.frames)
+        positions_m.push_back(sequence.world_from_vehicle.pose_at(frame.time_s).translation);
+    return positions_m;
+}
+
+/// Returns true if the box exists at the time of the frame within `max_distance_m` of the
+/// vehicle.
+bool is_near_box(const BoxTrack& box, const Log& sequence, int frame_index, double max_distance_m) {
+    const double time_s = sequence.frames[std::size_t(frame_index)].time_s;
+    return box.is_observed(time_s) &&
+           glm::distance(box.world_from_box.pose_at(time_s).translation,
+                         sequence.world_from_vehicle.pose_at(time_s).translation) <= max_distance_m;
+}
+
+/// Divides the route into sections of equal length, and returns the sweeps in each
+/// section as a block. Sections without sweeps are left out.
+std::vector<TrajectoryBlock> divide_route(const std::vector<double>& distances_m, double length_m) {
+    const double driven_length_m = distances_m.back();
+    const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
+    std::vector<TrajectoryBlock> blocks;
+    for (std::size_t i = 0; i < distances_m.size(); ++i) {
+        const double k =
+            driven_length_m > 0.0 ? std::min(n - 1.0, std::floor(distances_m[i] / driven_length_m * n)) : 0.0;
+        const double begin_m = driven_length_m * k / n;
+        if (blocks.empty() || blocks.back().begin_m < begin_m)
+            blocks.push_back({begin_m, driven_length_m * (k + 1.0) / n, {}, {}});
+        blocks.back().recorded_frames.push_back(static_cast<int>(i));
+    }
+    return blocks;
+}
+
+}  // namespace
+
+std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, const BlockConfig& options) {
+    const std::vector<glm::dvec3> places_m = list_positions(log);
+    std::vector<double> driven_m(places_m.size(), 0.0);
+    for (std::size_t i = 1; i < places_m.size(); ++i)
+        driven_m[i] = driven_m[i - 1] + glm::distance(places_m[i - 1], places_m[i]);
+    std::vector<TrajectoryBlock> blocks = divide_route(driven_m, options.length_m);
+    // A block is trained on all training frames within halo_m of its recorded frames.
+    for (TrajectoryBlock& block : blocks) {
+        for (const int frame : split.train)
+            if (std::ranges::any_of(block.recorded_frames, [&](int recorded) {
+                    return glm::distance(places_m[std::size_t(frame)], places_m[std::size_t(recorded)]) <=
+                           options.halo_m;
+                }))
+                block.train.push_back(frame);
+        if (block.train.empty())
+            fail(
+                "cannot divide {} into blocks: within {:g} m of the block that covers metres {:.0f} to "
+                "{:.0f} of the trajectory, no frame is used for training; hold out fewer frames there "
+                "(settings dataset.test_every and dataset.test_frames)",
+                log.name, options.halo_m, block.begin_m, block.end_m);
+    }
+    return blocks;
+}
+
+/// Keeps the background surfels whose nearest sweep belongs to the block, in kd-tree
+/// order. Actors keep all surfels.
+void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
+                        std::size_t index) {
+    std::vector<bool> is_block_frame(log.frames.size(), false);
+    for (const int position : blocks[index].recorded_frames) is_block_frame[std::size_t(position)] = true;
+    const NearestPointFinder<double> nearest(list_positions(log));
+    const std::uint32_t n = scene.models.front().count;
+    std::vector<glm::vec3> means;
+    std::vector<std::uint32_t> remaining_surfels, order;
+    for (std::uint32_t i = 0; i < n; ++i) {
+        if (!is_block_frame[nearest.nearest_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
+        remaining_surfels.push_back(i);
+        means.push_back(scene.surfels.mean[i]);
+    }
+    for (const std::uint32_t i : kd_tree_order(means)) order.push_back(remaining_surfels[i]);
+    for (std::uint32_t i = n; i < scene.surfels.size(); ++i) order.push_back(i);
+    scene.surfels = scene.surfels.reorder(order);
+    const auto n_removed = static_cast<std::uint32_t>(n - remaining_surfels.size());
+    scene.models.front().count -= n_removed;
+    for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= n_removed;
+}
+
+namespace {
+
+/// Returns the vehicle poses at the times of some frames, and the poses directly before
+/// and after each. These are needed to interpolate the motion during a sweep.
+PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) {
+    const PoseTrack& all = sequence.world_from_vehicle;
+    std::vector<bool> is_used(all.time_s.size(), false);
+    for (const int position : frame_indices) {
+        const double time_s = sequence.frames[std::size_t(position)].time_s;
+        const auto at =
+            std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
+        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, is_used.size() - 1); ++i)
+            is_used[i] = true;
+    }
+    PoseTrack track;
+    for (std::size_t i = 0; i < is_used.size(); ++i)
+        if (is_used[i]) track.append(all.time_s[i], all.pose[i]);
+    return track;
+}
+
+/// Removes actors without a box in this part of the log from options.actor_tracks, the
+/// user's list. If none remains, also clears options.actor_classes, because with an empty
+/// list the classes would select actors.
+void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxes) {
+    if (options.actor_tracks.empty()) return;
+    std::vector<std::string> remaining_tracks;
+    for (const std::string& track : split_list(options.actor_tracks))
+        if (std::ranges::find(boxes, track, &BoxTrack::id) != boxes.end()) remaining_tracks.push_back(track);
+    options.actor_tracks = fmt::format("{}", fmt::join(remaining_tracks, ","));
+    if (remaining_tracks.empty()) options.actor_classes.clear();
+}
+
+}  // namespace
+
+/// Returns the part of the log that a block needs: its training frames, its held-out
+/// frames, and the poses and boxes near them.
+BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
+                         const Config& config) {
+    // in the order of the log
+    std::vector<int> frames = block.train;
+    for (const int position : block.recorded_frames)
+        if (std::ranges::find(split.test, position) != split.test.end()) frames.push_back(position);
+    std::ranges::sort(frames);
+    BlockTrainingLog log{strip_frames(sequence), {}, config};
+    Log& part = log.sequence;
+    part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
+    part.world_from_vehicle = cut_track(sequence, frames);
+    part.boxes.clear();
+    for (const int position : frames) {
+        const bool trains = std::ranges::binary_search(block.train, position);
+        (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));
+        part.frames.push_back(sequence.frames[std::size_t(position)]);
+    }
+    for (const BoxTrack& box : sequence.boxes)
+        if (std::ranges::any_of(frames, [&](int position) {
+                return is_near_box(box, sequence, position, kMaxBoxDistance_m);
+            }))
+            part.boxes.push_back(box);
+    log.config.blocks.length_m = 0.0;
+    drop_missing_tracks(log.config.init, part.boxes);
+    return log;
+}
+
+namespace {
+
+/// Returns the number of background surfels of a block and their bounding box. A surfel
+/// extends to three standard deviations.
+SceneBlock make_block(const Scene& scene, const fs::path& model_file) {
+    SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
+    for (std::uint32_t i = 0; i < block.count; ++i) {
+        const glm::vec2 log_scale = scene.surfels.log_scale[i];
+        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y))),
+            mean = scene.surfels.mean[i];
+        block.low_m = i == 0 ? mean - reach : glm::min(block.low_m, mean - reach);
+        block.high_m = i == 0 ? mean + reach : glm::max(block.high_m, mean + reach);
+    }
+    return block;
+}
+
+/// Adds the drop table of a block, weighted by the number of its training frames.
+void add_drop_table(RayDropTable& sum, const RayDropTable& table, std::size_t n_training_frames) {
+    if (sum.empty()) sum = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
+    for (std::size_t i = 0; i < sum.probability.size(); ++i)
+        sum.probability[i] += float(n_training_frames) * table.probability[i];
+}
+
+/// If several blocks have trained the same actor, the model with the most sightings is
+/// used: training frames in which the actor is near the sensor.
+struct ActorModelCandidate {
+    std::size_t sightings = 0;
+    SurfelModel model;
+    Surfels surfels;
+    BoxTrack box;
+};
+
+/// Adds the actors of a block to `best_actors`. If another block has trained the same
+/// actor, keeps the model with more training frames near this actor.
+void keep_best_models(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
+                      std::map<std::string, ActorModelCandidate>& best_actors) {
+    for (const ModelInstance& instance : block_run.scene.instances) {
+        if (instance.track.empty()) continue;
+        const BoxTrack* box = find_box(block_run.sequence, instance.track);
+        if (!box)
+            fail(
+                "{}: the trained scene has an actor with the track id \"{}\", but the log has no box with "
+                "this track id; expected the log that was used for training",
+                block_run.folder.string(), instance.track);
+        const auto sightings = std::size_t(std::ranges::count_if(block.train, [&](int position) {
+            return is_near_box(*box, full_sequence, position, kMaxActorDistance_m);
+        }));
+        ActorModelCandidate& candidate = best_actors[instance.track];
+        if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
+        const SurfelModel& model = block_run.scene.models[instance.model];
+        candidate = {sightings, model, block_run.scene.surfels.slice(model.first, model.count), *box};
+    }
+}
+
+/// Copies the vehicle poses at the sweeps of a block to the track of the full log.
+void copy_poses(const Run& part, const Log& log, const TrajectoryBlock& block, PoseTrack& track) {
+    for (const int position : block.recorded_frames) {
+        const double time_s = log.frames[std::size_t(position)].time_s;
+        const PoseTrack& part_track = part.sequence.world_from_vehicle;
+        const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
+        const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
+        // Skips frames without a pose at exactly this time.
+        if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
+            continue;
+        track.pose[std::size_t(to - track.time_s.begin())] =
+            part_track.pose[std::size_t(from - part_track.time_s.begin())];
+    }
+}
+
+}  // namespace
+
+void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std::vector<fs::path>& folders) {
+    Scene scene = wrap_background({});
+    std::size_t n_frames_with_drops = 0;
+    std::map<std::string, ActorModelCandidate> actors;
+    PoseTrack poses = run.sequence.world_from_vehicle;
+    for (std::size_t k = 0; k < blocks.size(); ++k) {
+        const Run part = load_run(folders[k]);
+        scene.blocks.push_back(make_block(part.scene, folders[k] / kModelFile));
+        if (!part.scene.sensor_drop.empty()) {
+            add_drop_table(scene.sensor_drop, part.scene.sensor_drop, blocks[k].train.size());
+            n_frames_with_drops += blocks[k].train.size();
+        }
+        keep_best_models(part, run.sequence, blocks[k], actors);
+        copy_poses(part, run.sequence, blocks[k], poses);
+        run.coverage.merge(part.coverage);
+        merge_class_map(run.classes, part.classes);
+        if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
+    }
+    for (float& p : scene.sensor_drop.probability) p /= float(n_frames_with_drops);
+    run.sequence.world_from_vehicle = std::move(poses);
+    // Adds the actors in the order of the log's boxes. A scene that is trained without
+    // blocks has the same order.
+    for (BoxTrack& box : run.sequence.boxes) {
+        const auto entry = actors.find(box.id);
+        if (entry == actors.end()) continue;
+        ActorModelCandidate& actor = entry->second;
+        actor.model.first = static_cast<std::uint32_t>(scene.surfels.size());
+        scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
+        scene.models.push_back(actor.model);
+        scene.surfels.append_surfels(actor.surfels);
+        box = std::move(actor.box);
+    }
+    run.scene = std::move(scene);
+}
+
+}  // namespace relidar
