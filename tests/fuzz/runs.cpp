@@ -3,10 +3,8 @@
 
 #include <cstdlib>
 
-#include "run/files/coverage_file.hpp"
 #include "run/files/example_run.hpp"
-#include "run/files/scatter_file.hpp"
-#include "run/files/sweeps_file.hpp"
+#include "run/files/run_files.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -11,7 +11,6 @@ namespace relidar {
 namespace {
 
 constexpr const char* kNetworkFormat = "relidar drop network";
-constexpr const char* kNetworkVersion = "1";
 
 void read_architecture(const JsonField& architecture, RayDropNetwork& network) {
     network.image = architecture.at("image").text();
@@ -44,22 +43,21 @@ void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& 
         path,
         {make_vector_array("normalisation", network.normalisation),
          make_vector_array("parameters", network.parameters), make_vector_array("running", network.running)},
-        kNetworkFormat, kNetworkVersion, {{"shape", shape.dump()}});
+        kNetworkFormat, {{"shape", shape.dump()}});
 }
 
 RayDropNetwork load_drop_network(const std::filesystem::path& path) {
-    files::ArrayFile file(path, kNetworkFormat, kNetworkVersion);
+    files::ArrayFile file(path, kNetworkFormat);
     RayDropNetwork network;
     const std::string where = file.path + ": metadata shape";
     const nlohmann::json shape = parse_json(file.metadata["shape"], where);
     read_architecture(JsonField(shape, where, ""), network);
-    const auto read = [&](const char* name, std::vector<float>& values) {
+    for (const auto& [name, values] : {std::pair("normalisation", &network.normalisation),
+                                       {"parameters", &network.parameters},
+                                       {"running", &network.running}}) {
         const std::vector<double> numbers = file.find_numbers(name, "f4");
-        values.assign(numbers.begin(), numbers.end());
-    };
-    read("normalisation", network.normalisation);
-    read("parameters", network.parameters);
-    read("running", network.running);
+        values->assign(numbers.begin(), numbers.end());
+    }
     return network;
 }
 

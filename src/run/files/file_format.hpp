@@ -17,6 +17,7 @@
 namespace relidar::files {
 
 inline constexpr auto kAnyLength = static_cast<std::size_t>(-1);
+inline constexpr const char* kFileVersion = "1";
 
 struct ArrayFile {
     std::string path;
@@ -24,18 +25,15 @@ struct ArrayFile {
     std::vector<NamedArray> arrays;
 
     /// Reads a safetensors file. Throws if its metadata name another format or version.
-    ArrayFile(const std::filesystem::path& file, const std::string& format, const std::string& version)
+    ArrayFile(const std::filesystem::path& file, const std::string& format)
         : path(file.string()), arrays(read_safetensors(file, &metadata)) {
         if (metadata["format"] != format)
-            fail(
-                "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a "
-                "file that relidar has written",
-                path, metadata["format"], format);
-        if (metadata["version"] != version)
+            fail("{}: metadata \"format\": found \"{}\", expected \"{}\"", path, metadata["format"], format);
+        if (metadata["version"] != kFileVersion)
             fail(
                 "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "
                 "again",
-                path, metadata["version"], RELIDAR_VERSION, version);
+                path, metadata["version"], RELIDAR_VERSION, kFileVersion);
     }
     /// @param shape  kAnyLength for a dimension of any length
     /// @throws DataError if the array is missing or has another type or shape
@@ -63,9 +61,8 @@ struct ArrayFile {
 };
 
 inline void write_array_file(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
-                             const std::string& format, const std::string& version,
-                             std::map<std::string, std::string> metadata = {}) {
-    metadata.insert({{"format", format}, {"version", version}, {"relidar", RELIDAR_VERSION}});
+                             const std::string& format, std::map<std::string, std::string> metadata = {}) {
+    metadata.insert({{"format", format}, {"version", kFileVersion}, {"relidar", RELIDAR_VERSION}});
     write_safetensors(path, arrays, metadata);
 }
 

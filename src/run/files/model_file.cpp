@@ -8,23 +8,23 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <numeric>
 #include <span>
 
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/scene/device_scene.hpp>
-#include "base/fail.hpp"
-#include "base/files.hpp"
-#include "base/json_field.hpp"
 
+#include "base/fail.hpp"
+#include "base/json_field.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr const char* kModelFormat = "relidar model";
-constexpr const char* kModelVersion = "1";
+constexpr const char *kSurfaceKey = "surface", *kBlocksKey = "blocks", *kSensorDrop = "sensor_drop";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
 void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surfels,
@@ -36,23 +36,19 @@ void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surf
     fail("{}: array {}: row {} contains {}, expected finite numbers", file, group.name, row, *bad);
 }
 
-/// 0, 0, 0 means that the model is unbounded.
-glm::vec3 read_half_size_m(const JsonField& model) {
-    const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number_in(0.0, 1e6);
-    return {float(v[0]), float(v[1]), float(v[2])};
+/// Reads three numbers in an interval.
+glm::dvec3 read_vector(const JsonField& field, double min, double max) {
+    const std::array<double, 3> v = field.numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) field.at(k).number_in(min, max);
+    return {v[0], v[1], v[2]};
 }
-
-constexpr const char* kSurfaceKey = "surface";
 
 /// Reads which parts of an actor's box surface the log has observed. Returns nothing if
 /// the file does not contain them.
 std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     if (!model.has_member(kSurfaceKey)) return {};
-    const JsonField field = model.at(kSurfaceKey), size = field.at("size_m");
-    const std::array<double, 3> size_m = size.numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) size.at(k).number_in(1e-3, 1e4);
-    ObservedBoxSurface surface({size_m[0], size_m[1], size_m[2]});
+    const JsonField field = model.at(kSurfaceKey);
+    ObservedBoxSurface surface(read_vector(field.at("size_m"), 1e-3, 1e4));
     surface.is_completed = field.at("completed").boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const JsonField side = field.at(name_of(BoxSide(s)));
@@ -83,9 +79,9 @@ void read_models(const JsonField& layout, Scene& scene) {
         next = first + count;
         // The walked distance after which the leg motion repeats; 0 for a rigid model.
         const double stride_m = m.has_member("stride_m") ? m.at("stride_m").number_in(1e-3, 1e6) : 0.0;
-        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
-                                static_cast<std::uint32_t>(count), read_half_size_m(m), float(stride_m),
-                                read_surface(m)});
+        scene.models.push_back(
+            {m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count),
+             glm::vec3(read_vector(m.at("half_size_m"), 0.0, 1e6)), float(stride_m), read_surface(m)});
     }
     if (next != n)
         models.reject(fmt::format("found models of {} surfels", next), fmt::format("expected {} surfels", n));
@@ -100,8 +96,6 @@ void read_models(const JsonField& layout, Scene& scene) {
     }
 }
 
-constexpr const char* kBlocksKey = "blocks";
-
 /// Converts the list of background blocks to JSON. File names are relative to the folder
 /// of the model, so that the folder can be moved.
 std::string format_blocks(const Scene& scene, const std::filesystem::path& model_folder) {
@@ -114,12 +108,6 @@ std::string format_blocks(const Scene& scene, const std::filesystem::path& model
     return json.dump();
 }
 
-glm::vec3 read_corner(const JsonField& field) {
-    const std::array<double, 3> v = field.numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) field.at(k).number_in(-1e7, 1e7);
-    return {float(v[0]), float(v[1]), float(v[2])};
-}
-
 /// Reads the list of background blocks from JSON. Rejects file names outside the folder
 /// of the model.
 void parse_blocks(const std::string& json_text, const std::string& where,
@@ -130,16 +118,17 @@ void parse_blocks(const std::string& json_text, const std::string& where,
         const JsonField block = blocks.at(i);
         const std::filesystem::path file = block.at("file").text();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
+        const auto read_corner = [&](const char* name) {
+            return glm::vec3(read_vector(block.at(name), -1e7, 1e7));
+        };
         if (file.empty() || file.is_absolute() || goes_up)
             block.at("file").reject("found the file name " + file.string(),
                                     "expected the name of a file in the folder of the model");
         scene.blocks.push_back({model_folder / file,
                                 static_cast<std::uint32_t>(block.at("surfels").integer_in(0, kMaxSurfels)),
-                                read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
+                                read_corner("low_m"), read_corner("high_m")});
     }
 }
-
-constexpr const char* kSensorDrop = "sensor_drop";
 
 /// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
 /// contains it.
@@ -199,13 +188,12 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     std::map<std::string, std::string> metadata{{kPrimitiveKey, properties_of(scene.surfels.primitive).name},
                                                 {"layout", format_layout(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocksKey] = format_blocks(scene, path.parent_path());
-    files::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
+    files::write_array_file(path, arrays, kModelFormat, std::move(metadata));
 }
 
 /// Loads a scene. Checks the shape of every array before it allocates memory.
 Scene load_model(const std::filesystem::path& path) {
-    if (!does_path_exist(path)) fail("{}: no such file", path.string());
-    const files::ArrayFile file(path, kModelFormat, kModelVersion);
+    const files::ArrayFile file(path, kModelFormat);
     const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocksKey);
     if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
@@ -228,6 +216,31 @@ Scene load_model(const std::filesystem::path& path) {
     if (blocks != file.metadata.end())
         parse_blocks(blocks->second, file.path + ": metadata " + kBlocksKey, path.parent_path(), scene);
     return scene;
+}
+
+Surfels load_block(const SceneBlock& block) {
+    const Scene scene = load_model(block.file);
+    // The background is the first model, so its surfels precede all others.
+    const SurfelModel& background = scene.models.front();
+    if (background.count != block.count)
+        fail(
+            "{}: this file of a block has {} background surfels, but model.safetensors of the run lists {} "
+            "for the block; expected the file that was saved with the run",
+            block.file.string(), background.count, block.count);
+    return scene.surfels.slice(0, background.count);
+}
+
+Scene with_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices) {
+    Surfels background = scene.surfels.slice(0, scene.models.front().count);
+    for (const std::size_t i : block_indices) background.append_surfels(load_block(scene.blocks[i]));
+    return replace_background(scene, background);
+}
+
+Scene with_all_blocks(const Scene& scene) {
+    if (scene.blocks.empty()) return scene;
+    std::vector<std::size_t> all(scene.blocks.size());
+    std::iota(all.begin(), all.end(), std::size_t(0));
+    return with_blocks(scene, all);
 }
 
 }  // namespace relidar

@@ -16,23 +16,17 @@
 #include <relidar/run/stage_options.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "run/files/coverage_file.hpp"
-#include "run/files/scatter_file.hpp"
-#include "run/files/scene_json.hpp"
-#include "run/files/sweeps_file.hpp"
+#include "run/files/run_files.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kConfigFile = "config.toml";
-constexpr const char* kSceneFile = "scene.json";
-constexpr const char* kDropNetworkFile = "drop_network.safetensors";
-constexpr const char* kSweepsFile = "sweeps.safetensors";
-constexpr const char* kCoverageFile = "coverage.safetensors";
-constexpr const char* kClassesFile = "classes.safetensors";
-constexpr const char* kScatterFile = "intensity_scatter.safetensors";
+constexpr const char *kConfigFile = "config.toml", *kSceneFile = "scene.json",
+                     *kDropNetworkFile = "drop_network.safetensors", *kSweepsFile = "sweeps.safetensors",
+                     *kCoverageFile = "coverage.safetensors", *kClassesFile = "classes.safetensors",
+                     *kScatterFile = "intensity_scatter.safetensors";
 
 void create_folder(const fs::path& folder) {
     std::error_code failed;
@@ -200,10 +194,9 @@ void Run::set_driving_scene(SceneWithLog driving_scene) {
 
 Run load_run(const fs::path& folder) {
     require_folder(folder, "a run folder");
-    for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
+    for (const char* name : {kConfigFile, kSceneFile, kModelFile})
         if (!does_path_exist(folder / name))
             fail("the file {} is missing, but every run folder must contain it", (folder / name).string());
-    }
     Run run;
     run.folder = folder;
     run.config = load_settings(folder / kConfigFile);
@@ -227,10 +220,9 @@ Run load_run(const fs::path& folder) {
         run.intensity_scatter = files::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (does_path_exist(folder / kDropNetworkFile))
         run.drop_network = load_drop_network(folder / kDropNetworkFile);
-    if (run.scene.surfels.size() != scene.n_surfels) {
+    if (run.scene.surfels.size() != scene.n_surfels)
         fail("{}: counts.surfels is {}, but {} contains {} surfels", scene_path.string(), scene.n_surfels,
              kModelFile, run.scene.surfels.size());
-    }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
         fail("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
              (folder / kConfigFile).string(), properties_of(run.config.image.primitive).name, kModelFile,

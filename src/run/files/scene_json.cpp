@@ -2,7 +2,7 @@
 // Reads and writes scene.json, format version 3. A pose has seven numbers: the
 // translation x y z, then the unit quaternion w x y z. A point transforms as p_world =
 // R(q) p + t in the recentred world.
-#include "run/files/scene_json.hpp"
+#include "run/files/run_files.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -76,11 +76,9 @@ Json frames_json(const Log& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const auto in = [&](const std::vector<int>& positions) {
-            return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end();
+            return std::ranges::find(positions, static_cast<int>(i)) != positions.end();
         };
-        const char* part = "unused";
-        if (in(split.train)) part = "train";
-        else if (in(split.test)) part = "test";
+        const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
         const Pose& pose = sequence.world_from_vehicle.pose[sequence.find_pose_index(frame)];
         frames.push_back({{"index", frame.index},
@@ -92,9 +90,8 @@ Json frames_json(const Log& sequence, const Split& split) {
     return frames;
 }
 
-/// Checks that the absolute value of each number is at most `limit`.
-/// @throws DataError for the first number above this limit
-void check_magnitude(const JsonField& field, std::initializer_list<double> values, double limit) {
+/// @throws DataError for the first number whose absolute value is above `limit`
+void check_magnitude(const JsonField& field, const std::vector<double>& values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
             field.reject(fmt::format("found {}", v),
@@ -127,7 +124,7 @@ RangeNoiseTable parse_range_noise(const JsonField& field) {
         field.at("sigma_m").reject(
             fmt::format("found {} numbers", n.sigma_m.size()),
             fmt::format("expected {} x {} numbers", n.range_m.size(), n.cosine.size()));
-    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
+    if (!std::ranges::all_of(n.sigma_m, [](double s) { return s >= 0.0 && s < 1e3; }))
         field.at("sigma_m").reject("found a value outside 0 to 1000",
                                    "expected standard deviations in metres");
     return n;
@@ -137,11 +134,11 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
-        lidars.push_back(
-            {field.at(i).at("name").text(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
-        set_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
-        if (field.at(i).has_member("range_noise"))
-            lidars.back().range_noise = parse_range_noise(field.at(i).at("range_noise"));
+        const JsonField entry = field.at(i);
+        Lidar& lidar = lidars.emplace_back(
+            Lidar{entry.at("name").text(), {}, read_pose(entry.at("vehicle_from_sensor"))});
+        set_sensor(lidar, read_sensor_json(entry.at("sensor"), ""));
+        if (entry.has_member("range_noise")) lidar.range_noise = parse_range_noise(entry.at("range_noise"));
     }
     if (lidars.empty()) field.reject("found no LiDAR", "expected at least one LiDAR");
     return lidars;
@@ -155,9 +152,9 @@ IntensityResponse parse_response(const JsonField& field) {
         field.at("factor").reject(
             fmt::format("found {} factors", r.factor.size()),
             fmt::format("expected {}, one for each range in range_m", r.range_m.size()));
-    if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
+    if (!std::ranges::is_sorted(r.range_m))
         field.at("range_m").reject("found decreasing ranges", "expected increasing ranges");
-    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kMaxValue; }))
+    if (!std::ranges::all_of(r.factor, [](double f) { return f > 0.0 && f < kMaxValue; }))
         field.at("factor").reject("found a factor that is 0 or less, or too large",
                                   fmt::format("expected factors above 0 and below {:g}", kMaxValue));
     return r;
@@ -185,10 +182,7 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
         const Pose pose = read_pose(entry.at("world_from_vehicle"));
         PoseTrack& track = scene.sequence.world_from_vehicle;
         // Frames of several LiDARs at the same time share one pose.
-        if (track.time_s.empty() || track.time_s.back() != frame.time_s) {
-            track.time_s.push_back(frame.time_s);
-            track.pose.push_back(pose);
-        }
+        if (track.time_s.empty() || track.time_s.back() != frame.time_s) track.append(frame.time_s, pose);
         scene.sequence.frames.push_back(std::move(frame));
     }
     if (scene.sequence.frames.empty()) field.reject("found no frame", "expected at least one frame");
@@ -209,12 +203,12 @@ BoxTrack read_box_track(const JsonField& field) {
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
-    for (const double t : box.world_from_box.time_s) check_magnitude(field.at("time_s"), {t}, kMaxValue);
+    check_magnitude(field.at("time_s"), box.world_from_box.time_s, kMaxValue);
     if (poses.size() != n)
         poses.reject(fmt::format("found {} poses", poses.size()),
                      fmt::format("expected {} poses, one for each time", n));
-    if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
-        field.at("time_s").reject("expected increasing times", "expected increasing times");
+    if (!std::ranges::is_sorted(box.world_from_box.time_s))
+        field.at("time_s").reject("found decreasing times", "expected increasing times");
     if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").text();
     if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");

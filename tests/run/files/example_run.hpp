@@ -72,8 +72,7 @@ inline Run make_example_run(const std::filesystem::path& folder) {
         1e-3};
     for (int i = 0; i < 4; ++i) {
         s.frames.push_back({10 + i, 1.3e9 + i / 10.0, {}});
-        s.world_from_vehicle.time_s.push_back(s.frames.back().time_s);
-        s.world_from_vehicle.pose.push_back(make_example_pose(i));
+        s.world_from_vehicle.append(s.frames.back().time_s, make_example_pose(i));
     }
     for (int k = 0; k < s.lidars[0].sensor.columns; ++k)
         s.frames[1].azimuth_shift_rad.push_back(1e-3f / 3.0f * float(k) - 2e-3f);

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads and writes the files of a run folder that have arrays and no surfels.
+#include "run/files/run_files.hpp"
+
+#include <charconv>
+#include <cmath>
+#include <cstring>
+
+#include "run/files/file_format.hpp"
+
+namespace relidar::files {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char *kCoverageFormat = "relidar coverage", *kClassesFormat = "relidar classes",
+                     *kSweepsFormat = "relidar sweeps", *kScatterFormat = "relidar intensity scatter";
+constexpr const char* kCellSizeKey = "cell_m";
+
+void write_unless_empty(const fs::path& path, const std::vector<NamedArray>& arrays, const char* format,
+                        const std::map<std::string, std::string>& metadata = {}) {
+    const bool is_empty = std::ranges::all_of(arrays, [](const NamedArray& a) { return a.bytes.empty(); });
+    if (is_empty) fs::remove(path);
+    else write_array_file(path, arrays, format, metadata);
+}
+
+NamedArray make_place_array(const std::vector<glm::ivec3>& places) {
+    return make_array("place", {places.size(), 3}, reinterpret_cast<const std::int32_t*>(places.data()),
+                      3 * places.size());
+}
+
+/// Returns entry `index` of an array whose bytes are values of type T.
+template <class T>
+T read_entry(const NamedArray& array, std::size_t index) {
+    T value;
+    std::memcpy(&value, array.bytes.data() + index * sizeof(T), sizeof(T));
+    return value;
+}
+
+ArrayFile read_cell_file(const fs::path& path, const char* format, double cell_size_m) {
+    ArrayFile file(path, format);
+    if (const std::string expected = fmt::format("{}", cell_size_m); file.metadata[kCellSizeKey] != expected)
+        fail("{}: {}: found {}, expected {}", file.path, kCellSizeKey, file.metadata[kCellSizeKey], expected);
+    return file;
+}
+
+Frame& find_frame(const std::string& array_name, Log& sequence, const std::string& file_name) {
+    std::size_t index = sequence.frames.size();
+    const char* last = array_name.data() + array_name.size();
+    const auto [end, error] = std::from_chars(array_name.data(), last, index);
+    if (error != std::errc{} || end != last || index >= sequence.frames.size())
+        fail("{}: the array name \"{}\" is not the index of a frame, expected a number below {}", file_name,
+             array_name, sequence.frames.size());
+    return sequence.frames[index];
+}
+
+/// Stores a decision tree as one array per member of a node, named INDEX.MEMBER.
+void append_scatter(std::vector<NamedArray>& arrays, std::size_t index, const IntensityScatterModel& model) {
+    std::vector<std::int32_t> feature, child, first, count;
+    std::vector<float> at;
+    for (const IntensityScatterModel::DecisionTreeNode& node : model.nodes) {
+        feature.push_back(node.feature);
+        child.push_back(node.child);
+        first.push_back(std::int32_t(node.first));
+        count.push_back(std::int32_t(node.count));
+        at.push_back(node.at);
+    }
+    const auto add = [&](const char* member, const auto& values) {
+        arrays.push_back(make_vector_array(fmt::format("{}.{}", index, member), values));
+    };
+    add("feature", feature);
+    add("child", child);
+    add("first", first);
+    add("count", count);
+    add("at", at);
+    add("values", model.values);
+    add("step", std::vector{model.step});
+}
+
+IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
+    const auto read = [&](const char* member, const char* dtype, std::size_t count = kAnyLength) {
+        return file.find_numbers(fmt::format("{}.{}", lidar, member), dtype, count);
+    };
+    const std::vector<double> feature = read("feature", "i4"), values = read("values", "f4");
+    const std::size_t n = feature.size();
+    const std::vector<double> child = read("child", "i4", n), first = read("first", "i4", n),
+                              count = read("count", "i4", n), at = read("at", "f4", n);
+    IntensityScatterModel result;
+    result.values.assign(values.begin(), values.end());
+    for (std::size_t i = 0; i < n; ++i) {
+        const bool is_leaf = feature[i] == -1.0;
+        const bool has_feature = feature[i] >= 0.0 && feature[i] < double(count_features());
+        // Both children are stored one after the other, behind their parent. This makes
+        // cycles impossible.
+        const bool has_children = child[i] > double(i) && child[i] + 1.0 < double(n);
+        const bool has_values =
+            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
+        if (!has_values || !(is_leaf || (has_feature && has_children)))
+            fail(
+                "{0}: node {2} of the decision tree for the intensities of LiDAR {1} is invalid (feature "
+                "{3}, first child {4}, first value {5}, {6} values); expected a file that relidar has "
+                "written",
+                file.path, lidar, i, feature[i], child[i], first[i], count[i]);
+        result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
+                                std::uint32_t(first[i]), std::uint32_t(count[i])});
+    }
+    result.step = read("step", "f8", 1)[0];
+    if (result.step < 0.0)
+        fail("{}: the array {}.step contains {}, expected 0 or a positive number", file.path, lidar,
+             result.step);
+    return result;
+}
+
+}  // namespace
+
+void save_azimuths(const fs::path& path, const Log& sequence) {
+    std::vector<NamedArray> arrays;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
+        if (const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad; !shift_rad.empty())
+            arrays.push_back(make_vector_array(fmt::format("{:06}", i), shift_rad));
+    write_unless_empty(path, arrays, kSweepsFormat);
+}
+
+void load_azimuths(const fs::path& path, Log& sequence) {
+    const ArrayFile file(path, kSweepsFormat);
+    for (const NamedArray& array : file.arrays) {
+        Frame& frame = find_frame(array.name, sequence, file.path);
+        const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
+        frame.azimuth_shift_rad = file.find(array.name, "f4", {columns}).to_floats();
+        for (const float shift : frame.azimuth_shift_rad)
+            if (!(std::abs(shift) <= float(kPi)))
+                fail("{}: array {}: found {}, expected radians from -pi to pi", file.path, array.name, shift);
+    }
+}
+
+void save_coverage(const fs::path& path, const ObservedVoxelSet& coverage) {
+    std::vector<glm::ivec3> places;
+    std::vector<std::uint16_t> cells;
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_blocks()) {
+        places.push_back(block.grid_index);
+        cells.insert(cells.end(), block.cells.begin(), block.cells.end());
+    }
+    write_unless_empty(
+        path,
+        {make_place_array(places),
+         make_array("cells", {places.size(), ObservedVoxelSet::kBlockWords}, cells.data(), cells.size())},
+        kCoverageFormat, {{kCellSizeKey, fmt::format("{}", ObservedVoxelSet::kCell_m)}});
+}
+
+ObservedVoxelSet load_coverage(const fs::path& path) {
+    const ArrayFile file = read_cell_file(path, kCoverageFormat, ObservedVoxelSet::kCell_m);
+    const NamedArray& places = file.find("place", "i4", {kAnyLength, 3});
+    const std::size_t n = places.shape[0];
+    const NamedArray& cells = file.find("cells", "u2", {n, ObservedVoxelSet::kBlockWords});
+    ObservedVoxelSet coverage;
+    for (std::size_t i = 0; i < n; ++i)
+        coverage.add_block(
+            {read_entry<glm::ivec3>(places, i), read_entry<ObservedVoxelSet::VoxelBits>(cells, i)});
+    return coverage;
+}
+
+void save_class_map(const fs::path& path, const SurfaceClassMap& class_map) {
+    std::vector<glm::ivec3> places;
+    std::vector<std::uint16_t> classes;
+    for (const SurfaceClassCell& cell : class_map) {
+        places.push_back(cell.grid_index);
+        classes.push_back(std::uint16_t(cell.surface));
+    }
+    write_unless_empty(
+        path,
+        {make_place_array(places), make_array("class", {classes.size(), 1}, classes.data(), classes.size())},
+        kClassesFormat, {{kCellSizeKey, fmt::format("{}", kClassCell_m)}});
+}
+
+SurfaceClassMap load_class_map(const fs::path& path) {
+    const ArrayFile file = read_cell_file(path, kClassesFormat, kClassCell_m);
+    const NamedArray& places = file.find("place", "i4", {kAnyLength, 3});
+    SurfaceClassMap map(places.shape[0]);
+    const NamedArray& classes = file.find("class", "u2", {map.size(), 1});
+    for (std::size_t i = 0; i < map.size(); ++i) {
+        const auto number = read_entry<std::uint16_t>(classes, i);
+        if (number >= kSurfaceClasses)
+            fail("{}: cell {} of the class map has the class {}, expected a number from 0 to {}", file.path,
+                 i, number, kSurfaceClasses - 1);
+        map[i] = {read_entry<glm::ivec3>(places, i), SurfaceClass(number)};
+    }
+    return map;
+}
+
+void save_scatter(const fs::path& path, const std::vector<IntensityScatterModel>& scatter) {
+    std::vector<NamedArray> arrays;
+    for (std::size_t lidar = 0; lidar < scatter.size(); ++lidar)
+        if (!scatter[lidar].empty()) append_scatter(arrays, lidar, scatter[lidar]);
+    write_unless_empty(path, arrays, kScatterFormat);
+}
+
+std::vector<IntensityScatterModel> load_scatter(const fs::path& path, std::size_t n_lidars) {
+    const ArrayFile file(path, kScatterFormat);
+    std::vector<IntensityScatterModel> result(n_lidars);
+    for (std::size_t lidar = 0; lidar < n_lidars; ++lidar)
+        if (find_array(file.arrays, fmt::format("{}.feature", lidar)))
+            result[lidar] = read_scatter(file, lidar);
+    return result;
+}
+
+}  // namespace relidar::files

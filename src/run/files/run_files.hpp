@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Files of a run folder except the settings, the model and the ray-drop network. No
+// function writes a file that would be empty; it removes the file of an earlier save
+// instead. Private to run.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <relidar/run/run.hpp>
+
+namespace relidar::files {
+
+struct SceneJsonContents {
+    Log sequence;  ///< frames without scans
+    Split split;
+    std::vector<EditHistoryEntry> edits;
+    bool held_out_placed = false;
+    std::string refined_poses;
+    std::size_t n_surfels = 0;
+};
+/// @throws DataError if the sequence is inconsistent or not finite
+std::string format_scene(const Run& run);
+/// @throws DataError naming the file and the field
+SceneJsonContents parse_scene(const std::string& json_text, const std::string& file_name);
+
+// The functions that load the following files throw a DataError for missing arrays, wrong
+// shapes and values that are not possible.
+
+/// sweeps.safetensors has Frame::azimuth_shift_rad: an array [columns] f4 for each frame
+/// with shifts, named by the index of the frame in scene.json.
+void save_azimuths(const std::filesystem::path& path, const Log& sequence);
+void load_azimuths(const std::filesystem::path& path, Log& sequence);
+
+/// coverage.safetensors: `place` [blocks,3] i4 is the position of each block of 8 x 8 x 8
+/// voxels, in blocks. `cells` [blocks,32] u2 has one bit per voxel.
+void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage);
+ObservedVoxelSet load_coverage(const std::filesystem::path& path);
+
+/// classes.safetensors: `place` [cells,3] i4 is the position in units of cells, `class`
+/// [cells,1] u2 the class.
+void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& class_map);
+SurfaceClassMap load_class_map(const std::filesystem::path& path);
+
+/// The decision tree of LiDAR 0 is `0.feature`, `0.child`, `0.first`, `0.count` [nodes]
+/// i4 and `0.at` [nodes] f4. The other arrays are `0.values` [returns] f4 and `0.step`
+/// [1] f8. A LiDAR without a model has no arrays.
+void save_scatter(const std::filesystem::path& path, const std::vector<IntensityScatterModel>& scatter);
+std::vector<IntensityScatterModel> load_scatter(const std::filesystem::path& path, std::size_t n_lidars);
+
+}  // namespace relidar::files
