@@ -251,7 +251,7 @@ class Known:
         self.tree = tree
         self.folders = {str(p) for path in tree for p in pathlib.PurePosixPath(path).parents}
         self.top = {path.split("/")[0] for path in tree if "/" in path}
-        config = self.find("src/run/config/", r'\bvisitor\(\s*"(\w+\.\w+)"')
+        config = self.find("src/run/config/", r'\bRELIDAR_SETTING\(\s*(\w+\.\w+)')
         weights = self.find("include/relidar/diff/loss_terms.h", r"\bTERM\(\d+u, \w+, (\w+),")
         self.settings = config | {"loss." + w for w in weights}
         self.sections = {s.split(".")[0] for s in self.settings}
