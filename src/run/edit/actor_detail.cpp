@@ -41,10 +41,9 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
 /// hit it there.
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
-    const auto instance = std::ranges::find_if(edited.scene.instances,
-                                               [&](const ModelInstance& i) { return i.track == track; });
-    const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
-    if (instance == edited.scene.instances.end() || box == log.boxes.end())
+    const auto instance = std::ranges::find(edited.scene.instances, track, &ModelInstance::track);
+    const BoxTrack* box = find_box(log, track);
+    if (instance == edited.scene.instances.end() || !box)
         fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
     ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
                                 edited.scene.models[instance->model].count};

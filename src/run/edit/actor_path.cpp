@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "base/csv.hpp"
 #include "base/fail.hpp"
@@ -30,7 +31,7 @@ enum ActorPathField {
     kHeight,
     kFieldCount
 };
-// In a file without a header, column i contains the field kColumnNames[i].
+// of a file without a header
 constexpr std::size_t kMaxUnnamedColumns = 7;
 constexpr std::size_t kMinColumns = 5;
 // seconds since 1970 are smaller
@@ -66,21 +67,7 @@ FieldColumnIndices parse_header(const std::vector<std::string_view>& header, con
     return at;
 }
 
-/// Returns the column index of each field for a file without a header.
-/// @throws DataError if there are too few or too many columns
-FieldColumnIndices default_columns(std::size_t n_columns, const std::string& error_location) {
-    if (n_columns < kMinColumns || n_columns > kMaxUnnamedColumns)
-        fail(
-            "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, or a "
-            "header line with the names of the columns",
-            error_location, n_columns);
-    FieldColumnIndices at(kFieldCount, -1);
-    for (std::size_t i = 0; i < kMaxUnnamedColumns; ++i) at[i] = static_cast<int>(i);
-    return at;
-}
-
-/// Reads the values of a line. A field without a column is 0. Pitch and roll may be
-/// missing at the end of a line if the file has no header. z is NaN for the word
+/// Reads the values of a line. A field without a column is 0. z is NaN for the word
 /// `ground`.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& cells,
@@ -88,15 +75,9 @@ std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& c
                                           const std::string& error_location) {
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
-        const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
-        if (column_indices[f] < 0 ||
-            (may_be_absent && static_cast<std::size_t>(column_indices[f]) >= cells.size()))
-            continue;
-        if (static_cast<std::size_t>(column_indices[f]) >= cells.size())
-            fail("{}: found {} columns, expected {}; the column '{}' is missing", error_location,
-                 cells.size(), std::ranges::count_if(column_indices, [](int place) { return place >= 0; }),
-                 kColumnNames[f]);
-        const std::string_view cell = cells[static_cast<std::size_t>(column_indices[f])];
+        // Pitch and roll may be missing at the end of a line.
+        if (column_indices[f] < 0 || std::size_t(column_indices[f]) >= cells.size()) continue;
+        const std::string_view cell = cells[std::size_t(column_indices[f])];
         if (f == kZ && cell == kGroundWord) {
             row[f] = std::numeric_limits<double>::quiet_NaN();
             continue;
@@ -133,34 +114,35 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
         if (trim(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
-        if (at.empty()) {
-            const bool is_header = !parse_number(cells[0]);
-            n_cells = is_header ? cells.size() : kMaxUnnamedColumns;
-            at = is_header ? parse_header(cells, where) : default_columns(cells.size(), where);
-            if (at[kLatitude] >= 0) {
-                if (!georeference)
-                    fail<UsageError>("{}: found latitudes, but the run has no georeference; expected x,y,z",
-                                     path.string());
-                earth.emplace(*georeference);
-            }
-            if (is_header) {
-                n_needed = n_cells;
-                continue;
-            }
+        if (at.empty() && !parse_number(cells[0])) {
+            at = parse_header(cells, where);
+            n_cells = n_needed = cells.size();
+            if (at[kLatitude] < 0) continue;
+            if (!georeference)
+                fail<UsageError>("{}: found latitudes, but the run has no georeference; expected x,y,z",
+                                 path.string());
+            earth.emplace(*georeference);
+            continue;
         }
-        if (cells.size() > n_cells)
-            fail("{}: found {} columns, expected at most {}", where, cells.size(), n_cells);
+        if (at.empty()) {
+            // Without a header, column i contains the field kColumnNames[i].
+            at.resize(kFieldCount, -1);
+            std::iota(at.begin(), at.begin() + kMaxUnnamedColumns, 0);
+            n_cells = kMaxUnnamedColumns;
+            n_needed = kMinColumns;
+        }
+        if (cells.size() < n_needed || cells.size() > n_cells)
+            fail(
+                "{}: found {} columns, expected {} to {}, in the order "
+                "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg or that of a header",
+                where, cells.size(), n_needed, n_cells);
         const auto row = parse_row(cells, at, where);
-        if (cells.size() < n_needed)
-            fail("{}: found {} columns, expected {} as in the lines before; the file may be truncated", where,
-                 cells.size(), n_needed);
         n_needed = cells.size();
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,
                  row[kTime], track.time_s.back());
         if (!track.pose.empty() && std::isnan(row[kZ]) != std::isnan(track.pose.front().translation.z))
             fail("{}: the column z has numbers and the word `ground`, expected only one of them", where);
-        track.time_s.push_back(row[kTime]);
         // Each angle is in degrees or in radians. The other field is 0.
         const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];
         const double pitch_rad = row[kPitch] * kPi / 180.0 + row[kPitchRad];
@@ -173,7 +155,7 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
             const GeodeticPosition place{row[kLatitude], row[kLongitude], row[kHeight]};
             pose = {earth->dataset_from_enu(place) * pose.rotation, earth->to_dataset(place)};
         }
-        track.pose.push_back(pose);
+        track.append(row[kTime], pose);
     }
     if (track.pose.size() < 2)
         fail("{}: found {} poses, expected at least two", path.string(), track.pose.size());

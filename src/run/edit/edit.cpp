@@ -64,9 +64,8 @@ void drop_unused_models(Scene& scene) {
     std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
     for (std::size_t m = 0; m < scene.models.size(); ++m) {
         const SurfelModel& model = scene.models[m];
-        const bool used = m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(),
-                                                [&](const ModelInstance& i) { return i.model == m; });
-        if (!used) continue;
+        if (m > 0 && std::ranges::find(scene.instances, m, &ModelInstance::model) == scene.instances.end())
+            continue;
         moved_to[m] = static_cast<std::uint32_t>(models.size());
         models.push_back(model);
         models.back().first = static_cast<std::uint32_t>(surfels.size());
@@ -80,26 +79,18 @@ void drop_unused_models(Scene& scene) {
 /// Removes the actors for which `should_keep_track` returns false, and their boxes.
 template <class Keep>
 void keep_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
-    std::vector<ModelInstance> remaining_instances;
-    for (const ModelInstance& instance : scene_and_log.scene.instances) {
-        if (instance.track.empty() || should_keep_track(instance.track))
-            remaining_instances.push_back(instance);
-        else
-            std::erase_if(scene_and_log.sequence.boxes,
-                          [&](const BoxTrack& b) { return b.id == instance.track; });
-    }
-    scene_and_log.scene.instances = std::move(remaining_instances);
+    std::erase_if(scene_and_log.scene.instances, [&](const ModelInstance& instance) {
+        if (instance.track.empty() || should_keep_track(instance.track)) return false;
+        std::erase_if(scene_and_log.sequence.boxes,
+                      [&](const BoxTrack& b) { return b.id == instance.track; });
+        return true;
+    });
     drop_unused_models(scene_and_log.scene);
-}
-
-bool has_track_id(const SceneWithLog& scene_and_log, const std::string& id) {
-    return std::any_of(scene_and_log.sequence.boxes.begin(), scene_and_log.sequence.boxes.end(),
-                       [&](const BoxTrack& b) { return b.id == id; });
 }
 
 std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& id_prefix) {
     int n = 1;
-    while (has_track_id(scene_and_log, fmt::format("{}-{}", id_prefix, n))) ++n;
+    while (find_box(scene_and_log.sequence, fmt::format("{}-{}", id_prefix, n))) ++n;
     return fmt::format("{}-{}", id_prefix, n);
 }
 
@@ -113,8 +104,7 @@ PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) 
             pose.rotation *
                 glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
             sequence.world_offset_m;
-        track.time_s.push_back(frame.time_s);
-        track.pose.push_back(pose);
+        track.append(frame.time_s, pose);
     }
     return track;
 }
@@ -230,13 +220,11 @@ PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
         const double span = track.time_s[i + 1] - track.time_s[i];
         // The small number avoids an extra step because of a rounding error.
         const int n = std::max(1, static_cast<int>(std::ceil(span / max_step_s - 1e-9)));
-        for (int k = 0; k < n; ++k) {
-            fine.time_s.push_back(track.time_s[i] + span * k / n);
-            fine.pose.push_back(interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
-        }
+        for (int k = 0; k < n; ++k)
+            fine.append(track.time_s[i] + span * k / n,
+                        interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
     }
-    fine.time_s.push_back(track.time_s.back());
-    fine.pose.push_back(track.pose.back());
+    fine.append(track.time_s.back(), track.pose.back());
     return fine;
 }
 
@@ -346,7 +334,7 @@ SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source
                           const std::string& track, const NewActorMotion& start) {
     SceneWithLog source = source_scene;
     BoxTrack box = mutable_box(source, track);
-    if (has_track_id(scene_and_log, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
+    if (find_box(scene_and_log.sequence, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
     add_instance(scene_and_log,
                  append_model(scene_and_log.scene, source_scene.scene,
                               source_scene.scene.instances[find_instance(source_scene, track)].model),

@@ -90,9 +90,7 @@ struct Footprint {
 
 const Pose& nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
-        throw DataError(
-            "cannot place an actor on the ground: the log has no poses of the vehicle, which are needed to "
-            "find the ground");
+        fail("cannot place an actor on the ground: found no poses of the vehicle, expected at least one");
     return *std::ranges::min_element(
         sensor_track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
@@ -304,8 +302,7 @@ std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_v
             surfels.fit_below(make_footprint(pose.translation, heading_rad(pose), box.size_m));
         if (plane) heights_m.push_back(plane->height_above(pose.translation) - 0.5 * box.size_m.z);
     }
-    if (heights_m.empty()) return {};
-    return compute_median(heights_m);
+    return heights_m.empty() ? std::nullopt : std::optional(compute_median(heights_m));
 }
 
 /// Returns the rotation of an actor that stands on a plane and faces the direction
@@ -480,8 +477,7 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
         const auto& [position_m, yaw_rad] = points[i];
         const GroundPlane& plane = *ground[i].plane;
         const glm::dvec3 centre_m(position_m, plane.height_at(position_m) + above_m / plane.normal.z);
-        motion.dataset_path.time_s.push_back(path.time_s[i]);
-        motion.dataset_path.pose.push_back({rotate_to_plane(plane, yaw_rad), centre_m + offset_m});
+        motion.dataset_path.append(path.time_s[i], {rotate_to_plane(plane, yaw_rad), centre_m + offset_m});
         if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
     }
     motion.dataset_from_box = motion.dataset_path.pose.front();
@@ -531,9 +527,9 @@ NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const Groun
     for (const Frame& frame : sequence.frames) {
         // LiDARs that sweep together have the same time.
         if (!path.time_s.empty() && !(frame.time_s > path.time_s.back())) continue;
-        path.time_s.push_back(frame.time_s);
-        path.pose.push_back({make_rotation(yaw_rad, 0.0, 0.0),
-                             start_m + placement.speed_mps * (frame.time_s - path.time_s.front()) * ahead});
+        const double driven_s = path.time_s.empty() ? 0.0 : frame.time_s - path.time_s.front();
+        path.append(frame.time_s,
+                    {make_rotation(yaw_rad, 0.0, 0.0), start_m + placement.speed_mps * driven_s * ahead});
     }
     if (placement.speed_mps == 0.0 || path.time_s.empty())
         path = {{0.0}, {{make_rotation(yaw_rad, 0.0, 0.0), start_m}}};

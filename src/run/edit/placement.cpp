@@ -41,10 +41,7 @@ double overlap_m(const Pose& first, const glm::dvec3& first_size_m, const Pose& 
 void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& box) {
     PoseTrack path;
     for (const double time_s : frame_times_s(edited.sequence))
-        if (box.is_observed(time_s)) {
-            path.time_s.push_back(time_s);
-            path.pose.push_back(box.world_from_box.pose_at(time_s));
-        }
+        if (box.is_observed(time_s)) path.append(time_s, box.world_from_box.pose_at(time_s));
     // heights_above_ground() expects poses in the world frame of the dataset.
     const std::vector<std::optional<double>> gaps_m =
         heights_above_ground(edited, shift_track(path, edited.sequence.world_offset_m), box.size_m);

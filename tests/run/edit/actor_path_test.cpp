@@ -68,26 +68,16 @@ TEST_F(TrajectoryFile, OfAnActorCanBeOnTheGround) {
     EXPECT_THAT(error("0,1,2,5,0\n1,ground,4,5,90\n"), test::Names("line 2 ... x"));
 }
 
-TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
-    const PoseTrack track = read("0,0,0,0,0\n1,0,0,0,90,30,20\n");
-    const double degree = kPi / 180.0;  // R = Rz(90) Ry(30) Rx(20): columns by hand
-    const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
-    EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12)
-        << "a positive pitch lowers the nose";
-    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z,
-                std::cos(30 * degree) * std::sin(20 * degree), 1e-12)
-        << "a positive roll raises the left side";
-}
-
-TEST_F(TrajectoryFile, ColumnsAreReadByName) {
+TEST_F(TrajectoryFile, ColumnsAreReadByNameOrPitchAndRollComeAfterYaw) {
     const double degree = kPi / 180.0;
     const std::string same[] = {
+        "0,4,5,6,90\n1,4,5,6,90,30,20\n",
         "time_s,x,y,z,roll_deg,pitch_deg,yaw_deg\n0,4,5,6,20,30,90\n1,4,5,6,20,30,90\n",
         "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
         fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
                     90 * degree, 30 * degree)};
-    // R = Rz(90) Ry(30) Rx(20), computed by hand, rotates forward to the left and lowers
-    // the nose.
+    // R = Rz(90) Ry(30) Rx(20), computed by hand: a positive pitch lowers the nose, a
+    // positive roll raises the left side.
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     for (const std::string& text : same) {
         const Pose pose = read(text).pose[1];
@@ -107,13 +97,12 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
 
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
-    for (int i = 0; i < 50; ++i) {
-        // seconds since 1970, coordinates of a large world
-        track.time_s.push_back(1317042272.25 + 0.1 * i);
-        track.pose.push_back(
+    // seconds since 1970, coordinates of a large world
+    for (int i = 0; i < 50; ++i)
+        track.append(
+            1317042272.25 + 0.1 * i,
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
              {455000.123 + i, 5428000.5 - i, 113.0}});
-    }
     write_trajectory(folder / "t.csv", track);
     const PoseTrack again = read_trajectory(folder / "t.csv");
     ASSERT_EQ(again.time_s, track.time_s);

@@ -2,7 +2,6 @@
 // Tests placing actors on the ground: on an exact slope, below a roof, next to a wall,
 // and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
-#include <numeric>
 
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
@@ -56,15 +55,20 @@ SceneWithLog make_slope() {
     for (int i = 0; i < 5; ++i) {
         const double time_s = 0.1 * i, x = -8.0 + i, z = compute_slope_height(x, 0.0);
         d.sequence.frames.push_back({i, time_s, {}});
-        d.sequence.world_from_vehicle.time_s.push_back(time_s);
-        d.sequence.world_from_vehicle.pose.push_back(
-            {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
-        van.world_from_box.time_s.push_back(time_s);
-        van.world_from_box.pose.push_back(
-            {glm::dquat(1, 0, 0, 0), glm::dvec3(x, 0.0, z) + 1.0 * kSlopeNormal});
+        d.sequence.world_from_vehicle.append(time_s,
+                                             {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
+        van.world_from_box.append(time_s, {{1, 0, 0, 0}, glm::dvec3(x, 0.0, z) + 1.0 * kSlopeNormal});
     }
     d.sequence.boxes = {van};
     return d;
+}
+
+/// Replaces the background. The van's surfel is the last one.
+void set_background(SceneWithLog& d, Surfels background) {
+    const auto n = static_cast<std::uint32_t>(background.size());
+    background.append_surfels(d.scene.surfels.slice(d.scene.models[0].count, 1));
+    d.scene.surfels = std::move(background);
+    d.scene.models[0].count = d.scene.models[1].first = n;
 }
 
 NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacement& place,
@@ -156,13 +160,9 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
             add_surfel(others, {x, y, compute_slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
             others.opacity_logit.back() = -6.0f;
         }
-    const std::uint32_t n = d.scene.models[0].count;
-    Surfels all = d.scene.surfels.slice(0, n);
+    Surfels all = d.scene.surfels.slice(0, d.scene.models[0].count);
     all.append_surfels(others);
-    all.append_surfels(d.scene.surfels.slice(n, 1));
-    d.scene.surfels = all;
-    d.scene.models[0].count = n + static_cast<std::uint32_t>(others.size());
-    d.scene.models[1].first = d.scene.models[0].count;
+    set_background(d, std::move(all));
     expect_on_slope(placed(d, 6.0, 3.0, 0.0), 6.0, 3.0, 0.0);
 }
 
@@ -175,10 +175,7 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
         for (const double y : {-0.9, -0.6, -0.3, 0.0}) add_surfel(rings, {x, y, 0.0}, {0, 0, 1});
     add_surfel(rings, {0.6, 0.3, 0.07}, {0, 0, 1});
     add_surfel(rings, {0.6, 0.5, 0.16}, {0, 0, 1});
-    const auto n = static_cast<std::uint32_t>(rings.size());
-    rings.append_surfels(d.scene.surfels.slice(d.scene.models[0].count, 1));
-    d.scene.surfels = rings;
-    d.scene.models[0].count = d.scene.models[1].first = n;
+    set_background(d, std::move(rings));
     const Pose pose = placed(d, 0.0, 0.0, 0.0);
     EXPECT_NEAR(pose.translation.z, 0.8, 0.02)
         << "no ground where it drove itself: the box's bottom lies on the plane";
@@ -199,10 +196,7 @@ void park_car(SceneWithLog& d, double x_m, double y_m) {
         for (double y = y_m - 0.8; y <= y_m + 0.8; y += 0.1)
             add_surfel(background, {x, y, compute_slope_height(x, y) + (x > x_m + 1.0 ? 0.8 : 1.4)},
                        kSlopeNormal);
-    const auto n_background = std::uint32_t(background.size());
-    background.append_surfels(d.scene.surfels.slice(n, 1));
-    d.scene.surfels = background;
-    d.scene.models[0].count = d.scene.models[1].first = n_background;
+    set_background(d, std::move(background));
 }
 
 TEST(Ground, IsNotAParkedCarInThePath) {
@@ -243,14 +237,17 @@ void visit_near(const SceneWithLog& d, const glm::dvec2& dataset_m, const glm::d
 /// does not observe the road below the car whose roof has most surfels.
 constexpr double kParkedY_m = -3.3;
 
-TEST(Ground, HasNoStepAtAParkedCarOfTheStreet) {
+SceneWithLog make_street_scene(int n_frames) {
     SceneWithLog d;
-    d.sequence = make_street_log({.n_frames = 12, .rows = 32, .columns = 512});
+    d.sequence = make_street_log({.n_frames = n_frames, .rows = 32, .columns = 512});
     InitOptions options;
     options.actor_min_points = 10;
-    std::vector<int> frames(12);
-    std::iota(frames.begin(), frames.end(), 0);
-    d.scene = init_scene(d.sequence, frames, options);
+    d.scene = init_scene(d.sequence, split_frames(d.sequence, 0).train, options);
+    return d;
+}
+
+TEST(Ground, HasNoStepAtAParkedCarOfTheStreet) {
+    SceneWithLog d = make_street_scene(12);
     std::size_t most = 0;
     glm::dvec2 parked_m(0.0);
     for (double x = -12.0; x <= 12.0; x += 0.5) {
@@ -345,10 +342,7 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     for (std::size_t i = 0; i < n; ++i)
         if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
             remaining_surfels.append_surfels(d.scene.surfels.slice(i, 1));
-    const auto n_remaining = static_cast<std::uint32_t>(remaining_surfels.size());
-    remaining_surfels.append_surfels(d.scene.surfels.slice(n, 1));
-    d.scene.surfels = remaining_surfels;
-    d.scene.models[0].count = d.scene.models[1].first = n_remaining;
+    set_background(d, std::move(remaining_surfels));
     const Pose there = d.sequence.boxes[0].world_from_box.pose.front();
     const Pose pose = placed(d, there.translation.x, there.translation.y, 0.0);
     EXPECT_LT(glm::distance(pose.translation, there.translation), 0.1);
@@ -356,11 +350,7 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
 }
 
 TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
-    SceneWithLog d;
-    d.sequence = make_street_log({.n_frames = 6, .rows = 32, .columns = 512});
-    InitOptions options;
-    options.actor_min_points = 10;
-    d.scene = init_scene(d.sequence, {0, 1, 2, 3, 4, 5}, options);
+    const SceneWithLog d = make_street_scene(6);
     ASSERT_FALSE(d.sequence.boxes.empty());
     const BoxTrack& car = d.sequence.boxes.front();
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;
