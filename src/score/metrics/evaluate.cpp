@@ -6,17 +6,13 @@
 // Chamfer distance and F-score use only the points of returned pixels. The published
 // script of the peer protocol places dropped pixels at the origin instead. This lowers
 // the Chamfer distance and raises the F-score.
-#include <relidar/log/range_image.hpp>
-#include <relidar/score/metrics.hpp>
-
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 
-#include <relidar/base/error.hpp>
 #include "base/parallel.hpp"
-#include "cloud_distances.hpp"
-#include "pixel_errors.hpp"
+#include "score/metrics/image_errors.hpp"
 
 namespace relidar {
 namespace {
@@ -29,35 +25,29 @@ constexpr int kSsimWindow = 7;
 // smaller images would be empty after the pooling layers
 constexpr int kLpipsEdge = 31;
 
-struct ImagePair {
-    PixelValues rendered, real;
-    int rows, columns;
-    double peak;
-};
-
-/// Dropped pixels have the value 0.
+/// Adds errors, PSNR, SSIM and LPIPS of the full images of ranges and of intensities, in
+/// which dropped pixels are 0. Leaves SSIM out if the real image is constant, or smaller
+/// than the SSIM window.
 /// @param drop_threshold  rendered pixels with at least this drop probability are dropped
-ImagePair make_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
-                          std::vector<float> RangeImage::*values, double maximum) {
-    return {clamp_masked(rendered.*values, undropped_mask(rendered, drop_threshold), maximum),
-            clamp_masked(real.*values, undropped_mask(real, kRealDropThreshold), maximum), real.rows,
-            real.columns, maximum};
-}
-
-/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves SSIM out if the real
-/// image is constant, or smaller than the SSIM window.
-void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
-                       const ImagePair& image_pair, const Lpips* lpips_network) {
-    const double squared = add_errors(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
-    row[name_prefix + "psnr_db"] =
-        10.0 * std::log10(image_pair.peak * image_pair.peak / std::max(squared, kMinSquaredError));
-    const auto [low, high] = std::minmax_element(image_pair.real.begin(), image_pair.real.end());
-    if (image_pair.rows >= kSsimWindow && image_pair.columns >= kSsimWindow && *high > *low)
-        row[name_prefix + "ssim"] = compute_ssim(image_pair.rendered, image_pair.real, image_pair.rows,
-                                                 image_pair.columns, *high - *low);
-    if (lpips_network && image_pair.rows >= kLpipsEdge && image_pair.columns >= kLpipsEdge)
-        row[name_prefix + "lpips"] = lpips_network->compute_distance(image_pair.rendered, image_pair.real,
-                                                                     image_pair.rows, image_pair.columns);
+/// @param lpips  null: no LPIPS
+void add_image_metrics(MetricValues& row, const std::string& prefix, const RangeImage& rendered,
+                       const RangeImage& real, double drop_threshold, double max_range_m,
+                       const Lpips* lpips) {
+    const auto add = [&](const std::string& name, const char* unit, std::vector<float> RangeImage::*values,
+                         double maximum) {
+        const PixelValues a = clamp_masked(rendered.*values, undropped_mask(rendered, drop_threshold),
+                                           maximum),
+                          b = clamp_masked(real.*values, undropped_mask(real, kRealDropThreshold), maximum);
+        const double squared = add_errors(row, name, unit, a, b);
+        row[name + "psnr_db"] = 10.0 * std::log10(maximum * maximum / std::max(squared, kMinSquaredError));
+        const auto [low, high] = std::ranges::minmax(b);
+        if (real.rows >= kSsimWindow && real.columns >= kSsimWindow && high > low)
+            row[name + "ssim"] = compute_ssim(a, b, real.rows, real.columns, high - low);
+        if (lpips && real.rows >= kLpipsEdge && real.columns >= kLpipsEdge)
+            row[name + "lpips"] = lpips->compute_distance(a, b, real.rows, real.columns);
+    };
+    add(prefix + "depth_", "_m", &RangeImage::range_m, max_range_m);
+    add(prefix + "intensity_", "", &RangeImage::intensity, kMaxIntensity);
 }
 
 /// Adds the metrics of published papers (docs/method.md section 8): full images in which
@@ -65,19 +55,12 @@ void add_image_metrics(MetricValues& row, const std::string& name_prefix, const 
 void add_published(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
                    const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
-    add_image_metrics(row, "peer/depth_", "_m",
-                      make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
-                      options.lpips);
-    add_image_metrics(row, "peer/intensity_", "",
-                      make_image_pair(rendered, real, threshold, &RangeImage::intensity, kMaxIntensity),
-                      options.lpips);
-
-    const PointPositions a = masked_points(rendered, return_mask(rendered, threshold));
-    const PointPositions b = masked_points(real, return_mask(real, kRealDropThreshold));
-    if (a.empty() && b.empty()) return;
-    const CloudDistances distances(a, b);
-    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.squared_chamfer();
-    row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
+    add_image_metrics(row, "peer/", rendered, real, threshold, options.max_range_m, options.lpips);
+    const auto distances = compare_clouds(rendered, return_mask(rendered, threshold), real,
+                                          return_mask(real, kRealDropThreshold));
+    if (!distances) return;
+    if (!distances->empty()) row["peer/cd_sq_m2"] = distances->squared_chamfer();
+    row["peer/f_score"] = distances->compute_f_score(kPeerThreshold_m);
 }
 
 /// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
@@ -124,13 +107,8 @@ void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage&
     for (std::size_t i = 0; i < drop_error.size(); ++i)
         drop_error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
     row["strict/drop_rmse"] = std::sqrt(mean_square(drop_error));
-    const double threshold = options.strict_drop_threshold;
-    add_image_metrics(row, "strict/image_depth_", "_m",
-                      make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
-                      nullptr);
-    add_image_metrics(row, "strict/image_intensity_", "",
-                      make_image_pair(rendered, real, threshold, &RangeImage::intensity, kMaxIntensity),
-                      nullptr);
+    add_image_metrics(row, "strict/image_", rendered, real, options.strict_drop_threshold,
+                      options.max_range_m, nullptr);
     add_point_metrics(row, "strict/", rendered, real, options);
 }
 
@@ -178,6 +156,30 @@ MetricValues mean_metrics(const std::vector<MetricValues>& metric_rows) {
         }
     for (auto& [name, value] : sum) value /= count[name];
     return sum;
+}
+
+MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real) {
+    std::array<double, kSurfaceClasses> n_both{}, n_either{}, n_real{};
+    double n = 0.0, n_equal = 0.0;
+    for (std::size_t i = 0; i < real.size(); ++i) {
+        if (real[i] == SurfaceClass::unknown) continue;
+        const auto label = std::size_t(real[i]);
+        n += 1.0;
+        n_real[label] += 1.0;
+        n_either[label] += 1.0;
+        if (rendered[i] == std::int32_t(label)) {
+            n_equal += 1.0;
+            n_both[label] += 1.0;
+        } else if (rendered[i] >= 0) n_either[std::size_t(rendered[i])] += 1.0;
+    }
+    if (n == 0.0) return {};
+    double sum = 0.0, n_classes = 0.0;
+    for (std::size_t k = 0; k < kSurfaceClasses; ++k)
+        if (n_real[k] > 0.0) {
+            sum += n_both[k] / n_either[k];
+            n_classes += 1.0;
+        }
+    return {{"classes/accuracy", n_equal / n}, {"classes/mean_iou", sum / n_classes}};
 }
 
 }  // namespace relidar

@@ -123,11 +123,9 @@ FeatureMap normalise(const std::vector<float>& image, int rows, int columns) {
 }
 
 void check_weights(const char* name, int layer, const std::vector<float>& values, std::size_t count) {
-    if (values.size() != count)
-        fail("cannot use the weights of LPIPS: {}{} has {} values, expected {}", name, layer, values.size(),
-             count);
-    if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
-        fail("cannot use the weights of LPIPS: {}{} contains a value that is not finite", name, layer);
+    if (values.size() != count || !std::ranges::all_of(values, [](float v) { return std::isfinite(v); }))
+        fail("cannot use the weights of LPIPS: found {} values of the {}{}, expected {} finite values",
+             values.size(), name, layer, count);
 }
 
 }  // namespace
@@ -152,14 +150,14 @@ Lpips::~Lpips() = default;
 std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_image,
                                              const std::vector<float>& second_image, int rows,
                                              int columns) const {
-    if (rows < kMinEdgePixels || columns < kMinEdgePixels)
-        fail("cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns);
-    const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
-    if (first_image.size() != n || second_image.size() != n)
+    const std::size_t n = 3 * std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
+    if (rows < kMinEdgePixels || columns < kMinEdgePixels || first_image.size() != n ||
+        second_image.size() != n)
         fail(
-            "cannot compute LPIPS: the images have {} and {} values, expected {} values each, which is 3 for "
-            "each of the {} x {} pixels",
-            first_image.size(), second_image.size(), n, rows, columns);
+            "cannot compute LPIPS: found {} x {} pixels and images of {} and {} values, expected at least 31 "
+            "x "
+            "31 pixels, and 3 values for each",
+            rows, columns, first_image.size(), second_image.size());
     FeatureMap fa = normalise(first_image, rows, columns), fb = normalise(second_image, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {

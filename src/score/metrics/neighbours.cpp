@@ -7,6 +7,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <set>
 
 #include <relidar/log/sequence.hpp>
 
@@ -22,15 +24,13 @@ constexpr int kColumnSearch = 4;
 /// Returns only one if the other does not exist.
 std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
-    int before = -1, after = -1;
-    for (const int p : train_frames) {
-        if (lidar_of(p) != lidar_of(frame_index)) continue;
-        if (p < frame_index) before = std::max(before, p);
-        if (p > frame_index && (after < 0 || p < after)) after = p;
-    }
+    std::set<int> others;
+    for (const int p : train_frames)
+        if (p != frame_index && lidar_of(p) == lidar_of(frame_index)) others.insert(p);
+    const auto after = others.lower_bound(frame_index);
     std::vector<int> neighbours;
-    for (const int p : {before, after})
-        if (p >= 0) neighbours.push_back(p);
+    if (after != others.begin()) neighbours.push_back(*std::prev(after));
+    if (after != others.end()) neighbours.push_back(*after);
     if (neighbours.empty())
         fail(
             "cannot project neighbouring scans into frame {}: the log has no other training frame of the "
@@ -180,8 +180,6 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
     return points;
 }
 
-/// Projects points to the rays of a sensor. A ray keeps its nearest point, because nearer
-/// surfaces hide farther ones.
 Scan assign_points(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         fail(

@@ -11,8 +11,7 @@
 
 #include <relidar/log/sequence.hpp>
 #include "base/fail.hpp"
-#include "cloud_distances.hpp"
-#include "pixel_errors.hpp"
+#include "score/metrics/image_errors.hpp"
 
 namespace relidar {
 namespace {
@@ -55,7 +54,7 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     check_comparable(rendered, real);
     const PixelMask real_returns = return_mask(real, kRealDropThreshold),
                     rendered_returns = return_mask(rendered, options.strict_drop_threshold);
-    const auto n_returns = std::count(real_returns.begin(), real_returns.end(), true);
+    const auto count = [](const PixelMask& mask) { return std::ranges::count(mask, true); };
     MetricValues row;
     for (const PixelRegion& region : regions) {
         if (region.pixels.size() != real_returns.size())
@@ -63,14 +62,14 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
                  region.pixels.size(), real_returns.size());
         // Real returns in the region, also if the rendering drops them.
         const PixelMask mask = intersect_masks(region.pixels, real_returns);
-        const auto n = std::count(mask.begin(), mask.end(), true);
+        const auto n = count(mask);
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
-        row[name + "share"] = double(n) / double(n_returns);
+        row[name + "share"] = double(n) / double(count(real_returns));
         // share of the real returns that the rendering also returns
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
-        const auto n_both = std::count(returned_both.begin(), returned_both.end(), true);
+        const auto n_both = count(returned_both);
         row[name + "returned"] = double(n_both) / double(n);
         std::size_t n_large = 0;
         for (std::size_t i = 0; i < mask.size(); ++i)

@@ -8,6 +8,7 @@
 // faster, but less precise.
 #include <relidar/score/metrics.hpp>
 
+#include <algorithm>
 #include <array>
 
 #include "base/fail.hpp"
@@ -58,27 +59,18 @@ std::vector<SsimWindowSums> row_window_sums(const std::vector<double>& first_ima
     return sums;
 }
 
-void check_ssim_inputs(std::size_t n_first, std::size_t n_second, int rows, int columns, double data_range) {
-    if (rows < kWindowPixels || columns < kWindowPixels)
-        fail(
-            "cannot compute the structural similarity: the image has {} x {} pixels, expected at least 7 x 7",
-            rows, columns);
-    const std::size_t n = std::size_t(rows) * std::size_t(columns);
-    if (n_first != n || n_second != n)
-        fail(
-            "cannot compute the structural similarity: the images have {} and {} values, expected {} values "
-            "each",
-            n_first, n_second, n);
-    if (!(data_range > 0.0))
-        fail("cannot compute the structural similarity: the data range is {}, expected a positive number",
-             data_range);
-}
-
 }  // namespace
 
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range) {
-    check_ssim_inputs(first_image.size(), second_image.size(), rows, columns, data_range);
+    const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
+    if (rows < kWindowPixels || columns < kWindowPixels || first_image.size() != n ||
+        second_image.size() != n || !(data_range > 0.0))
+        fail(
+            "cannot compute the structural similarity: found {} x {} pixels, images of {} and {} values and "
+            "a "
+            "data range of {}, expected at least 7 x 7 pixels, a value for each, and a positive range",
+            rows, columns, first_image.size(), second_image.size(), data_range);
     // C1 = (K1 L)^2 and C2 = (K2 L)^2 avoid a division by zero.
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
     const std::vector<SsimWindowSums> sums = row_window_sums(first_image, second_image, rows, columns);

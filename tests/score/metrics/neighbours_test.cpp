@@ -41,8 +41,7 @@ Log drive(bool rolling_shutter) {
     for (int i = 0; i < 5; ++i) {
         s.frames.push_back(
             make_frame(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
-        s.world_from_vehicle.time_s.push_back(0.1 * i);
-        s.world_from_vehicle.pose.push_back(turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
+        s.world_from_vehicle.append(0.1 * i, turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
     }
     return s;
 }
@@ -86,10 +85,7 @@ TEST(Neighbours, MoveWithTheirBoxes) {
     for (Pose& pose : s.world_from_vehicle.pose) pose = {};
     // a box that moves by 1 m per frame and contains the points of frames 1 and 3
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};
-    for (int i = 0; i < 5; ++i) {
-        box.world_from_box.time_s.push_back(0.1 * i);
-        box.world_from_box.pose.push_back(turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
-    }
+    for (int i = 0; i < 5; ++i) box.world_from_box.append(0.1 * i, turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
     s.boxes = {box};
     const Scan still = predict_scan(s, 2, {1, 3}, BoxPointMotion::stay),
                moved = predict_scan(s, 2, {1, 3}, BoxPointMotion::follow);
@@ -150,11 +146,8 @@ TEST(BinOntoRays, BeamsHaveAzimuthOffsetsAndSweepsStartAnywhere) {
 /// beside the window belong to no ray.
 TEST(BinOntoRays, AWindowEnds) {
     const RayTable rays = make_rays(WindowScanSensor{"", 4, 46, 1.25 * kPi, 0.75 * kPi, 0.1, -0.1});
-    Scan points{rays, {}, {}};
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-        points.range_m.push_back(5.0f + 0.1f * float(i));
-        points.intensity.push_back(0.5f);
-    }
+    Scan points{rays, {}, ScanArray<float>(rays.size(), 0.5f)};
+    for (std::size_t i = 0; i < rays.size(); ++i) points.range_m.push_back(5.0f + 0.1f * float(i));
     const Scan scan = assign_points(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
     for (glm::vec3& direction : points.rays.direction) direction.x = -direction.x;  // ahead
@@ -270,12 +263,10 @@ TEST(Regions, ScoreCloudsAndLargeErrors) {
 TEST(Regions, KnowWhatMoves) {
     Log s = drive(true);
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};  // contains the point of frame 2 at its firing time
-    for (int i = 0; i < 5; ++i) {
-        box.world_from_box.time_s.push_back(0.1 * i);
-        box.world_from_box.pose.push_back(
-            {s.world_from_vehicle.pose_at(0.21).rotation,
-             s.world_from_vehicle.pose_at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
-    }
+    const Pose then = s.world_from_vehicle.pose_at(0.21);
+    for (int i = 0; i < 5; ++i)
+        box.world_from_box.append(0.1 * i,
+                                  {then.rotation, then * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     s.boxes = {box};
     EXPECT_EQ(mask_labelled_movers(s, s.frames[2]), std::vector<bool>{true});
     EXPECT_EQ(mask_labelled_movers(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
+// Compares structural similarity and nearest distances with their definitions.
 #include <relidar/score/metrics.hpp>
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <random>
 
 #include <gtest/gtest.h>
@@ -59,20 +62,13 @@ TEST(Ssim, AgreesWithTheDefinition) {
     }
 }
 
-TEST(Ssim, IdenticalImagesScoreOne) {
-    const Values a = make_random_values(20 * 30, 80.0, 3);
-    EXPECT_NEAR(compute_ssim(a, a, 20, 30, 80.0), 1.0, 1e-14);
-}
-
-TEST(Ssim, ConstantImagesHaveAClosedForm) {
+TEST(Ssim, HasClosedForms) {
+    const Values one = make_random_values(20 * 30, 80.0, 3), other = make_random_values(20 * 30, 80.0, 4);
+    EXPECT_NEAR(compute_ssim(one, one, 20, 30, 80.0), 1.0, 1e-14);
+    EXPECT_NEAR(compute_ssim(one, other, 20, 30, 80.0), compute_ssim(other, one, 20, 30, 80.0), 1e-14);
     const Values a(100, 2.0), b(100, 3.0);  // without variance, only the luminance term remains
     const double c1 = 1e-4 * 16.0;
     EXPECT_NEAR(compute_ssim(a, b, 10, 10, 4.0), (12.0 + c1) / (13.0 + c1), 1e-12);
-}
-
-TEST(Ssim, IsSymmetric) {
-    const Values a = make_random_values(10 * 20, 1.0, 4), b = make_random_values(10 * 20, 1.0, 5);
-    EXPECT_NEAR(compute_ssim(a, b, 10, 20, 1.0), compute_ssim(b, a, 10, 20, 1.0), 1e-14);
 }
 
 TEST(Ssim, RefusesWhatIsNotDefined) {
@@ -83,5 +79,57 @@ TEST(Ssim, RefusesWhatIsNotDefined) {
     EXPECT_THROW(compute_ssim(Values(48), Values(48), 6, 8, 1.0), DataError);
 }
 
+using Points = std::vector<glm::dvec3>;
+
+std::vector<double> brute_force(const Points& query, const Points& target) {
+    std::vector<double> distance(query.size(), std::numeric_limits<double>::infinity());
+    for (std::size_t i = 0; i < query.size(); ++i)
+        for (const glm::dvec3& point : target)
+            distance[i] = std::min(distance[i], glm::distance(query[i], point));
+    return distance;
+}
+
+Points make_random_points(int count, glm::dvec3 centre, glm::dvec3 extent, unsigned seed) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    Points points;
+    for (int i = 0; i < count; ++i)
+        points.push_back(centre + extent * glm::dvec3(normal(random), normal(random), normal(random)));
+    return points;
+}
+
+void expect_exact(const Points& query, const Points& target) {
+    const std::vector<double> actual = nearest_distances_m(query, target),
+                              expected = brute_force(query, target);
+    ASSERT_EQ(actual.size(), expected.size());
+    for (std::size_t i = 0; i < actual.size(); ++i)
+        ASSERT_NEAR(actual[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
+}
+
+TEST(NearestDistances, AgreeWithBruteForce) {
+    const glm::dvec3 origin(0.0), wide(30.0, 30.0, 2.0);
+    const auto cloud = [&](int count, unsigned seed) {
+        return make_random_points(count, origin, wide, seed);
+    };
+    expect_exact(cloud(500, 1), cloud(700, 2));
+    expect_exact(cloud(300, 3), cloud(1, 4));
+    expect_exact(cloud(300, 5), make_random_points(400, origin, {30.0, 0.0, 0.0}, 6));
+    // coordinates of a map grid
+    expect_exact(make_random_points(300, {4e5, 5e6, 100.0}, wide, 7),
+                 make_random_points(400, {4e5, 5e6, 100.0}, wide, 8));
+    expect_exact(cloud(300, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
+    expect_exact(cloud(20'000, 10), cloud(200, 11));  // several threads
+    EXPECT_EQ(nearest_distances_m(cloud(1000, 1), cloud(1000, 1)), std::vector<double>(1000, 0.0));
+}
+
+TEST(NearestDistances, NeedFiniteTargets) {
+    EXPECT_TRUE(nearest_distances_m({}, {}).empty());
+    const Points good{glm::dvec3(0.0)}, bad{glm::dvec3(0.0, std::numeric_limits<double>::quiet_NaN(), 0.0)};
+    EXPECT_THROW(nearest_distances_m(good, {}), DataError);
+    EXPECT_THROW(nearest_distances_m(bad, good), DataError);
+    EXPECT_THROW(nearest_distances_m(good, bad), DataError);
+}
+
 }  // namespace
+
 }  // namespace relidar

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
+// Errors of masked pixels, and distances between the point clouds of two range images.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -39,5 +41,26 @@ double add_errors(MetricValues& row, const std::string& name_prefix, const std::
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum);
+
+// sqrt(0.05), because the published code compares squared distances with 0.05
+inline constexpr double kPeerThreshold_m = 0.22360679774997896964;
+
+/// Distances to the nearest point of the other cloud. Empty if one of the clouds is.
+struct CloudDistances {
+    PixelValues to_real, to_rendered;
+
+    bool empty() const { return to_real.empty(); }
+    double chamfer() const { return mean_value(to_real) + mean_value(to_rendered); }
+    double squared_chamfer() const { return mean_square(to_real) + mean_square(to_rendered); }
+    /// Returns the harmonic mean of precision and recall, or 0 if a cloud is empty.
+    double compute_f_score(double threshold_m) const;
+};
+/// Compares the points of masked pixels. Returns nothing if both clouds are empty.
+std::optional<CloudDistances> compare_clouds(const RangeImage& rendered, const PixelMask& rendered_mask,
+                                             const RangeImage& real, const PixelMask& real_mask);
+
+/// Adds <prefix>{cd_mean_m,cd_sq_m2,f_5cm,f_22cm} of the points of masked pixels.
+void add_cloud_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
+                       const PixelMask& rendered_mask, const RangeImage& real, const PixelMask& real_mask);
 
 }  // namespace relidar::metrics
