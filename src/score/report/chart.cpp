@@ -2,14 +2,12 @@
 // Draws line charts as inline SVG: axes with round ticks, grid lines, and one path for
 // each curve. The style sheet of the page defines colours and fonts (classes c0 ... c7,
 // axis, grid, faint), so that charts follow the light and dark themes of the page.
-#include "chart.hpp"
-#include "base/fail.hpp"
+#include "score/report/report_parts.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
-#include "html.hpp"
+#include "base/fail.hpp"
 
 namespace relidar::report {
 namespace {
@@ -33,14 +31,12 @@ struct ChartAxis {
 };
 
 struct ValueInterval {
-    double low = std::numeric_limits<double>::infinity();
-    double high = -std::numeric_limits<double>::infinity();
+    double low = INFINITY, high = -INFINITY;
 
     void extend(double value) {
         low = std::min(low, value);
         high = std::max(high, value);
     }
-    bool empty() const { return low > high; }
 };
 
 bool is_drawable(const ReportCurve& curve, std::size_t point) {
@@ -87,9 +83,10 @@ std::string format_tick(double value) {
     return fmt::format("{:.6g}", value);
 }
 
-ChartAxis make_axis(const ValueInterval& value_extent, double page_low, double page_high) {
-    if (value_extent.empty()) return {0.0, 1.0, page_low, page_high, false};
-    return {value_extent.low, value_extent.high, page_low, page_high, false};
+/// Returns a linear axis from 0 to 1 if there is no value.
+ChartAxis make_axis(const ValueInterval& extent, double page_low, double page_high) {
+    const auto [low, high] = extent.low > extent.high ? ValueInterval{0.0, 1.0} : extent;
+    return {low, high, page_low, page_high, false};
 }
 
 /// Returns the y axis with a margin. It is logarithmic if all values are positive and
@@ -203,10 +200,7 @@ std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
 
 }  // namespace
 
-bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
-    return std::any_of(curves.begin(), curves.end(),
-                       [](const ReportCurve* curve) { return curve->y.size() > kMaxSmoothPoints; });
-}
+bool has_running_mean(const ReportCurve& curve) { return curve.y.size() > kMaxSmoothPoints; }
 
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
     ValueInterval x_extent, y_extent;
@@ -230,7 +224,7 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         // A long curve is drawn faintly behind its running mean.
-        const bool many = curves[i]->y.size() > kMaxSmoothPoints;
+        const bool many = has_running_mean(*curves[i]);
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
         svg += draw_curve(*curves[i], x, y, many ? colour + " faint" : colour);
         if (many) svg += draw_curve(running_mean(*curves[i]), x, y, colour);

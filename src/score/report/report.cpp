@@ -15,10 +15,8 @@
 #include <fmt/format.h>
 
 #include "base/parallel.hpp"
-#include "chart.hpp"
-#include "html.hpp"
-#include "report_parts.hpp"
-#include "report_style.hpp"
+#include "score/report/report_parts.hpp"
+#include "score/report/report_style.hpp"
 
 namespace relidar {
 namespace {
@@ -30,15 +28,15 @@ using report::format_number;
 // are visible.
 constexpr double kMaxAspect = 10.0;
 
-std::string section_html(const std::string& title, const std::string& body) {
+/// Returns nothing if the body is empty.
+std::string section_html(const std::string& title, const std::string& body, bool is_collapsed = false) {
     if (body.empty()) return "";
-    return fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
+    return fmt::format(fmt::runtime(is_collapsed ? "<details>\n<summary>{}</summary>\n{}</details>\n"
+                                                 : "<section>\n<h2>{}</h2>\n{}</section>\n"),
+                       escape_html(title), body);
 }
 
-std::string collapsed_html(const std::string& title, const std::string& body) {
-    if (body.empty()) return "";
-    return fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
-}
+std::string note_html(const std::string& text) { return "<p class=\"note\">" + text + "</p>\n"; }
 
 /// scrolls horizontally on a narrow screen
 std::string make_table_html(const std::string& header_cells, const std::string& rows) {
@@ -58,7 +56,7 @@ std::string table_html(const ReportTable& table) {
             cells += fmt::format("<td{}>{}</td>", cells.empty() ? " class=\"name\"" : "", escape_html(cell));
         rows += "<tr>" + cells + "</tr>\n";
     }
-    return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(table.note) + "</p>\n";
+    return make_table_html(head, rows) + note_html(escape_html(table.note));
 }
 
 /// Returns a table in which each row is a bar of stacked shares.
@@ -79,8 +77,7 @@ std::string bars_html(const ReportBars& bars) {
                         escape_html(row.name), stack, cells, row.count);
     }
     if (rows.empty()) return "";
-    return make_table_html(head + "<th>rays</th>", rows) + "<p class=\"note\">" + escape_html(bars.note) +
-           "</p>\n";
+    return make_table_html(head + "<th>rays</th>", rows) + note_html(escape_html(bars.note));
 }
 
 std::string make_facts_html(const Report& report) {
@@ -162,20 +159,19 @@ std::string metrics_html(const Report& report) {
     }
     const char* marks = report.same_scans ? "Green marks the best value of a row."
                                           : "The columns show different scans, so they cannot be compared.";
-    const std::string note =
-        report.metrics.size() > 1
-            ? fmt::format("<p class=\"note\">{} A dash means that a value is missing or undefined.</p>\n",
-                          marks)
-            : "";
-    return make_table_html(head, rows) + note;
+    return make_table_html(head, rows) +
+           (report.metrics.size() > 1
+                ? note_html(marks + std::string(" A dash means that a value is missing or undefined."))
+                : "");
 }
 
 std::string key_metrics_html(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
-        const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
-        if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
+        if (std::ranges::none_of(report.metrics,
+                                 [&](const auto& m) { return m.second.contains(key.metric); }))
+            continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
                             escape_html(key.hint), cells_html(report, key.metric));
     }
@@ -200,19 +196,18 @@ std::string curves_html(const Report& report) {
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
         const std::string group = split_metric(curve.name).first;
-        auto it = std::find_if(charts.begin(), charts.end(),
-                               [&](const auto& known) { return known.first == group; });
+        auto it = std::ranges::find(charts, group, [](const auto& chart) { return chart.first; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
-        means = means || report::has_running_mean({&curve});
+        means = means || report::has_running_mean(curve);
     }
     std::string body;
     for (const auto& [title, members] : charts)
         body += make_chart_html(title, members, charts.size() > 1 ? 550 : 1130);
     if (body.empty()) return "";
     return "<div class=\"charts\">\n" + body + "</div>\n" +
-           (means ? "<p class=\"note\">Faint line: all values. Solid line: running mean over one fortieth of "
-                    "the curve.</p>\n"
+           (means ? note_html(
+                        "Faint line: all values. Solid line: running mean over one fortieth of the curve.")
                   : "");
 }
 
@@ -258,17 +253,12 @@ std::string timing_html(const MetricValues& kernel_times_ms) {
 }
 
 std::string figure_html(const ReportFigure& figure) {
-    std::vector<std::string> urls(figure.images.size());
-    parallel_for(static_cast<int>(urls.size()), [&](int index) {
-        urls[std::size_t(index)] = report::png_data_url(figure.images[std::size_t(index)].second);
-    });
     std::string body;
-    for (std::size_t i = 0; i < urls.size(); ++i) {
-        const auto& [caption, image] = figure.images[i];
+    for (const auto& [caption, image] : figure.images) {
         const double aspect = std::min(kMaxAspect, double(image.columns) / double(image.rows));
         body += fmt::format("<figure><figcaption>{}</figcaption>", escape_html(caption));
         body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n",
-                            escape_html(caption), aspect, urls[i]);
+                            escape_html(caption), aspect, report::png_data_url(image));
     }
     return body;
 }
@@ -295,8 +285,9 @@ std::string page_html(const Report& report) {
     std::string timings;
     for (const auto& [title, row] : report.timings_ms)
         timings += fmt::format("<h3>{}</h3>\n{}", escape_html(title), timing_html(row));
-    html += collapsed_html("All metrics", metrics_html(report)) +
-            collapsed_html("The run", make_facts_html(report)) + collapsed_html("Time by kernel", timings);
+    html += section_html("All metrics", metrics_html(report), true) +
+            section_html("The run", make_facts_html(report), true) +
+            section_html("Time by kernel", timings, true);
     html += "<footer>Written by relidar</footer>\n</main>\n";
     if (!report.views.empty()) html += report::view_script();
     return html + "</body>\n</html>\n";

@@ -69,13 +69,9 @@ th i { display: inline-block; width: 10px; height: 10px; margin-right: 6px; bord
 .b0 { background: #2a9d8f; } .b1 { background: #8ab17d; } .b2 { background: #e9c46a; }
 .b3 { background: #e76f51; } .b4 { background: #8d99ae; }
 footer { color: var(--soft); font-size: 13px; text-align: center; }
-)css"
-    R"css(.line.c0 { stroke: var(--c0); } .line.c1 { stroke: var(--c1); } .line.c2 { stroke: var(--c2); } .line.c3 { stroke: var(--c3); }
-.line.c4 { stroke: var(--c4); } .line.c5 { stroke: var(--c5); } .line.c6 { stroke: var(--c6); } .line.c7 { stroke: var(--c7); }
-i.c0 { background: var(--c0); } i.c1 { background: var(--c1); } i.c2 { background: var(--c2); } i.c3 { background: var(--c3); }
-i.c4 { background: var(--c4); } i.c5 { background: var(--c5); } i.c6 { background: var(--c6); } i.c7 { background: var(--c7); }
-circle.c0 { fill: var(--c0); } circle.c1 { fill: var(--c1); } circle.c2 { fill: var(--c2); } circle.c3 { fill: var(--c3); }
-circle.c4 { fill: var(--c4); } circle.c5 { fill: var(--c5); } circle.c6 { fill: var(--c6); } circle.c7 { fill: var(--c7); }
+.c0 { --c: var(--c0); } .c1 { --c: var(--c1); } .c2 { --c: var(--c2); } .c3 { --c: var(--c3); }
+.c4 { --c: var(--c4); } .c5 { --c: var(--c5); } .c6 { --c: var(--c6); } .c7 { --c: var(--c7); }
+.line { stroke: var(--c); } circle { fill: var(--c); } .legend i { background: var(--c); }
 @media (max-width: 560px) { .charts { grid-template-columns: 1fr; } body { padding: 24px 12px; } section { padding: 16px; } }
 @media print { body { background: none; padding: 0; } section { break-inside: avoid; border: 0; padding: 0; } }
 )css";

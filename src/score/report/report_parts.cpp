@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the 3D views of the report. Packs each point of a view into 8 bytes,
-// little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, and the
-// range error. The range error is in steps of 4 mm, up to 1 m; the value 255 means an
-// unknown error. points/report.js reads the points.
-#include "report_parts.hpp"
+// Writes texts, numbers, images and 3D views of the report as HTML. Packs each point of a
+// view into 8 bytes, little-endian: x, y, z in centimetres (int16), intensity in steps of
+// 1/255, and the range error. The range error is in steps of 4 mm, up to 1 m; the value
+// 255 means an unknown error. points/report.js reads the points.
+#include "score/report/report_parts.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -14,7 +14,6 @@
 #include <fmt/format.h>
 
 #include "base/base64.hpp"
-#include "html.hpp"
 
 namespace relidar {
 
@@ -70,6 +69,33 @@ std::string strip_module(std::string_view module_source) {
 }
 
 }  // namespace
+
+std::string escape_html(std::string_view text) {
+    std::string result;
+    for (char c : text) {
+        if (c == '&') result += "&amp;";
+        else if (c == '<') result += "&lt;";
+        else if (c == '>') result += "&gt;";
+        else if (c == '"') result += "&quot;";
+        else if (c == '\'') result += "&#39;";
+        else result += c;
+    }
+    return result;
+}
+
+std::string format_number(double value) {
+    if (std::isnan(value)) return "\u2013";
+    const double size = std::abs(value);
+    if (value == 0.0 || (size >= 1e-4 && size < 1e7)) {
+        const int digits = value == 0.0 ? 0 : std::clamp(3 - int(std::floor(std::log10(size))), 0, 7);
+        return fmt::format("{:.{}f}", value, digits);
+    }
+    return fmt::format("{:.3g}", value);
+}
+
+std::string png_data_url(const Image& image) {
+    return "data:image/png;base64," + encode_base64(encode_png(image));
+}
 
 std::string view_html(const ReportView& view, std::size_t n_views) {
     // All clouds of all views of the page share kMaxPoints.
