@@ -25,19 +25,15 @@ constexpr std::size_t kMinRealPoints = 10;
 
 struct BoxInScan {
     const Log& sequence;
-    const SweepTiming& sweep_timing;
+    const SweepTiming& sweep;
     const BoxTrack& box;
-    glm::dvec3 centre_m;  ///< centre of the box at the scan's time, sensor frame
-
-    BoxInScan(const Log& s, const SweepTiming& at, const BoxTrack& b)
-        : sequence(s),
-          sweep_timing(at),
-          box(b),
-          centre_m(inverse(world_from_sensor(at.time_s)) * b.world_from_box.pose_at(at.time_s).translation) {}
+    /// centre of the box at the time of the scan, sensor frame
+    const glm::dvec3 centre_m =
+        inverse(world_from_sensor(sweep.time_s)) * box.world_from_box.pose_at(sweep.time_s).translation;
 
     Pose world_from_sensor(double t_s) const {
         return sequence.world_from_vehicle.mounted_pose_at(
-            t_s, sequence.lidars[std::size_t(sweep_timing.lidar)].vehicle_from_sensor);
+            t_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
     }
     /// At the time when the LiDAR's head faces the point. Nothing if the point is far
     /// away.
@@ -45,10 +41,10 @@ struct BoxInScan {
         if (glm::distance(sensor_point_m, centre_m) >
             0.5 * glm::length(box.size_m) + kSilhouetteMargin_m + kMaxMotionPerSweep_m)
             return std::nullopt;
-        const double t_s = facing_time_s(sequence, sensor_point_m, sweep_timing);
+        const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
         return inverse(box.world_from_box.pose_at(t_s)) * (world_from_sensor(t_s) * sensor_point_m);
     }
-    bool is_point_in_box(const std::optional<glm::dvec3>& box_point_m, double margin_m) const {
+    bool contains(const std::optional<glm::dvec3>& box_point_m, double margin_m) const {
         const glm::dvec3 half = 0.5 * box.size_m;
         return box_point_m && std::abs(box_point_m->x) <= half.x + margin_m &&
                std::abs(box_point_m->y) <= half.y + margin_m && box_point_m->z <= half.z + margin_m &&
@@ -56,14 +52,16 @@ struct BoxInScan {
     }
 };
 
-glm::dvec3 ray_end_point(const RangeImage& image, std::size_t ray, float range_m) {
-    return glm::dvec3(image.origin[ray] + range_m * image.direction[ray]);
-}
-
 double compute_mean(const std::vector<double>& values) {
     double sum = 0.0;
     for (const double v : values) sum += v;
     return sum / double(std::max<std::size_t>(values.size(), 1));
+}
+
+/// Returns F1 = n_both / (n_both + (n_missed + n_false) / 2) as numerator and
+/// denominator.
+std::pair<double, double> silhouette_f1(const MovingBoxPoints& points) {
+    return {double(points.n_both), double(points.n_both) + 0.5 * double(points.n_missed + points.n_false)};
 }
 
 /// Adds the median absolute error, the median error (bias), and the fraction of errors
@@ -88,9 +86,9 @@ struct BoxGroupErrors {
 
     void add_box(const MovingBoxPoints& points) {
         range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
-        both += double(points.n_both);
-        // F1 = n_both / (n_both + (n_missed + n_false) / 2)
-        either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
+        const auto [box_both, box_either] = silhouette_f1(points);
+        both += box_both;
+        either += box_either;
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
         chamfer_m.push_back(compute_mean(to_real) +
@@ -147,17 +145,19 @@ bool is_in_volume(const SweptBoxVolume& swept_volume, const glm::dvec3& world_po
     if (glm::any(glm::lessThan(world_point_m, swept_volume.low - reach)) ||
         glm::any(glm::greaterThan(world_point_m, swept_volume.high + reach)))
         return false;
-    return std::any_of(swept_volume.box_from_world.begin(), swept_volume.box_from_world.end(),
-                       [&](const Pose& box_from_world) {
-                           const glm::dvec3 p = box_from_world * world_point_m;
-                           return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
-                                  p.z >= -half.z + kMinTailHeight_m;
-                       });
+    return std::ranges::any_of(swept_volume.box_from_world, [&](const Pose& box_from_world) {
+        const glm::dvec3 p = box_from_world * world_point_m;
+        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
+               p.z >= -half.z + kMinTailHeight_m;
+    });
 }
 
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
+
+    /// Fraction of all returned points that are in a tail.
+    double share() const { return double(n_tail_points) / double(std::max<std::size_t>(n_points, 1)); }
     CometTailPointCounts& operator+=(const CometTailPointCounts& other) {
         n_points += other.n_points;
         n_tail_points += other.n_tail_points;
@@ -167,11 +167,14 @@ struct CometTailPointCounts {
     }
 };
 
-/// Counts the points in comet tails on all cores. A point is in a tail if a box contains
-/// it at another time, but no box contains it at its own time.
-CometTailPointCounts count_by_box(const RangeImage& image, const std::vector<float>& point_ranges_m,
-                                  const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
-                                  const SweepTiming& sweep) {
+/// Counts returned points at positions that a moving box occupies only at other times of
+/// the log. Boxes at the time of the point are enlarged by 0.3 m. Points in the lowest
+/// 0.3 m of a box belong to the ground. The time of a point is when the LiDAR's head
+/// faces it. Tails of several boxes can contain the same point.
+/// @param point_ranges_m [n] ranges of the points of the image
+CometTailPointCounts count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                       const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
+                                       const SweepTiming& sweep) {
     // per step of a thread
     constexpr std::size_t kRaysPerBlock = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
@@ -202,51 +205,30 @@ CometTailPointCounts count_by_box(const RangeImage& image, const std::vector<flo
     });
 }
 
-struct CometTailStatistics {
-    double share = 0.0;  ///< Fraction of all returned points that are in a tail.
-    /// By box id. Tails of several boxes can contain the same point.
-    std::map<std::string, std::size_t> n_of_box;
-};
-
-/// Counts returned points at positions that a moving box occupies only at other times of
-/// the log. Boxes at the time of the point are enlarged by 0.3 m. Points in the lowest
-/// 0.3 m of a box belong to the ground. The time of a point is when the LiDAR's head
-/// faces it.
-/// @param point_ranges_m [n] ranges of the points of the image
-CometTailStatistics count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
-                                      const Log& sequence, const SweepTiming& sweep) {
-    const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
-    if (swept.empty()) return {};
-    const CometTailPointCounts point_counts = count_by_box(image, point_ranges_m, sequence, swept, sweep);
-    CometTailStatistics counts;
-    counts.share =
-        double(point_counts.n_tail_points) / double(std::max<std::size_t>(point_counts.n_points, 1));
-    for (std::size_t k = 0; k < swept.size(); ++k)
-        counts.n_of_box[swept[k].box->id] = k < point_counts.n_of_box.size() ? point_counts.n_of_box[k] : 0;
-    return counts;
-}
-
 }  // namespace
 
 MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
                               const RangeImage& real, const Log& sequence, const SweepTiming& sweep,
                               const BoxTrack& box) {
-    const BoxInScan in_scan(sequence, sweep, box);
+    const BoxInScan in_scan{sequence, sweep, box};
     MovingBoxPoints result;
     for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
         // End points of ray i in the box frame; empty without a return or far away.
         std::optional<glm::dvec3> measured, simulated;
         const bool returns = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
-        if (real.range_m[i] > 0.0f) measured = in_scan.to_box(ray_end_point(real, i, real.range_m[i]));
-        if (returns) simulated = in_scan.to_box(ray_end_point(rendered, i, point_ranges_m[i]));
-        if (in_scan.is_point_in_box(measured, kBoxMargin_m)) {
+        const auto to_box = [&](const RangeImage& image, float range_m) {
+            return in_scan.to_box(glm::dvec3(image.origin[i] + range_m * image.direction[i]));
+        };
+        if (real.range_m[i] > 0.0f) measured = to_box(real, real.range_m[i]);
+        if (returns) simulated = to_box(rendered, point_ranges_m[i]);
+        if (in_scan.contains(measured, kBoxMargin_m)) {
             result.real_m.push_back(*measured);
             if (returns) result.range_error_m.push_back(double(point_ranges_m[i]) - double(real.range_m[i]));
         }
-        if (in_scan.is_point_in_box(simulated, kBoxMargin_m)) result.simulated_m.push_back(*simulated);
+        if (in_scan.contains(simulated, kBoxMargin_m)) result.simulated_m.push_back(*simulated);
         // F1 counts the rays that hit the box, with a wider margin.
-        const bool in_real = in_scan.is_point_in_box(measured, kSilhouetteMargin_m),
-                   in_simulated = in_scan.is_point_in_box(simulated, kSilhouetteMargin_m);
+        const bool in_real = in_scan.contains(measured, kSilhouetteMargin_m),
+                   in_simulated = in_scan.contains(simulated, kSilhouetteMargin_m);
         result.n_both += in_real && in_simulated;
         result.n_missed += in_real && !in_simulated;
         result.n_false += in_simulated && !in_real;
@@ -257,24 +239,24 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
 FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
                               const RangeImage& real, const Log& sequence, const SweepTiming& sweep) {
     FrameActorScores scores;
-    const CometTailStatistics tails = count_tail_points(rendered, point_ranges_m, sequence, sweep),
-                              real_tails = count_tail_points(real, real.range_m, sequence, sweep);
-    if (tails.n_of_box.empty()) return scores;
-    scores.metrics["actors/tail_share"] = tails.share;
-    scores.metrics["actors/tail_share_real"] = real_tails.share;
+    const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
+    if (swept.empty()) return scores;
+    const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, sequence, swept, sweep),
+                               real_tails = count_tail_points(real, real.range_m, sequence, swept, sweep);
+    scores.metrics["actors/tail_share"] = tails.share();
+    scores.metrics["actors/tail_share_real"] = real_tails.share();
     BoxGroupErrors people, vehicles;
-    for (const BoxTrack& box : sequence.boxes) {
-        if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
+    for (std::size_t k = 0; k < swept.size(); ++k) {
+        const BoxTrack& box = *swept[k].box;
         MovingBoxPoints p;
         if (box.is_observed(sweep.time_s))
             p = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
         MetricValues row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
         add_range_errors(row, "range_", p.range_error_m);
-        // F1 = n_both / (n_both + (n_missed + n_false) / 2)
-        const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (either > 0.0) row["f1"] = double(p.n_both) / either;
-        row["tail"] = double(tails.n_of_box.at(box.id));
-        row["tail_real"] = double(real_tails.n_of_box.at(box.id));
+        const auto [both, either] = silhouette_f1(p);
+        if (either > 0.0) row["f1"] = both / either;
+        row["tail"] = double(tails.n_of_box[k]);
+        row["tail_real"] = double(real_tails.n_of_box[k]);
         scores.actors.push_back({box.id, box.category, row});
         // The groups contain only labelled boxes with enough real points.
         if (p.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
@@ -285,8 +267,6 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
     return scores;
 }
 
-/// Combines the scores of each actor over the frames, and sorts actors from the worst to
-/// the best.
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct Sums {
         std::string category;
@@ -297,14 +277,14 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
         for (const ActorScore& actor : frame) {
             Sums& s = sums[actor.track];
             s.category = actor.category;
+            const double weight = actor.metrics.at("points_real");
             for (const auto& [name, value] : actor.metrics) {
-                const bool is_count = name.starts_with("points") || name.starts_with("tail");
-                const double weight = actor.metrics.at("points_real");
-                if (is_count) s.counts[name] += value;
-                else {
-                    s.weighted[name] += weight * value;
-                    s.weight[name] += weight;
+                if (name.starts_with("points") || name.starts_with("tail")) {
+                    s.counts[name] += value;
+                    continue;
                 }
+                s.weighted[name] += weight * value;
+                s.weight[name] += weight;
             }
         }
     std::vector<ActorScore> actors;

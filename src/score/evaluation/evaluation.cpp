@@ -116,6 +116,13 @@ std::unique_ptr<Lpips> load_lpips() {
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
+/// Returns the ranges of the points, or those of the image for a baseline, which projects
+/// real scans and has no points.
+const std::vector<float>& ranges_of_points(const RenderedScan& rendered, const Config& config) {
+    const std::vector<float>& points_m = point_ranges(rendered, config);
+    return points_m.empty() ? rendered.image.range_m : points_m;
+}
+
 /// Computes the metrics of several rendered frames in parallel.
 /// @param lpips_network  if null, the metric LPIPS is left out
 std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
@@ -129,11 +136,8 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
     for (const RenderedFrame& r : rendered_frames) {
         std::vector<PixelRegion> regions = make_regions(r.frame.real, r.moving);
         if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
-        // `points_m` is empty for a baseline, which projects real scans instead of
-        // rendering them. In this case, uses the ranges of the image.
-        const std::vector<float>& points_m = point_ranges(r.frame.rendered, config);
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
-                               points_m.empty() ? r.frame.rendered.image.range_m : points_m});
+                               ranges_of_points(r.frame.rendered, config)});
     }
     const std::vector<MetricValues> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
@@ -152,12 +156,9 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
 
 void add_actor_scores(std::vector<ScoredFrame>& frames, const Log& sequence, const Config& config) {
     for (ScoredFrame& frame : frames) {
-        const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
-        const RangeImage& rendered = frame.rendered.image;
-        // a baseline has only the ranges of the image
-        const std::vector<float>& points_m = point_ranges(frame.rendered, config);
-        FrameActorScores scores = score_actors(rendered, points_m.empty() ? rendered.range_m : points_m,
-                                               frame.real, sequence, sweep);
+        FrameActorScores scores =
+            score_actors(frame.rendered.image, ranges_of_points(frame.rendered, config), frame.real, sequence,
+                         {frame.time_s, frame.lidar, frame.start});
         frame.metrics.merge(scores.metrics);
         frame.actors = std::move(scores.actors);
     }
@@ -172,21 +173,18 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
     for (std::size_t i = 0; i < real.range_m.size(); ++i) {
         const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
         if (!(range_m > kRangeEdges.front() && range_m <= kRangeEdges.back())) continue;
-        const auto row = std::size_t(std::lower_bound(kRangeEdges.begin(), kRangeEdges.end(), range_m) -
-                                     kRangeEdges.begin()) -
-                         1;
-        const auto band = std::size_t(std::upper_bound(kErrorEdges.begin(), kErrorEdges.end(), error_m) -
-                                      kErrorEdges.begin());
-        counts.rays[row][is_ray_returned(rendered.drop_prob[i], rendered.range_m[i])
-                             ? band
-                             : RangeErrorCounts::kErrorBins - 1] += 1.0;
+        const auto row = std::ranges::lower_bound(kRangeEdges, range_m) - kRangeEdges.begin() - 1;
+        const auto band = is_ray_returned(rendered.drop_prob[i], rendered.range_m[i])
+                              ? std::ranges::upper_bound(kErrorEdges, error_m) - kErrorEdges.begin()
+                              : std::ptrdiff_t(RangeErrorCounts::kErrorBins) - 1;
+        counts.rays[std::size_t(row)][std::size_t(band)] += 1.0;
     }
     return counts;
 }
 
-struct BatchEvaluationParams {
-    const std::vector<int>& positions;  ///< indices into sequence.frames
-    const Log& sequence;
+struct FrameBatch {
+    const std::vector<int>& positions;  ///< indices into log.frames
+    const Log& log;
     const Config& config;
     const Progress& progress;
     const ScoredFrameCallback& see;
@@ -195,27 +193,25 @@ struct BatchEvaluationParams {
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
 /// @param render_one_frame  renders a frame, or predicts it for a baseline
 std::vector<ScoredFrame> score_frames(
-    const BatchEvaluationParams& frame_batch, const char* progress_text,
+    const FrameBatch& all, const char* progress_text,
     const std::function<RenderedFrame(int position, const Frame&)>& render_one_frame) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
-    const std::size_t n = frame_batch.positions.size();
+    const std::size_t n = all.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
         std::vector<RenderedFrame> batch;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
-            if (frame_batch.progress) frame_batch.progress(progress_text, double(i) / double(n));
-            const int position = frame_batch.positions[i];
-            batch.push_back(
-                render_one_frame(position, frame_batch.sequence.frames.at(std::size_t(position))));
-            batch.back().repeat_scores =
-                score_repeat(frame_batch.config, frame_batch.sequence, position, batch.back().frame.real);
+            if (all.progress) all.progress(progress_text, double(i) / double(n));
+            const int position = all.positions[i];
+            batch.push_back(render_one_frame(position, all.log.frames.at(std::size_t(position))));
+            batch.back().repeat_scores = score_repeat(all.config, all.log, position, batch.back().frame.real);
         }
         std::vector<ScoredFrame> scored_batch =
-            score_rendered(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
-        add_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
+            score_rendered(std::move(batch), all.config, all.log, lpips.get());
+        add_actor_scores(scored_batch, all.log, all.config);
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
-            if (frame_batch.see) frame_batch.see(frame);
+            if (all.see) all.see(frame);
             // Only the middle frame keeps its images. All frames keep the rendering time.
             if (scored.size() != n / 2) {
                 const double trace_ms = frame.rendered.trace_ms;
@@ -226,7 +222,7 @@ std::vector<ScoredFrame> score_frames(
             scored.push_back(std::move(frame));
         }
     }
-    if (frame_batch.progress && n > 0) frame_batch.progress(progress_text, 1.0);
+    if (all.progress && n > 0) all.progress(progress_text, 1.0);
     return scored;
 }
 
@@ -255,10 +251,9 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
         if (it == log.frames.end())
             fail("{} has no frame {}, but {} was trained with this frame; use the same log",
                  run.config.dataset.path, frame.index, run.folder.string());
-        if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
+        if (std::abs(it->time_s - frame.time_s) > kSameTime_s)
             fail("{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
                  run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string());
-        }
         frame.scan = it->scan;
         frame.start = it->start;
     };
