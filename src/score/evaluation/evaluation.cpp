@@ -47,13 +47,11 @@ std::vector<bool> flags_to_pixels(const std::vector<bool>& returned, const Confi
 }
 
 struct RenderedFrame {
-    ScoredFrame frame;
+    ScoredFrame frame;  ///< its metrics are those that need no image
     /// [n] return in a labelled box of a moving object
     std::vector<bool> moving;
     /// [n] return in a moving box without label; empty without such boxes
     std::vector<bool> discovered;
-    MetricValues class_scores;   ///< scores of the channel `class`; empty without labels
-    MetricValues repeat_scores;  ///< scores of the next scan; empty if the sensor moves
 };
 
 /// Returns the measured image of a frame and the masks of its moving boxes, without a
@@ -84,7 +82,7 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const L
     result.frame.rendered = renderer.render(sensor, frame.time_s, offset);
     const auto* classes = find_values<std::int32_t>(result.frame.rendered.channels, "class");
     if (classes && can_score_classes(renderer, config, frame))
-        result.class_scores = score_classes(*classes, frame.scan.classes);
+        result.frame.metrics = score_classes(*classes, frame.scan.classes);
     return result;
 }
 
@@ -139,13 +137,11 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
                                ranges_of_points(r.frame.rendered, config)});
     }
-    const std::vector<MetricValues> rows = evaluate_all(comparisons, options);
+    std::vector<MetricValues> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered_frames.size(); ++i) {
         frames.push_back(std::move(rendered_frames[i].frame));
-        frames.back().metrics = rows[i];
-        frames.back().metrics.merge(rendered_frames[i].class_scores);
-        frames.back().metrics.merge(rendered_frames[i].repeat_scores);
+        frames.back().metrics.merge(rows[i]);
         if (!has_intensities(frames.back().real))
             std::erase_if(frames.back().metrics, [](const auto& metric) {
                 return metric.first.find("intensity") != std::string::npos;
@@ -154,14 +150,11 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
     return frames;
 }
 
-void add_actor_scores(std::vector<ScoredFrame>& frames, const Log& sequence, const Config& config) {
-    for (ScoredFrame& frame : frames) {
-        FrameActorScores scores =
-            score_actors(frame.rendered.image, ranges_of_points(frame.rendered, config), frame.real, sequence,
-                         {frame.time_s, frame.lidar, frame.start});
-        frame.metrics.merge(scores.metrics);
-        frame.actors = std::move(scores.actors);
-    }
+void add_actor_scores(ScoredFrame& frame, const Log& sequence, const Config& config) {
+    FrameActorScores scores = score_actors(frame.rendered.image, ranges_of_points(frame.rendered, config),
+                                           frame.real, sequence, {frame.time_s, frame.lidar, frame.start});
+    frame.metrics.merge(scores.metrics);
+    frame.actors = std::move(scores.actors);
 }
 
 /// Counts the range errors of rays in a table of range bands and error bands. Rays
@@ -204,12 +197,11 @@ std::vector<ScoredFrame> score_frames(
             if (all.progress) all.progress(progress_text, double(i) / double(n));
             const int position = all.positions[i];
             batch.push_back(render_one_frame(position, all.log.frames.at(std::size_t(position))));
-            batch.back().repeat_scores = score_repeat(all.config, all.log, position, batch.back().frame.real);
+            batch.back().frame.metrics.merge(
+                score_repeat(all.config, all.log, position, batch.back().frame.real));
         }
-        std::vector<ScoredFrame> scored_batch =
-            score_rendered(std::move(batch), all.config, all.log, lpips.get());
-        add_actor_scores(scored_batch, all.log, all.config);
-        for (ScoredFrame& frame : scored_batch) {
+        for (ScoredFrame& frame : score_rendered(std::move(batch), all.config, all.log, lpips.get())) {
+            add_actor_scores(frame, all.log, all.config);
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (all.see) all.see(frame);
             // Only the middle frame keeps its images. All frames keep the rendering time.

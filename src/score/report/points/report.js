@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Draws the 3D views of the report: point clouds side by side, with a common camera.
-// src/score/report/report_view.cpp packs the points.
+// src/score/report/report_parts.cpp packs the points.
 import { Camera } from './camera.js';
 import { CloudView } from './cloud_view.js';
 import { COLOURINGS, coloursOf, cssGradient } from './colours.js';
