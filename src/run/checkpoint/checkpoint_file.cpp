@@ -71,11 +71,10 @@ std::optional<int> parse_iteration(std::string_view text) {
 /// Checks format, version and checksum of a file's contents, and that all numbers are
 /// finite.
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
-    const auto format = metadata.find("format"), version = metadata.find("version");
-    check_equal("metadata format", format == metadata.end() ? "" : format->second, kCheckpointFormat);
+    check_equal("metadata format", metadata["format"], kCheckpointFormat);
     // Checks the version before the checksum, because other versions may compute the
     // checksum differently.
-    check_equal("metadata version", version == metadata.end() ? "" : version->second, kCheckpointVersion);
+    check_equal("metadata version", metadata["version"], kCheckpointVersion);
     const std::string computed_checksum = checksum(metadata, arrays);
     check_equal("checksum of the metadata and arrays", computed_checksum, pop_value(metadata, kChecksumKey));
     for (const char* key : {"format", "version", "relidar"}) pop_value(metadata, key);

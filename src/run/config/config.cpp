@@ -79,19 +79,16 @@ std::optional<T> parse_in_range(const std::string& text, const SettingValueRange
 /// Parses the text of a setting. Returns nothing if the value is not accepted.
 template <class T>
 std::optional<T> parse_setting(const std::string& text, const SettingValueRange& accepted_values) {
-    const auto find = [&](const std::string& word) {
-        return std::find(accepted_values.choices.begin(), accepted_values.choices.end(), word);
-    };
-    const auto choice = find(text);
+    const std::vector<std::string>& choices = accepted_values.choices;
     const auto is_choice = [&](const std::string& word) {
-        return find(word) != accepted_values.choices.end();
+        return std::ranges::find(choices, word) != choices.end();
     };
     if (accepted_values.several ? !std::ranges::all_of(split_list(text), is_choice)
-                                : !accepted_values.choices.empty() && choice == accepted_values.choices.end())
+                                : !choices.empty() && !is_choice(text))
         return std::nullopt;
     // The choices are in the order of the enumerators.
     if constexpr (std::is_enum_v<T>) {
-        return static_cast<T>(choice - accepted_values.choices.begin());
+        return static_cast<T>(std::ranges::find(choices, text) - choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {
         if (text.find_first_of("\n\r") != std::string::npos) return std::nullopt;
         return text;
@@ -103,11 +100,9 @@ std::optional<T> parse_setting(const std::string& text, const SettingValueRange&
     }
 }
 
-/// Quotes are known for a TOML file, but not for the command line, because the shell
-/// removes them.
 struct ParsedValue {
     std::string text;
-    enum class QuotedState { unknown, yes, no } quotes = QuotedState::unknown;
+    std::optional<bool> is_quoted;  ///< only known in a TOML file, because a shell removes quotes
 };
 
 std::vector<std::string> list_keys() {
@@ -128,8 +123,7 @@ std::string unknown_key(const std::string& key) {
 template <class T>
 void assign_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
                   const ParsedValue& parsed_value) {
-    const bool wrong_kind =
-        parsed_value.quotes == (is_text<T> ? ParsedValue::QuotedState::no : ParsedValue::QuotedState::yes);
+    const bool wrong_kind = parsed_value.is_quoted == !is_text<T>;
     const std::optional<T> parsed = parse_setting<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
         const char* hint = "";
@@ -155,13 +149,10 @@ void apply_setting(Config& config, const std::string& key, const ParsedValue& va
 
 /// Converts a TOML scalar to text, and stores whether it was quoted.
 ParsedValue scalar_text(const toml::node& node, const std::string& key) {
-    if (const auto* text = node.as_string()) return {text->get(), ParsedValue::QuotedState::yes};
-    if (const auto* integer = node.as_integer())
-        return {fmt::format("{}", integer->get()), ParsedValue::QuotedState::no};
-    if (const auto* number = node.as_floating_point())
-        return {number_text(number->get()), ParsedValue::QuotedState::no};
-    if (const auto* boolean = node.as_boolean())
-        return {boolean->get() ? "true" : "false", ParsedValue::QuotedState::no};
+    if (const auto* text = node.as_string()) return {text->get(), true};
+    if (const auto* integer = node.as_integer()) return {fmt::format("{}", integer->get()), false};
+    if (const auto* number = node.as_floating_point()) return {number_text(number->get()), false};
+    if (const auto* boolean = node.as_boolean()) return {boolean->get() ? "true" : "false", false};
     std::ostringstream kind;
     kind << node.type();
     fail<UsageError>("setting {}: found a TOML {}, expected a single value", quote(key), kind.str());
@@ -205,10 +196,8 @@ std::string quote_toml(const std::string& text) {
 }
 
 /// Reads a TOML file and applies its settings to `config`.
-/// @param check_file_settings  called with the settings of the file before they are
-/// applied
-template <class Check>
-void read_config_file(Config& config, const std::filesystem::path& path, const Check& check_file_settings) {
+/// @param must_be_complete  true if the file must contain all settings
+void read_config_file(Config& config, const std::filesystem::path& path, bool must_be_complete) {
     const std::string text = read_text_file(path);
     check_toml_depth(text, path.string());
     Config result = config;  // changes a copy, so that `config` stays unchanged if an error is thrown
@@ -216,7 +205,7 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
         flatten(table, "", settings);
-        check_file_settings(settings);
+        if (must_be_complete) check_settings(settings);
         // Applies the preset first, because it would overwrite the other settings.
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
@@ -230,14 +219,12 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
 }
 
 /// Returns the settings as TOML text, grouped by table, with a comment for each setting.
-/// @param is_key_shown  returns true for the keys that the text must contain
-template <class Shown>
-std::string format_toml(const Config& config, const Shown& is_key_shown) {
+std::string format_toml(const Config& config, const std::set<std::string>& left_out_keys) {
     std::string text, table;
     visit_settings(config, [&](const std::string& key, const auto& field, const SettingValueRange& accepts,
                                const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
-        if (!is_key_shown(key)) return;
+        if (left_out_keys.contains(key)) return;
         // The part of a key before the dot is its TOML table.
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
@@ -264,17 +251,15 @@ std::vector<ConfigKey> list_config_keys(const Config& config) {
 }
 
 void set_value(Config& config, const std::string& key, const std::string& value) {
-    apply_setting(config, key, {value, ParsedValue::QuotedState::unknown});
+    apply_setting(config, key, {value, std::nullopt});
 }
 
-void apply_file(Config& config, const std::filesystem::path& path) {
-    read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
-}
+void apply_file(Config& config, const std::filesystem::path& path) { read_config_file(config, path, false); }
 
 Config load_settings(const std::filesystem::path& path) {
     Config config;
     try {
-        read_config_file(config, path, check_settings);
+        read_config_file(config, path, true);
     } catch (const UsageError& error) {
         throw DataError(error.what());
     }
@@ -283,7 +268,7 @@ Config load_settings(const std::filesystem::path& path) {
 
 std::string to_toml(const Config& config) {
     return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +
-           format_toml(config, [](const std::string&) { return true; });
+           format_toml(config, {});
 }
 
 std::string to_short_toml(const Config& config) {
@@ -293,7 +278,7 @@ std::string to_short_toml(const Config& config) {
                                  preset = list_config_keys(make_preset(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
-    return format_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+    return format_toml(config, left_out) +
            fmt::format(
                "\n"
                "# {} expert settings with the values of the preset are not shown; `relidar list settings "

@@ -9,6 +9,7 @@
 #include "base/list_text.hpp"
 
 namespace relidar {
+
 Config with_max_range(Config config, const Log& sequence) {
     if (config.dataset.max_range_m > 0.0) return config;
     for (const Lidar& lidar : sequence.lidars)
@@ -16,11 +17,7 @@ Config with_max_range(Config config, const Log& sequence) {
     return config;
 }
 
-TraceOptions common_options(const Config& config) {
-    TraceOptions options;
-    options.chunk = config.trace.chunk;
-    return options;
-}
+TraceOptions common_options(const Config& config) { return {.chunk = config.trace.chunk}; }
 
 TraceOptions training_options(const Config& config) {
     TraceOptions options = common_options(config);
