@@ -46,6 +46,14 @@ bool JsonField::has_member(const std::string& member) const {
     return value_->is_object() && value_->contains(member);
 }
 
+std::optional<JsonField> JsonField::find(const std::string& key,
+                                         std::initializer_list<const char*> objects) const {
+    if (has_member(key)) return at(key);
+    for (const char* object : objects)
+        if (has_member(object) && at(object).has_member(key)) return at(object).at(key);
+    return {};
+}
+
 JsonField JsonField::at(const std::string& key) const {
     if (!value_->is_object()) reject(describe_json(*value_), "expected an object");
     const auto it = value_->find(key);
@@ -80,7 +88,8 @@ void JsonField::check_members(const std::vector<std::string>& known_names) const
     if (!value_->is_object()) reject(describe_json(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
-            reject(fmt::format("found the unknown member '{}'", quote(key)),
+            reject(fmt::format("found the unknown member '{}'{}", quote(key),
+                               did_you_mean(key, known_names, "'")),
                    fmt::format("expected only {}", fmt::join(known_names, ", ")));
 }
 
@@ -132,6 +141,13 @@ std::string JsonField::short_text(std::size_t max_bytes) const {
 std::vector<double> JsonField::numbers() const {
     std::vector<double> result(size());
     for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
+    return result;
+}
+
+std::vector<std::size_t> JsonField::sizes() const {
+    std::vector<std::size_t> result(size());
+    for (std::size_t i = 0; i < result.size(); ++i)
+        result[i] = std::size_t(at(i).integer_in(0, std::int64_t(1) << 48));
     return result;
 }
 

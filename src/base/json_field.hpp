@@ -5,7 +5,8 @@
 #pragma once
 
 #include <array>
-#include <filesystem>
+#include <initializer_list>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,8 @@ public:
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
     bool has_member(const std::string& member) const;
+    /// Returns a member of this object, or of one of its members `objects`.
+    std::optional<JsonField> find(const std::string& key, std::initializer_list<const char*> objects) const;
     JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
     std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_string() const;
@@ -36,6 +39,7 @@ public:
     /// breaks
     std::string short_text(std::size_t max_bytes) const;
     std::vector<double> numbers() const;
+    std::vector<std::size_t> sizes() const;  ///< Returns a list of integers of at least 0.
     std::vector<double> flat_numbers(int max_depth) const;
     template <std::size_t n>
     std::array<double, n> numbers() const {

@@ -7,15 +7,16 @@
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
-#include <array>
-#include <cstring>
+#include <iterator>
+#include <span>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
-
+#include "base/json_field.hpp"
 #include "file_io.hpp"
 #include "named_array.hpp"
 
@@ -23,42 +24,23 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using codecs::array_bytes;
-using codecs::element_bytes;
 
 // Bytes. The format allows 100 MB, but a parsed header needs 24 times as much memory.
 constexpr std::size_t kMaxHeader = 4u << 20;
-constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadataKey = "__metadata__";
 
-constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypeNames{{
-    {"BOOL", "b1"},
-    {"U8", "u1"},
-    {"I8", "i1"},
-    {"U16", "u2"},
-    {"I16", "i2"},
-    {"F16", "f2"},
-    {"U32", "u4"},
-    {"I32", "i4"},
-    {"F32", "f4"},
-    {"U64", "u8"},
-    {"I64", "i8"},
-    {"F64", "f8"},
-}};
+struct TypeName {
+    std::string_view safetensors, numpy;
+};
+constexpr TypeName kTypeNames[] = {{"BOOL", "b1"}, {"U8", "u1"},  {"I8", "i1"},  {"U16", "u2"},
+                                   {"I16", "i2"},  {"F16", "f2"}, {"U32", "u4"}, {"I32", "i4"},
+                                   {"F32", "f4"},  {"U64", "u8"}, {"I64", "i8"}, {"F64", "f8"}};
 
-std::string to_safetensors(const std::string& numpy_type) {
-    const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
-                                 [&](const auto& type) { return type.second == numpy_type; });
-    if (it == kTypeNames.end()) fail("the type '{}' is not supported by safetensors", numpy_type);
-    return std::string(it->first);
-}
-
-std::string to_numpy(const std::string& where, const std::string& safetensors_type) {
-    const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
-                                 [&](const auto& known) { return known.first == safetensors_type; });
-    if (it == kTypeNames.end())
-        fail("array '{}' has the type '{}', which is not supported", where, quote(safetensors_type));
-    return std::string(it->second);
+/// @param from  the member of TypeName that contains `type`
+const TypeName& find_type(const std::string& type, std::string_view TypeName::*from) {
+    const auto* row = std::ranges::find(kTypeNames, type, from);
+    if (row == std::end(kTypeNames)) fail("the type '{}' is not supported by safetensors", quote(type));
+    return *row;
 }
 
 /// Returns the JSON header of a file, which lists the arrays in the order of `arrays`.
@@ -72,8 +54,9 @@ std::string make_header(const std::vector<NamedArray>& arrays,
         if (array.name == kMetadataKey || header.contains(array.name))
             fail("array name '{}' is reserved or used twice", array.name);
         const std::size_t end = offset + array.bytes.size();
-        header[array.name] = {
-            {"dtype", to_safetensors(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
+        header[array.name] = {{"dtype", find_type(array.dtype, &TypeName::numpy).safetensors},
+                              {"shape", array.shape},
+                              {"data_offsets", {offset, end}}};
         offset = end;
     }
     std::string text = header.dump();
@@ -89,122 +72,85 @@ std::string make_header(const std::vector<NamedArray>& arrays,
 struct SafetensorsHeader {
     Json json;
     std::vector<std::string> names;
-    std::size_t data_start = 0;
+    std::string_view data;  ///< bytes after the header
 };
 
 /// Parses and checks the header. The callback of the JSON parser records the order of the
 /// names and detects names that occur twice, which the parsed object cannot show.
-SafetensorsHeader parse_header(const std::vector<std::byte>& bytes) {
+SafetensorsHeader parse_header(std::string_view bytes) {
     SafetensorsHeader header;
-    std::uint64_t size = 0;
-    if (bytes.size() < sizeof size) fail("the file has {} bytes, expected at least 8 bytes", bytes.size());
-    std::memcpy(&size, bytes.data(), sizeof size);
+    codecs::ByteReader reader(bytes);
+    const auto size = reader.read_number<std::uint64_t>();
     if (size > kMaxHeader)
         fail("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader);
-    if (size > bytes.size() - sizeof size)
-        fail("the header should have {} bytes, but the file ends after {} bytes of the header", size,
-             bytes.size() - sizeof size);
-    header.data_start = sizeof size + size;
-    const char* text = reinterpret_cast<const char*>(bytes.data()) + sizeof size;
-    header.json = Json::parse(
-        text, text + size,
-        [&](int depth, Json::parse_event_t event, const Json& parsed) {
-            if (event == Json::parse_event_t::key && depth == 1)
-                header.names.push_back(parsed.get<std::string>());
-            return true;
-        },
-        false);
-    if (header.json.is_discarded()) throw DataError("the header of the file is not valid JSON");
-    if (!header.json.is_object()) throw DataError("the header of the file is not a JSON object");
+    const auto record_name = [&](int depth, Json::parse_event_t event, const Json& parsed) {
+        if (event == Json::parse_event_t::key && depth == 1)
+            header.names.push_back(parsed.get<std::string>());
+        return true;
+    };
+    header.json = Json::parse(reader.read_bytes(size), record_name, false);
+    header.data = reader.read_rest();
+    if (!header.json.is_object()) fail("the header of the file is not valid JSON, expected a JSON object");
     if (header.json.size() != header.names.size())
-        throw DataError("the header contains an array twice, expected each array once");
-    for (const std::string& name : header.names) {
-        if (name.size() > kMaxName)
-            fail("the name of array '{}' has {} bytes, expected at most {}", quote(name), name.size(),
-                 kMaxName);
-    }
+        fail("the header contains an array twice, expected each array once");
     return header;
 }
 
-std::vector<std::size_t> parse_integers(const std::string& where, const Json& json, const char* member) {
-    if (!json.is_object() || !json.contains(member) || !json[member].is_array())
-        fail("array '{}': the header has no list of integers '{}'", where, member);
-    if (json[member].size() > kMaxDimensions)
-        fail("array '{}': '{}' contains {} numbers, expected at most {}", where, member, json[member].size(),
-             kMaxDimensions);
-    std::vector<std::size_t> result;
-    for (const Json& value : json[member]) {
-        if (!value.is_number_unsigned())
-            fail("array '{}': '{}' contains a {}, expected integers of at least 0", where, member,
-                 value.type_name());
-        result.push_back(value.get<std::size_t>());
-    }
-    return result;
-}
-
-struct DataByteRange {
-    std::size_t begin = 0, end = 0;
+struct ArrayEntry {
+    NamedArray array;
+    std::size_t begin, end;  ///< position of the values in the data
 };
 
-/// Parses the header entry of an array. Returns its name, type and shape, and the byte
-/// range of its data.
+/// Parses the header entry of an array.
 /// @param n_bytes number of data bytes in the file
-std::pair<NamedArray, DataByteRange> parse_array(const std::string& name, const Json& json,
-                                                 std::size_t n_bytes) {
-    if (!json.is_object() || !json.contains("dtype") || !json["dtype"].is_string())
-        fail("array '{}': the header has no dtype, expected a data type such as 'F32'", name);
-    NamedArray array{
-        name, to_numpy(name, json["dtype"].get<std::string>()), parse_integers(name, json, "shape"), {}};
-    const std::vector<std::size_t> offsets = parse_integers(name, json, "data_offsets");
+ArrayEntry parse_array(const std::string& name, const Json& json, std::size_t n_bytes) {
+    const std::string where = fmt::format("array '{}'", quote(name));
+    const JsonField entry(json, where, "");
+    const std::vector<std::size_t> offsets = entry.at("data_offsets").sizes();
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_bytes)
-        fail("array '{}': data_offsets [{}] are outside the {} bytes of data", name, fmt::join(offsets, ", "),
+        fail("{}: data_offsets [{}] are outside the {} bytes of data", where, fmt::join(offsets, ", "),
              n_bytes);
-    const auto expected = array_bytes(array.shape, element_bytes(array.dtype));
-    if (!expected || *expected != offsets[1] - offsets[0])
-        fail("array '{}' has {} bytes, which do not fit its shape", name, offsets[1] - offsets[0]);
-    return {std::move(array), DataByteRange{offsets[0], offsets[1]}};
+    const std::string_view type = find_type(entry.at("dtype").text(), &TypeName::safetensors).numpy;
+    NamedArray array{name, std::string(type), entry.at("shape").sizes(), {}};
+    if (codecs::array_bytes(array.shape, codecs::element_bytes(type)) != offsets[1] - offsets[0])
+        fail("{} has {} bytes, which do not fit its shape", where, offsets[1] - offsets[0]);
+    return {std::move(array), offsets[0], offsets[1]};
 }
 
 std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
+    const std::string where = kMetadataKey;
     std::map<std::string, std::string> result;
-    if (!metadata_json.is_object()) throw DataError("the header key __metadata__ is not a JSON object");
-    for (const auto& [key, value] : metadata_json.items()) {
-        if (!value.is_string()) fail("the value of '{}' in __metadata__ is not a text", quote(key));
-        result[key] = value.get<std::string>();
-    }
+    for (const auto& [key, value] : metadata_json.items())
+        result[key] = JsonField(value, where, quote(key)).text();
     return result;
 }
 
 /// Reads all arrays in the order of their data. The ranges must cover the data without
 /// gaps.
-std::vector<NamedArray> parse_file(const std::vector<std::byte>& bytes,
-                                   std::map<std::string, std::string>* metadata) {
+std::vector<NamedArray> parse_file(std::string_view bytes, std::map<std::string, std::string>* metadata) {
     const SafetensorsHeader header = parse_header(bytes);
-    const std::size_t n_data = bytes.size() - header.data_start;
-    std::vector<std::pair<NamedArray, DataByteRange>> entries;
+    std::vector<ArrayEntry> entries;
     std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
         if (name == kMetadataKey) file_metadata = parse_metadata(entry);
-        else entries.push_back(parse_array(name, entry, n_data));
+        else entries.push_back(parse_array(name, entry, header.data.size()));
     }
-    std::stable_sort(entries.begin(), entries.end(), [](const auto& first, const auto& second) {
-        return std::pair(first.second.begin, first.second.end) <
-               std::pair(second.second.begin, second.second.end);
-    });
+    std::ranges::stable_sort(entries, {},
+                             [](const ArrayEntry& entry) { return std::pair(entry.begin, entry.end); });
     std::size_t covered = 0;
     std::vector<NamedArray> arrays;
-    for (auto& [array, range] : entries) {
-        if (range.begin != covered)
+    for (auto& [array, begin, end] : entries) {
+        if (begin != covered)
             fail("array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends",
-                 array.name, range.begin, covered);
-        const auto data = bytes.begin() + std::ptrdiff_t(header.data_start);
-        array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
-        covered = range.end;
+                 quote(array.name), begin, covered);
+        const auto values = std::as_bytes(std::span(header.data.substr(begin, end - begin)));
+        array.bytes.assign(values.begin(), values.end());
+        covered = end;
         arrays.push_back(std::move(array));
     }
-    if (covered != n_data)
-        fail("the file has {} bytes of data, but its header describes {} bytes", n_data, covered);
+    if (covered != header.data.size())
+        fail("the file has {} bytes of data, but its header describes {} bytes", header.data.size(), covered);
     if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }
@@ -226,7 +172,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
 
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata) {
-    const std::vector<std::byte> file = codecs::read_file(path);
+    const std::string file = read_file(path);
     try {
         return parse_file(file, metadata);
     } catch (const std::exception& error) {

@@ -147,41 +147,27 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
 }
 
 std::string sensor_file_help() {
-    return "NAME is one of `relidar list sensors`. A FILE contains a custom sensor:\n"
-           "  beams.csv   a spinning sensor: a header line, then one line per beam, from the highest to the "
-           "lowest. Columns: elevation_deg\n"
-           "              (required; up is positive), azimuth_offset_deg (relative to the head, positive to "
-           "the left), origin_offset_m\n"
-           "              (start of the beam along the head direction), origin_up_m (perpendicular to the "
-           "beam, upwards), origin_left_m,\n"
-           "              firing_offset_us, min_range_m and max_range_m (same for all beams; default 0 and "
-           "80), channel (ignored).\n"
-           "              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 means 1024 "
-           "columns per sweep at 10 Hz\n"
-           "(default: 1800x10). The names of spinning sensors accept the same suffix, for "
-           "example VLP-16:900x20.\n"
-           "              :60..-60 at the end of a name is the field of view in the order of rotation.\n"
-           "  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and optionally "
-           "origin_x_m, origin_y_m,\n"
-           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), min_range_m "
-           "and max_range_m (the\n"
-           "              same in each line).\n"
-           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, like in a rendered scan; "
-           "divergence (radians,\n"
-           "              one value per ray) or divergence_mrad (one value for all rays).\n"
-           "  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of\n" +
-           pattern_help() +
-           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m "
-           "(80); defaults in parentheses.\n"
-           "              NAME_rad can be used instead of NAME_deg.\n"
-           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", "
-           "\"translation_m\": [1,0,2],\n"
-           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of "
-           "the sensor that the rig replaces.\n"
-           "              \"vehicle\": {\"length_m\", \"width_m\", \"height_m\", \"rear_axle_to_front_m\", "
-           "\"base_link_m\": [x,y,z] (rear axle on the\n"
-           "              ground), \"boxes\": [{\"centre_m\", \"size_m\"}] (default: one box), \"points\": "
-           "\"drop\" or \"ego\"} blocks rays.";
+    return R"(NAME is one of `relidar list sensors`. A FILE contains a custom sensor:
+  beams.csv   a spinning sensor: a header line, then one line per beam, from the highest to the lowest. Columns: elevation_deg
+              (required; up is positive), azimuth_offset_deg (relative to the head, positive to the left), origin_offset_m
+              (start of the beam along the head direction), origin_up_m (perpendicular to the beam, upwards), origin_left_m,
+              firing_offset_us, min_range_m and max_range_m (same for all beams; default 0 and 80), channel (ignored).
+              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 means 1024 columns per sweep at 10 Hz
+(default: 1800x10). The names of spinning sensors accept the same suffix, for example VLP-16:900x20.
+              :60..-60 at the end of a name is the field of view in the order of rotation.
+  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and optionally origin_x_m, origin_y_m,
+              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), min_range_m and max_range_m (the
+              same in each line).
+  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, like in a rendered scan; divergence (radians,
+              one value per ray) or divergence_mrad (one value for all rays).
+  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of
+)" + pattern_help() +
+           R"(              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m (80); defaults in parentheses.
+              NAME_rad can be used instead of NAME_deg.
+  rig.json    several sensors: {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1,0,2],
+              "yaw_pitch_roll_deg": [90,0,0], "returns": 1}, ...]}, mounted in the frame of the sensor that the rig replaces.
+              "vehicle": {"length_m", "width_m", "height_m", "rear_axle_to_front_m", "base_link_m": [x,y,z] (rear axle on the
+              ground), "boxes": [{"centre_m", "size_m"}] (default: one box), "points": "drop" or "ego"} blocks rays.)";
 }
 
 }  // namespace relidar

@@ -11,6 +11,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
+#include "base/csv.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 
@@ -20,21 +21,6 @@ namespace {
 constexpr double kUnitLengthTolerance = 1e-3;  // Maximum difference between the length of a direction and 1.
 constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0,
                  kWidestBeam_rad = 1.0;
-
-void check_length(const std::vector<double>& values, std::size_t expected_length, const char* text,
-                  const std::string& where) {
-    if (!values.empty() && values.size() != expected_length)
-        fail("{}: {} has {} numbers, expected {}", where, text, values.size(), expected_length);
-}
-
-void check_range(const std::vector<double>& values, double min_value, double max_value, const char* text,
-                 const std::string& where) {
-    const auto bad = std::find_if(values.begin(), values.end(),
-                                  [&](double value) { return !(value >= min_value && value <= max_value); });
-    if (bad != values.end())
-        fail("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", where, text,
-             bad - values.begin(), *bad, min_value, max_value);
-}
 
 glm::dvec3 xyz_at(const std::vector<double>& values, std::size_t index) {
     return values.empty() ? glm::dvec3(0.0)
@@ -48,21 +34,83 @@ void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where)
     if (ray_arrays.rows < 1 || ray_arrays.columns < 1 ||
         std::size_t(ray_arrays.rows) * std::size_t(ray_arrays.columns) != n)
         fail("{}: found {} rays, expected {} rows of {} rays", where, n, ray_arrays.rows, ray_arrays.columns);
-    check_length(ray_arrays.origin, 3 * n, "origin", where);
-    check_length(ray_arrays.time_s, n, "time", where);
-    check_length(ray_arrays.channel, n, "ring", where);
-    if (ray_arrays.divergence_rad.size() != 1)
-        check_length(ray_arrays.divergence_rad, n, "divergence", where);
-    check_range(ray_arrays.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", where);
-    check_range(ray_arrays.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
-    check_range(ray_arrays.channel, 0.0, 65535.0, "ring", where);
-    check_range(ray_arrays.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)", where);
-    check_range({ray_arrays.limits.min_m,
-                 std::isinf(ray_arrays.limits.max_m) ? kMostRange_m : ray_arrays.limits.max_m},
-                0.0, kMostRange_m, "range limits", where);
-    if (!(ray_arrays.limits.min_m < ray_arrays.limits.max_m))
+    const RangeLimits& limits = ray_arrays.limits;
+    const std::vector<double> limits_m{limits.min_m, std::isinf(limits.max_m) ? kMostRange_m : limits.max_m};
+    const bool has_one_divergence = ray_arrays.divergence_rad.size() == 1;
+    const struct {
+        const char* name;
+        const std::vector<double>& values;
+        std::size_t n;
+        double min, max;
+    } rows[] = {
+        {"origin", ray_arrays.origin, 3 * n, -kFarthestOrigin_m, kFarthestOrigin_m},
+        {"time", ray_arrays.time_s, n, -kLongestScan_s, kLongestScan_s},
+        {"ring", ray_arrays.channel, n, 0.0, 65535.0},
+        {"divergence (radians)", ray_arrays.divergence_rad, has_one_divergence ? 1 : n, 0.0, kWidestBeam_rad},
+        {"range limits", limits_m, 2, 0.0, kMostRange_m}};
+    for (const auto& [name, values, n_expected, min, max] : rows) {
+        if (!values.empty() && values.size() != n_expected)
+            fail("{}: {} has {} numbers, expected {}", where, name, values.size(), n_expected);
+        for (std::size_t i = 0; i < values.size(); ++i)
+            if (!(values[i] >= min && values[i] <= max))
+                fail("{}: entry {} of {} is {}, expected a number in [{}, {}]", where, i, name, values[i],
+                     min, max);
+    }
+    if (!(limits.min_m < limits.max_m))
         fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
-             ray_arrays.limits.min_m, ray_arrays.limits.max_m);
+             limits.min_m, limits.max_m);
+}
+
+enum RayCsvField {
+    kAzimuth,
+    kElevation,
+    kOriginX,
+    kOriginY,
+    kOriginZ,
+    kTime,
+    kChannel,
+    kDivergence,
+    kMinRange,
+    kMaxRange,
+    kFieldCount
+};
+const std::vector<std::string> kColumnNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
+                                            "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
+                                            "min_range_m", "max_range_m"};
+// limits of the sensor: the same value in every line
+constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
+
+using RayCsvRow = std::array<double, kFieldCount>;
+
+/// Values of missing columns are 0, except the maximum range, which has its default.
+RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
+                         std::size_t n_cells, const std::string& where) {
+    const std::vector<std::string_view> cells = split_csv_cells(line);
+    if (cells.size() != n_cells)
+        fail("{}: found {} values, expected {} like in the header", where, cells.size(), n_cells);
+    RayCsvRow value{};
+    value[kMaxRange] = RayFileArrays{}.limits.max_m;
+    for (std::size_t f = 0; f < kFieldCount; ++f) {
+        if (column_of_field[f] < 0) continue;
+        const std::string_view cell = cells[std::size_t(column_of_field[f])];
+        const auto number = parse_number(cell);
+        if (!number || !std::isfinite(*number))
+            fail("{}: {} is '{}', expected a number", where, kColumnNames[f], quote(cell));
+        value[f] = *number;
+    }
+    return value;
+}
+
+/// Converts the angles to a direction (x forward, y left, z up).
+void append_ray_row(RayFileArrays& rays, const RayCsvRow& row_values) {
+    const double azimuth = row_values[kAzimuth] * kPi / 180.0,
+                 elevation = row_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
+    rays.direction.insert(rays.direction.end(),
+                          {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
+    rays.origin.insert(rays.origin.end(), {row_values[kOriginX], row_values[kOriginY], row_values[kOriginZ]});
+    rays.time_s.push_back(row_values[kTime]);
+    rays.channel.push_back(row_values[kChannel]);
+    rays.divergence_rad.push_back(row_values[kDivergence] * 1e-3);
 }
 
 }  // namespace
@@ -133,6 +181,37 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     c.divergence_rad = choose_divergence(values("divergence"), one("divergence_mrad"), path);
     c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
     return make_ray_sensor(c, name, path);
+}
+
+/// The text has a header line, then one line per ray in firing order. An unknown column
+/// is an error.
+SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where) {
+    const std::vector<std::string> lines = split_lines(csv_text);
+    const std::vector<std::string_view> header =
+        lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
+    const std::vector<int> at = find_columns(header, kColumnNames, where + " line 1");
+    if (at[kAzimuth] < 0 || at[kElevation] < 0)
+        fail("{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray table",
+             where);
+    RayFileArrays rays;
+    RayCsvRow first{};
+    for (std::size_t l = 1; l < lines.size(); ++l) {
+        if (trim(lines[l]).empty()) continue;
+        const std::string line = fmt::format("{} line {}", where, l + 1);
+        const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
+        if (rays.time_s.empty()) first = v;
+        for (const RayCsvField f : kOfSensor)
+            if (v[f] != first[f])
+                fail(
+                    "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
+                    "rays",
+                    line, kColumnNames[f], v[f], first[f]);
+        append_ray_row(rays, v);
+    }
+    // A single row. make_ray_sensor() reports too many rays.
+    rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
+    rays.limits = {first[kMinRange], first[kMaxRange]};
+    return make_ray_sensor(rays, name, where);
 }
 
 }  // namespace relidar::sensor_files

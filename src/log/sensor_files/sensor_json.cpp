@@ -28,20 +28,15 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in a JSON object or in one of its member objects, or null.
-/// The old form of Ouster's metadata is flat, the newer form is nested.
-const Json* find_json_value(const Json& json, const std::string& key,
-                            std::initializer_list<const char*> member_object_names) {
-    if (json.contains(key)) return &json.at(key);
-    for (const char* part : member_object_names)
-        if (json.contains(part) && json.at(part).is_object() && json.at(part).contains(key))
-            return &json.at(part).at(key);
-    return nullptr;
+/// Returns a text of Ouster's metadata, or an empty text. The old form of the metadata is
+/// flat, the newer form is nested.
+std::string find_text(const JsonField& metadata, const char* key, const char* object) {
+    const auto field = metadata.find(key, {object});
+    return field && field->is_string() ? field->text() : "";
 }
 
-RangeLimits ouster_limits(const Json& metadata) {
-    const Json* line = find_json_value(metadata, "prod_line", {"sensor_info"});
-    const std::string product = line && line->is_string() ? line->get<std::string>() : "";
+RangeLimits ouster_limits(const JsonField& metadata) {
+    const std::string product = find_text(metadata, "prod_line", "sensor_info");
     const char* sensor_name = "OS1-128";
     if (product.starts_with("OS-0")) sensor_name = "OS0-128";
     else if (product.starts_with("OS-2")) sensor_name = "OS2-128";
@@ -50,25 +45,23 @@ RangeLimits ouster_limits(const Json& metadata) {
 
 /// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
 /// "1024x10" means 1024 columns at 10 Hz.
-std::pair<int, double> ouster_mode(const Json& metadata, const std::string& where) {
-    const Json* mode = find_json_value(metadata, "lidar_mode", {"config_params"});
-    const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
-    const std::size_t x = text.find('x');
-    const auto columns = parse_number(std::string_view(text).substr(0, x));
-    const auto rate =
-        x == std::string::npos ? std::nullopt : parse_number(std::string_view(text).substr(x + 1));
+std::pair<int, double> ouster_mode(const JsonField& metadata) {
+    const std::string text = find_text(metadata, "lidar_mode", "config_params");
+    const std::size_t x = std::min(text.find('x'), text.size());
+    const auto columns = parse_number(text.substr(0, x)),
+               rate = parse_number(text.substr(std::min(x + 1, text.size())));
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
-        fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", where,
-             quote(text));
+        fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"",
+             metadata.location(), quote(text));
     return {int(*columns), *rate};
 }
 
-SensorModel parse_ouster(const Json& metadata, const std::string& name, const std::string& where,
-                         int columns_or_zero, double rate_hz_or_zero) {
+SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int columns_or_zero,
+                         double rate_hz_or_zero) {
+    const std::string where = metadata.location();
     const auto list = [&](const char* key) {
-        const Json* numbers = find_json_value(metadata, key, {"beam_intrinsics"});
-        const std::string list_location = fmt::format("{}: {}", where, key);
-        return numbers ? JsonField(*numbers, list_location, "").flat_numbers(1) : std::vector<double>{};
+        const auto numbers = metadata.find(key, {"beam_intrinsics"});
+        return numbers ? numbers->numbers() : std::vector<double>{};
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size())
@@ -76,14 +69,11 @@ SensorModel parse_ouster(const Json& metadata, const std::string& name, const st
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number of both "
             "and at most {}",
             where, altitude.size(), azimuth.size(), kMostBeams);
-    const Json* offset_mm = find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
-    if (offset_mm && (!offset_mm->is_number() || !std::isfinite(offset_mm->get<double>())))
-        fail("{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",
-             where);
-    const double offset_m = offset_mm ? 1e-3 * offset_mm->get<double>() : 0.0;
+    const auto offset_mm = metadata.find("lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
+    const double offset_m = offset_mm ? 1e-3 * offset_mm->number() : 0.0;
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] =
-        columns_or_zero > 0 ? std::pair(columns_or_zero, rate_hz_or_zero) : ouster_mode(metadata, where);
+        columns_or_zero > 0 ? std::pair(columns_or_zero, rate_hz_or_zero) : ouster_mode(metadata);
     sensor.name = name;
     sensor.columns = mode_columns;
     sensor.period_s = 1.0 / mode_rate_hz;
@@ -109,12 +99,7 @@ SensorModel parse_ouster(const Json& metadata, const std::string& name, const st
 
 SensorModel parse_json_sensor(const std::string& json_text, const std::string& sensor_name,
                               const std::string& where, int columns_or_zero, double rate_hz_or_zero) {
-    Json json;
-    try {
-        json = Json::parse(json_text);
-    } catch (const Json::exception& error) {
-        fail("{} is not valid JSON ({}), expected a sensor", where, quote(error.what()));
-    }
+    const Json json = parse_json(json_text, where);
     const JsonField root(json, where, "");
     // It does not name the kind "rays".
     if (root.has_member("directions")) return sensor::parse_ray_table(root, sensor_name);
@@ -125,8 +110,8 @@ SensorModel parse_json_sensor(const std::string& json_text, const std::string& s
             root.at("spinning").reject("found no beams", "expected at least one");
         return sensor;
     }
-    if (json.is_object() && find_json_value(json, "beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster(json, sensor_name, where, columns_or_zero, rate_hz_or_zero);
+    if (root.find("beam_altitude_angles", {"beam_intrinsics"}))
+        return parse_ouster(root, sensor_name, columns_or_zero, rate_hz_or_zero);
     std::string kinds;
     for (const PatternKind& kind : all_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     fail(

@@ -9,6 +9,7 @@
 #include <numeric>
 #include <set>
 
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/log/sensor_files.hpp>
@@ -25,7 +26,6 @@ namespace relidar::packets {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
 
 constexpr OusterProfile kOusterProfiles[] = {
     {"LEGACY", true, 12, 0xFFFFF, 1e-3, 4, true, 1},
@@ -52,43 +52,37 @@ std::size_t count_bytes(const OusterProfile& profile, int pixels_per_column, int
                              : 32 + std::size_t(columns_per_packet) * (12 + column) + 32;
 }
 
-/// Returns the JSON object that contains a key: the root or one of its direct members.
-JsonField find_object(const Json& json, const std::string& place, const std::string& key) {
-    const JsonField root(json, place, "");
-    for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
-        if (!root.has_member(key) && root.has_member(part) && root.at(part).has_member(key))
-            return root.at(part);
-    return root;
+/// Returns the value of a key, which is in the root object or in one of its direct
+/// members.
+std::optional<JsonField> find_value(const JsonField& root, const std::string& key) {
+    return root.find(key,
+                     {"data_format", "lidar_data_format", "config_params", "sensor_info", "beam_intrinsics"});
 }
-int read_integer(const Json& json, const std::string& place, const std::string& key, int fallback, int max) {
-    const JsonField part = find_object(json, place, key);
-    return part.has_member(key) ? int(part.at(key).integer_in(0, max)) : fallback;
+int read_integer(const JsonField& root, const std::string& key, int fallback, int max) {
+    const auto value = find_value(root, key);
+    return value ? int(value->integer_in(0, max)) : fallback;
 }
-std::string read_text(const Json& json, const std::string& place, const std::string& key,
-                      const std::string& default_value) {
-    const JsonField part = find_object(json, place, key);
-    return part.has_member(key) && part.at(key).is_string() ? part.at(key).short_text(80) : default_value;
+std::string read_text(const JsonField& root, const std::string& key, const std::string& default_value) {
+    const auto value = find_value(root, key);
+    return value && value->is_string() ? value->short_text(80) : default_value;
 }
 
 /// Returns the packet profile in the metadata, or LEGACY if old metadata name none.
-const OusterProfile& find_profile(const Json& json, const std::string& place) {
-    const std::string name = read_text(json, place, "udp_profile_lidar", "LEGACY");
+const OusterProfile& find_profile(const JsonField& root) {
+    const std::string name = read_text(root, "udp_profile_lidar", "LEGACY");
     const auto* matching_profile = std::ranges::find(kOusterProfiles, name, &OusterProfile::name);
     if (matching_profile != std::end(kOusterProfiles)) return *matching_profile;
-    std::string names;
-    for (const OusterProfile& row : kOusterProfiles)
-        names += (names.empty() ? "" : ", ") + std::string(row.name);
-    fail("{}: the packet profile is {}, expected one of {}", place, quote(name), names);
+    std::vector<std::string> names;
+    for (const OusterProfile& row : kOusterProfiles) names.emplace_back(row.name);
+    fail("{}: the packet profile is {}, expected one of {}", root.location(), quote(name),
+         fmt::join(names, ", "));
 }
 
 /// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
 /// first.
-std::vector<std::size_t> rank_pixels(const Json& json, const std::string& place) {
-    const JsonField root(json, place, "");
+std::vector<std::size_t> rank_pixels(const JsonField& root) {
     const std::vector<double> altitude_deg =
-        (root.has_member("beam_altitude_angles") ? root : root.at("beam_intrinsics"))
-            .at("beam_altitude_angles")
-            .numbers();
+        find_value(root, "beam_altitude_angles").value_or(root).numbers();
     std::vector<std::size_t> order(altitude_deg.size()), ring_of(altitude_deg.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::ranges::stable_sort(order, std::greater(), [&](std::size_t row) { return altitude_deg[row]; });
@@ -98,16 +92,15 @@ std::vector<std::size_t> rank_pixels(const Json& json, const std::string& place)
 
 /// Returns for each column whether the sensor fires at it. The window can continue at
 /// column 0.
-std::vector<bool> mark_columns(const Json& json, const std::string& place, int n_columns) {
-    const JsonField part = find_object(json, place, "column_window");
-    if (!part.has_member("column_window")) return std::vector<bool>(std::size_t(n_columns), true);
-    const JsonField window = part.at("column_window");
-    if (window.size() != 2)
-        window.reject(fmt::format("found {} values", window.size()),
-                      "expected two values, the first and the last column of the window");
-    const auto first = window.at(std::size_t(0)).integer_in(0, n_columns - 1),
-               last = window.at(std::size_t(1)).integer_in(0, n_columns - 1);
-    std::vector<bool> fires(std::size_t(n_columns), false);
+std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
+    const auto window = find_value(root, "column_window");
+    std::vector<bool> fires(std::size_t(n_columns), !window);
+    if (!window) return fires;
+    if (window->size() != 2)
+        window->reject(fmt::format("found {} values", window->size()),
+                       "expected two values, the first and the last column of the window");
+    const auto first = window->at(std::size_t(0)).integer_in(0, n_columns - 1),
+               last = window->at(std::size_t(1)).integer_in(0, n_columns - 1);
     for (std::int64_t c = first;; c = (c + 1) % n_columns) {
         fires[std::size_t(c)] = true;
         if (c == last) return fires;
@@ -116,13 +109,13 @@ std::vector<bool> mark_columns(const Json& json, const std::string& place, int n
 
 /// Checks that values which the metadata contain twice are equal. Computes and checks the
 /// packet size.
-void set_size(OusterMetadata& metadata, const Json& json) {
+void set_size(OusterMetadata& metadata, const JsonField& root) {
     const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
-    if (const int n = read_integer(json, metadata.where, "columns_per_frame", columns, 65536); n != columns)
-        fail("{}: columns_per_frame is {}, expected {} like in lidar_mode", metadata.where, n, columns);
-    if (const int n = read_integer(json, metadata.where, "pixels_per_column", beams, 65536); n != beams)
-        fail("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles", metadata.where,
-             n, beams);
+    for (const auto& [key, expected] :
+         {std::pair("columns_per_frame", columns), {"pixels_per_column", beams}})
+        if (const int n = read_integer(root, key, expected, 65536); n != expected)
+            fail("{}: {} is {}, expected {} like in lidar_mode and beam_altitude_angles", metadata.where, key,
+                 n, expected);
     if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
         fail("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
              metadata.where, metadata.columns_per_packet, columns);
@@ -311,24 +304,25 @@ bool is_metadata(std::string_view json_text) {
 }
 
 std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_text, const std::string& place) {
-    const Json json = parse_json(json_text, place);
+    const nlohmann::json json = parse_json(json_text, place);
+    const JsonField root(json, place, "");
     auto format = std::make_shared<OusterMetadata>();
     format->text = json_text;
     format->where = place;
-    format->product = read_text(json, place, "prod_line", "Ouster");
+    format->product = read_text(root, "prod_line", "Ouster");
     const SensorModel model = parse_sensor(json_text, format->product, place);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning) fail("{}: found a sensor that does not spin, expected the metadata of an Ouster", place);
     format->sensor = *spinning;
-    format->profile = &find_profile(json, place);
-    format->columns_per_packet = read_integer(json, place, "columns_per_packet", kUsualColumns, 65536);
-    set_size(*format, json);
-    format->port = read_integer(json, place, "udp_port_lidar", 0, 65535);
+    format->profile = &find_profile(root);
+    format->columns_per_packet = read_integer(root, "columns_per_packet", kUsualColumns, 65536);
+    set_size(*format, root);
+    format->port = read_integer(root, "udp_port_lidar", 0, 65535);
     // The serial number is a text of digits. 0 means that it is unknown.
-    const double serial = parse_number(read_text(json, place, "prod_sn", "")).value_or(0.0);
+    const double serial = parse_number(read_text(root, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
-    format->fires = mark_columns(json, place, spinning->columns);
-    format->ring_of = rank_pixels(json, place);
+    format->fires = mark_columns(root, spinning->columns);
+    format->ring_of = rank_pixels(root);
     return format;
 }
 

@@ -287,7 +287,7 @@ TEST(Rigs, TheVehicleBlocksRays) {
              {R"({"length_m": 4.5})", "width_m"},
              {size + R"(, "points": "all"})", "points ... drop or ego"},
              {size + R"(, "boxes": []})", "boxes"},
-             {size + R"(, "boxes": [{"centre_m": [0, 0, 0]}]})", "box 0 ... size_m"}})
+             {size + R"(, "boxes": [{"centre_m": [0, 0, 0]}]})", "boxes[0].size_m"}})
         EXPECT_THAT([&] { read_sensor_rig(rig(text)); }, testing::ThrowsMessage<Error>(Names(parts))) << text;
 }
 
@@ -372,19 +372,19 @@ TEST(Rigs, WrongRigsAreNamed) {
         const std::string file = write("bad_rig.json", R"({"sensors": [)" + text);
         EXPECT_THAT([&] { read_sensor_rig(file); }, testing::ThrowsMessage<Error>(Names(parts)));
     };
-    expect_error("]}", "\"sensors\" ... 1 ... 64");
-    expect_error(R"({"sensor": "VLP-16"}]})", "sensor 0 ... name");
+    expect_error("]}", "sensors ... 1 ... 64");
+    expect_error(R"({"sensor": "VLP-16"}]})", "sensors[0].name");
     expect_error(R"({"name": "../x", "sensor": "VLP-16"}]})", "name ... \"../x\"");
     expect_error(R"({"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})",
-                 "sensor 1 ... \"a\" ... twice");
+                 "sensors[1].name ... \"a\" ... twice");
     expect_error(R"({"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})",
-                 "sensor 0 ... translation_m ... 1000");
+                 "sensors[0].translation_m ... 2 numbers ... 3");
     expect_error(R"({"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})",
-                 "sensor 0 ... 'translation' ... 'translation_m'");
+                 "sensors[0] ... 'translation' ... 'translation_m'");
     expect_error(R"({"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})",
                  "'yaw_pitch_roll_deg' ... sensors");
     expect_error(R"({"name": "a", "sensor": "VLP"}]})", "VLP-16");
-    expect_error(R"({"name": "a", "sensor": "VLP-16", "returns": 3}]})", "sensor 0 ... returns ... 1 ... 2");
+    expect_error(R"({"name": "a", "sensor": "VLP-16", "returns": 3}]})", "sensors[0].returns ... 1 ... 2");
 }
 
 }  // namespace
