@@ -2,6 +2,10 @@
 // Numbers in files, independent of the machine, the locale and library versions.
 #pragma once
 
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <concepts>
 #include <string>
 
 namespace relidar {
@@ -9,7 +13,14 @@ namespace relidar {
 /// Shortest decimal text that converts back to the same number. It has a point or an
 /// exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09", "-0.0".
 /// Other values become "nan", "inf" or "-inf", which TOML accepts but JSON does not.
-std::string number_text(double value);
-std::string number_text(float value);
+template <std::floating_point T>
+std::string number_text(T value) {
+    if (std::isnan(value)) return "nan";  // Ignores the sign of a NaN.
+    std::array<char, 32> buffer;          // The longest text has 24 characters: -2.2250738585072014e-308.
+    const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
+    const std::string text(buffer.data(), end.ptr);
+    const bool is_integer_text = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;
+    return is_integer_text ? text + ".0" : text;
+}
 
 }  // namespace relidar

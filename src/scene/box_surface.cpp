@@ -10,7 +10,7 @@
 #include <relidar/scene/labels.hpp>
 #include <relidar/scene/symmetry.hpp>
 
-#include "base/geometry/longest_axis.hpp"
+#include "base/geometry/ray_box.hpp"
 #include "base/median.hpp"
 
 namespace relidar {

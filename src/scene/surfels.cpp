@@ -10,7 +10,7 @@
 #include <relidar/scene/scene.hpp>
 
 #include "base/fail.hpp"
-#include "base/geometry/longest_axis.hpp"
+#include "base/geometry/ray_box.hpp"
 
 namespace relidar {
 namespace {

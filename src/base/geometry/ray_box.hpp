@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intersects lines with boxes by the slab method.
+// Intersects lines with boxes by the slab method. Finds the longest side of a box.
 #pragma once
 
 #include <algorithm>
@@ -40,6 +40,13 @@ inline std::optional<BoxCrossing> cross_box(const glm::dvec3& origin, const glm:
     }
     if (inside.enter > inside.leave) return {};
     return inside;
+}
+
+/// Axis (0, 1 or 2) of the largest component. The first one if two are equal.
+template <class Vector>
+int longest_axis(const Vector& size) {
+    if (size.x >= size.y && size.x >= size.z) return 0;
+    return size.y >= size.z ? 1 : 2;
 }
 
 }  // namespace relidar

@@ -13,7 +13,7 @@
 #include <string_view>
 #include <utility>
 
-#include "base/shared_bytes.hpp"
+#include "base/bytes.hpp"
 
 namespace relidar::bag {
 

@@ -19,7 +19,7 @@
 
 #include <relidar/base/error.hpp>
 
-#include "base/shared_bytes.hpp"
+#include "base/bytes.hpp"
 
 namespace relidar::read {
 
