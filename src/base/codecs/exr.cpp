@@ -1,44 +1,47 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes OpenEXR images of float channels with ZIP compression. Encodes the image in
-// memory and then writes the bytes with our own file functions. OpenEXR's file class
-// would not report a full disk, because it writes its line table in a destructor.
-#include <relidar/base/files.hpp>
+// Writes and reads OpenEXR images of float channels. Images are encoded in memory and
+// written with our own file functions. OpenEXR's file class would not report a full disk,
+// because it writes its line table in a destructor. Headers are checked before OpenEXR
+// parses them. Otherwise a damaged header could make OpenEXR allocate much more memory
+// than the file can fill.
 #include <relidar/base/images.hpp>
 
-#include <cstring>
+#include <algorithm>
+#include <cstdint>
+#include <iterator>
+#include <set>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
-#include <ImfIO.h>
+#include <ImfInputFile.h>
 #include <ImfOutputFile.h>
+#include <ImfStdIO.h>
 #include <ImfStringAttribute.h>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
 namespace {
 
-class ExrMemoryWriter : public OPENEXR_IMF_NAMESPACE::OStream {
-public:
-    ExrMemoryWriter() : OStream("memory") {}
+namespace imf = OPENEXR_IMF_NAMESPACE;
+using codecs::ByteReader;
 
-    void write(const char bytes[], int count) override {
-        if (count <= 0) return;
-        const std::size_t end = position_ + std::size_t(count);
-        if (end > content.size()) content.resize(end);
-        std::memcpy(content.data() + position_, bytes, std::size_t(count));
-        position_ = end;
-    }
-    std::uint64_t tellp() override { return position_; }
-    void seekp(std::uint64_t position) override { position_ = position; }
+constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
+                        kParts = 0x1000;
+constexpr std::size_t kMostChannels = 256, kLongestNote = 10000, kMaxNameBytes = 255;
+// Maximum compression ratio of deflate. An image with a higher ratio is invalid.
+constexpr std::size_t kMostInflated = 1032;
+// Images up to this uncompressed size in bytes are accepted at any compression ratio.
+constexpr std::size_t kAlwaysFits = 16 << 20;
+// Number of rows in a compressed block, indexed by compression method.
+constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
-    std::string content;
-
-private:
-    std::size_t position_ = 0;
-};
+// Maximum number of pixels. The rays of a scan with so many pixels need 500 MB of memory.
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;
 
 void check_channels(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
@@ -51,13 +54,181 @@ void check_channels(int rows, int columns, const std::map<std::string, std::vect
                  n);
 }
 
+/// Reads a text that ends with a zero byte.
+std::string read_name(ByteReader& reader) {
+    const std::string_view rest = ByteReader(reader).read_rest();
+    const std::size_t length = rest.find('\0');
+    if (length == std::string_view::npos || length > kMaxNameBytes)
+        fail("the header is truncated, or it contains a name that is longer than {} bytes", kMaxNameBytes);
+    reader.read_bytes(length + 1);
+    return std::string(rest.substr(0, length));
+}
+
+struct ImageHeader {
+    std::int64_t rows = 0, columns = 0, rows_at_once = 1;
+    std::vector<std::string> channels;
+    std::map<std::string, std::string> notes;
+};
+
+void parse_window(std::string_view bytes, ImageHeader& image_header) {
+    if (bytes.size() != 16) fail("attribute 'dataWindow' has {} bytes, expected 16", bytes.size());
+    ByteReader reader(bytes);
+    std::int32_t corner[4];
+    for (std::int32_t& c : corner) c = reader.read_number<std::int32_t>();
+    image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
+    image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
+    // Maximum absolute value of a corner coordinate. Larger values could overflow
+    // OpenEXR's 32-bit integers.
+    constexpr std::int32_t kMaxCoordinate = 1 << 29;
+    for (const std::int32_t c : corner)
+        if (c < -kMaxCoordinate || c > kMaxCoordinate)
+            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", c, -kMaxCoordinate,
+                 kMaxCoordinate);
+}
+
+void parse_compression(std::string_view bytes, ImageHeader& image_header) {
+    const std::size_t kind =
+        bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
+    if (kind >= std::size(kRowsAtOnce)) fail("the compression of the image is unknown");
+    image_header.rows_at_once = kRowsAtOnce[kind];
+}
+
+/// Reads the list of channels: name, type, linearity and sampling of each channel. An
+/// empty name ends the list.
+void parse_channels(std::string_view bytes, ImageHeader& image_header) {
+    ByteReader items(bytes);
+    std::vector<std::string>& channels = image_header.channels;
+    for (std::string name = read_name(items); !name.empty(); name = read_name(items)) {
+        items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
+        const auto x = items.read_number<std::int32_t>(), y = items.read_number<std::int32_t>();
+        if (x != 1 || y != 1)
+            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel", quote(name), x,
+                 y);
+        if (std::ranges::find(channels, name) != channels.end())
+            fail("channel '{}' occurs twice, expected it once", quote(name));
+        channels.push_back(name);
+        if (channels.size() > kMostChannels)
+            fail("the image has too many channels, expected at most {}", kMostChannels);
+    }
+    if (items.remaining() > 0)
+        fail("the list of channels is shorter than its stored size, so the file is damaged");
+}
+
+/// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
+/// size, so a wrong size would make it read unchecked data.
+void check_attribute(const std::string& name, const std::string& type, std::size_t n_bytes) {
+    static const std::map<std::string, std::size_t> kTypeBytes{{"box2i", 16},
+                                                               {"box2f", 16},
+                                                               {"chromaticities", 32},
+                                                               {"compression", 1},
+                                                               {"deepImageState", 1},
+                                                               {"double", 8},
+                                                               {"envmap", 1},
+                                                               {"float", 4},
+                                                               {"int", 4},
+                                                               {"keycode", 28},
+                                                               {"lineOrder", 1},
+                                                               {"m33d", 72},
+                                                               {"m33f", 36},
+                                                               {"m44d", 128},
+                                                               {"m44f", 64},
+                                                               {"rational", 8},
+                                                               {"tiledesc", 9},
+                                                               {"timecode", 8},
+                                                               {"v2d", 16},
+                                                               {"v2f", 8},
+                                                               {"v2i", 8},
+                                                               {"v3d", 24},
+                                                               {"v3f", 12},
+                                                               {"v3i", 12}};
+    // Values of these types contain more sizes, for example of a preview image. Nothing
+    // checks these inner sizes, so such attributes are rejected.
+    static const std::set<std::string> kRejectedTypes{"idmanifest", "preview", "bytes", "stringvector"};
+    if (kRejectedTypes.contains(type) || (type == "chlist" && name != "channels"))
+        fail("attribute '{}' has the type '{}', which is not supported", quote(name), type);
+    const auto size = kTypeBytes.find(type);
+    if (size != kTypeBytes.end() && size->second != n_bytes)
+        fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(name), type, n_bytes,
+             size->second);
+}
+
+void check_magic(ByteReader& header_reader) {
+    if (header_reader.read_number<std::uint32_t>() != kExrMagic)
+        fail("the file does not begin like an OpenEXR file, expected the format OpenEXR");
+    const auto version = header_reader.read_number<std::uint32_t>();
+    if ((version & kVersionBits) > 2)
+        fail("the file has version {} of the format, expected 2", version & kVersionBits);
+    if (version & (kTiles | kDeep | kParts))
+        fail("the OpenEXR file has tiles, several images, or deep data, expected one image of scan lines");
+}
+
+ImageHeader parse_exr_header(std::string_view exr_file_bytes) {
+    ByteReader header(exr_file_bytes);
+    check_magic(header);
+    ImageHeader image_header;
+    std::set<std::string> attribute_names;
+    for (std::string name = read_name(header); !name.empty(); name = read_name(header)) {
+        const std::string type = read_name(header);
+        const auto size = header.read_number<std::int32_t>();
+        if (size < 0) fail("attribute '{}' has an invalid size of {} bytes", quote(name), size);
+        const std::string_view bytes = header.read_bytes(std::size_t(size));
+        if (!attribute_names.insert(name).second)
+            fail("attribute '{}' occurs twice, expected it once", quote(name));
+        check_attribute(name, type, bytes.size());
+        if (name == "dataWindow") parse_window(bytes, image_header);
+        if (name == "compression") parse_compression(bytes, image_header);
+        if (name == "channels") parse_channels(bytes, image_header);
+        if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
+    }
+    if (!attribute_names.contains("dataWindow") || !attribute_names.contains("channels"))
+        fail("the header has no dataWindow, or no channels");
+    return image_header;
+}
+
+/// Checks that the file is large enough for the image size that its header states.
+void check_file_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
+    const std::int64_t rows = image_header.rows, columns = image_header.columns;
+    if (rows <= 0 || columns <= 0 || image_header.channels.empty())
+        fail("the image has {} x {} pixels and {} channels, expected at least one of each", rows, columns,
+             image_header.channels.size());
+    if (rows > std::int64_t(kMaxPixels) / columns)
+        fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
+    const std::int64_t unpacked =
+        (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
+    // Minimum uncompressed size in bytes, assuming half-precision channels.
+    const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
+    if (least > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
+        fail("{} x {} pixels with {} channels are impossible in a file of {} bytes", rows, columns,
+             image_header.channels.size(), file_size_bytes);
+}
+
+ExrImage decode_exr(const std::string& exr_file_bytes) {
+    ImageHeader image_header = parse_exr_header(exr_file_bytes);
+    check_file_size(image_header, exr_file_bytes.size());
+    imf::StdISStream stream;
+    stream.str(exr_file_bytes);
+    imf::InputFile input(stream);
+    if (!input.isComplete()) fail("the image file is truncated");
+    ExrImage image{int(image_header.rows), int(image_header.columns), {}, std::move(image_header.notes)};
+    const auto window = input.header().dataWindow();
+    imf::FrameBuffer buffer;
+    const std::size_t stride = sizeof(float), row = stride * std::size_t(image.columns);
+    for (const std::string& name : image_header.channels) {
+        std::vector<float>& values = image.channels[name];
+        values.resize(std::size_t(image.rows) * std::size_t(image.columns));
+        buffer.insert(name, imf::Slice::Make(imf::FLOAT, values.data(), window, stride, row));
+    }
+    input.setFrameBuffer(buffer);
+    input.readPixels(window.min.y, window.max.y);
+    return image;
+}
+
 }  // namespace
 
 void write_exr(const std::filesystem::path& path, int rows, int columns,
                const std::map<std::string, std::vector<float>>& channels, const FileMetadata& metadata) {
-    namespace imf = OPENEXR_IMF_NAMESPACE;
     check_channels(rows, columns, channels);
-    ExrMemoryWriter stream;
+    imf::StdOSStream stream;
     try {
         imf::Header header(columns, rows);
         header.compression() = imf::ZIP_COMPRESSION;
@@ -76,7 +247,18 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
     } catch (const std::exception& error) {
         fail("cannot encode '{}' as EXR: {}", path.string(), error.what());
     }
-    codecs::write_file(path, stream.content);
+    codecs::write_file(path, stream.str());
+}
+
+ExrImage read_exr(const std::filesystem::path& path) {
+    const std::string bytes = read_file(path);
+    try {
+        return decode_exr(bytes);
+    } catch (const DataError& error) {
+        fail("{}: {}", path.string(), error.what());
+    } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
+        fail("{}: {}", path.string(), quote(error.what()));
+    }
 }
 
 }  // namespace relidar

@@ -5,11 +5,6 @@
 #include <algorithm>
 #include <csetjmp>
 
-#include <ImfChannelList.h>
-#include <ImfFrameBuffer.h>
-#include <ImfHeader.h>
-#include <ImfInputFile.h>
-#include <ImfStringAttribute.h>
 #include <png.h>
 
 #include "temporary_folder.hpp"
@@ -19,48 +14,26 @@ namespace {
 
 using Picture = TemporaryFolder;
 
-std::vector<float> read_channel(const std::filesystem::path& path, const std::string& name, int rows,
-                                int columns) {
-    Imf::InputFile file(path.c_str());
-    const auto box = file.header().dataWindow();
-    EXPECT_EQ(box.max.x - box.min.x + 1, columns);
-    EXPECT_EQ(box.max.y - box.min.y + 1, rows);
-    EXPECT_EQ(file.header().compression(), Imf::ZIP_COMPRESSION);
-    const Imf::Channel* channel = file.header().channels().findChannel(name);
-    EXPECT_NE(channel, nullptr);
-    EXPECT_EQ(channel->type, Imf::FLOAT);
-    std::vector<float> values(std::size_t(rows) * std::size_t(columns));
-    Imf::FrameBuffer buffer;
-    const std::size_t stride = sizeof(float);
-    char* base = reinterpret_cast<char*>(values.data());
-    buffer.insert(name, Imf::Slice(Imf::FLOAT, base, stride, stride * std::size_t(columns)));
-    file.setFrameBuffer(buffer);
-    file.readPixels(box.min.y, box.max.y);
-    return values;
-}
-
 TEST_F(Picture, ExrKeepsEveryBit) {
     // 37 is not a multiple of the 16 rows that OpenEXR compresses together
     constexpr int rows = 37, columns = 53;
     std::vector<float> range(rows * columns), intensity(rows * columns);
     for (std::size_t i = 0; i < range.size(); ++i) {
         range[i] = 80.0f * float(i * 2654435761u % 1009u) / 1009.0f;
-        intensity[i] = -1.0f / float(i + 1);
+        intensity[i] = -1.0f / float(i % 100 + 1);
     }
     range[0] = std::numeric_limits<float>::infinity();
     range[1] = std::numeric_limits<float>::denorm_min();
-    write_exr(folder / "a.exr", rows, columns, {{"range_m", range}, {"intensity", intensity}});
-    EXPECT_EQ(read_channel(folder / "a.exr", "range_m", rows, columns), range);
-    EXPECT_EQ(read_channel(folder / "a.exr", "intensity", rows, columns), intensity);
-}
-
-TEST_F(Picture, ExrCarriesNotes) {
-    write_exr(folder / "a.exr", 1, 2, {{"range", {1.0f, 2.0f}}},
+    write_exr(folder / "a.exr", rows, columns, {{"range_m", range}, {"intensity", intensity}},
               {{"sensor", "VLP-16"}, {"run", "über\nzwei"}});
-    const Imf::InputFile file((folder / "a.exr").c_str());
-    EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("sensor").value(), "VLP-16");
-    EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("run").value(), "über\nzwei");
-    EXPECT_EQ(read_channel(folder / "a.exr", "range", 1, 2), (std::vector<float>{1.0f, 2.0f}));
+    EXPECT_LT(std::filesystem::file_size(folder / "a.exr"), 2 * sizeof(float) * range.size()) << "compressed";
+    const ExrImage image = read_exr(folder / "a.exr");
+    EXPECT_EQ(image.rows, rows);
+    EXPECT_EQ(image.columns, columns);
+    EXPECT_EQ(image.channels.at("range_m"), range);
+    EXPECT_EQ(image.channels.at("intensity"), intensity);
+    EXPECT_EQ(image.notes.at("sensor"), "VLP-16");
+    EXPECT_EQ(image.notes.at("run"), "über\nzwei");
 }
 
 TEST_F(Picture, ExrRefusesWrongSizes) {

@@ -255,12 +255,10 @@ TEST_F(ExrDamage, OfHeaders) {
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
     expect_bytes(patch_bytes(bytes, "channels", "chlist", -4, list_bytes + 9), "channels ... size");
     std::string other = bytes;
-    other[5] = 0x02;
-    expect_bytes(other, "tiles");
-    other[5] = 0x08;
-    expect_bytes(other, "deep");
-    other[5] = 0x10;
-    expect_bytes(other, "several");
+    for (const char kind : {'\x02', '\x08', '\x10'}) {  // tiles, deep data, several images
+        other[5] = kind;
+        expect_bytes(other, "tiles, several images, or deep data");
+    }
     other = bytes;
     other[bytes.find(std::string("range\0\2", 7)) + 6] = 9;  // the pixel type
     EXPECT_NE((test::write_text(file, other), complaint()), "nothing");
