@@ -336,10 +336,9 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
 
 /// Parses a PLY file to a scene with the models and instances of `scene_layout`.
 /// @param note output: says which properties were copied from the run
-Scene parse_ply(const std::vector<std::byte>& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
+Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
                 std::string& note) {
-    const std::string start(reinterpret_cast<const char*>(bytes.data()),
-                            std::min(bytes.size(), kMaxPlyHeader));
+    const std::string start = bytes.substr(0, kMaxPlyHeader);
     const std::size_t end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
@@ -418,7 +417,7 @@ void write_surfels(const fs::path& path, const Surfels& surfels, const FileMetad
 
 Scene read_surfel_ply(const fs::path& path, const Scene& layout, PrimitiveType primitive, std::string* note) {
     std::string ignored_note;
-    const std::vector<std::byte> file = codecs::read_file(path);
+    const std::string file = read_file(path);
     try {
         const bool walks = std::ranges::any_of(
             layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });

@@ -24,12 +24,6 @@ std::vector<NamedArray> make_example_arrays() {
 
 Scene make_small_scene() { return wrap_background(make_example_surfels(3)); }
 
-std::vector<std::byte> bytes_of(std::string_view input) {
-    std::vector<std::byte> bytes(input.size());
-    if (!input.empty()) std::memcpy(bytes.data(), input.data(), input.size());
-    return bytes;
-}
-
 std::vector<std::string> make_npy_seeds(const fs::path&) {
     std::vector<std::string> seeds;
     for (const NamedArray& array : make_example_arrays())
@@ -55,7 +49,7 @@ std::vector<Harness> list_array_harnesses() {
         {"npz", written<[](const fs::path& file) { write_npz(file, make_example_arrays()); }>,
          read_as_file<[](const fs::path& file) { read_npz(file); }>},
         {"npy", make_npy_seeds,
-         [](std::string_view input, const fs::path&) { codecs::parse_npy("a", bytes_of(input)); }},
+         [](std::string_view input, const fs::path&) { codecs::parse_npy("a", input); }},
         {"safetensors", written<write_small_safetensors>,
          read_as_file<[](const fs::path& file) { read_safetensors(file); }>},
         {"model", written<[](const fs::path& file) { save_model(file, make_small_scene()); }>,

@@ -4,8 +4,8 @@
 
 #include <cstdlib>
 
-#include "base/codecs/blosc.hpp"
 #include "base/codecs/feather.hpp"
+#include "base/codecs/unpack.hpp"
 #include "changed_files.hpp"
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/ncore/ncore_folder.hpp"

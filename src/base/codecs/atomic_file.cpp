@@ -1,15 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes files atomically. Writes to a temporary file in the same folder, flushes it,
 // renames it and flushes the folder. After a power failure, the path contains either the
-// complete old file or the complete new file.
+// complete old file or the complete new file. Folders get a temporary name until they are
+// complete.
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
 #include <atomic>
+#include <cctype>
 #include <cerrno>
+#include <charconv>
+#include <csignal>
 #include <regex>
 
 #include <fcntl.h>
+#include <stdio.h>
+#include <sys/file.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -18,6 +24,41 @@
 #include "file_io.hpp"
 
 namespace relidar {
+
+namespace codecs {
+
+std::string metadata_line(const std::pair<std::string, std::string>& key_and_value) {
+    std::string line = key_and_value.first + " " + key_and_value.second;
+    std::replace_if(
+        line.begin(), line.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
+    return line;
+}
+
+std::string errno_text(int error_number) { return std::generic_category().message(error_number); }
+
+OutputFile::OutputFile(const std::filesystem::path& path) : file_(std::fopen(path.c_str(), "wb")) {
+    if (!file_) throw DataError("cannot create a temporary file in the same folder: " + errno_text(errno));
+}
+
+OutputFile::~OutputFile() {
+    if (file_) std::fclose(file_);
+}
+
+void OutputFile::write(const void* data, std::size_t n_bytes) {
+    if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
+        fail("cannot write {} bytes: {}", n_bytes, errno_text(errno));
+}
+
+void OutputFile::close() {
+    const bool flushed = std::fflush(file_) == 0;
+    const int flush_error = errno;
+    const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
+    if (!flushed || !closed)
+        throw DataError("cannot write the last bytes: " + errno_text(flushed ? errno : flush_error));
+}
+
+}  // namespace codecs
+
 namespace {
 
 namespace fs = std::filesystem;
@@ -65,7 +106,6 @@ void write_temp(const fs::path& where, const fs::path& temporary,
     try {
         write_content(temporary);
     } catch (const Error& error) {
-        // For example, a GPU failure during a download is not a file error.
         if (error.code() != ExitCode::data) throw;
         fail_write(where, error.what());
     } catch (const std::bad_alloc&) {
@@ -92,6 +132,37 @@ void flush_folder(const fs::path& file_path) {
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
         fail_write(file_path, "cannot flush its folder to disk: " + errno_text(error));
+}
+
+// File in each temporary folder. Its process locks it. Other programs have no such file.
+constexpr const char* kMarkerFile = ".relidar_staged";
+constexpr std::string_view kStagedInfix = ".tmp-";
+
+/// True for a temporary folder (.NAME.tmp-PID) whose process no longer exists. A process
+/// on another machine may have the same folder, so its lock counts, too.
+/// @param own_prefix ".NAME.tmp-"; such folders are abandoned even without a marker
+bool is_abandoned(const fs::path& path, const std::string& own_prefix) {
+    const std::string name = path.filename().string();
+    const std::size_t at = name.rfind(kStagedInfix);
+    if (!name.starts_with('.') || at == std::string::npos) return false;
+    pid_t process = 0;
+    const char* last = name.data() + name.size();
+    const auto [end, error] = std::from_chars(name.data() + at + kStagedInfix.size(), last, process);
+    if (error != std::errc() || end != last || process <= 0) return false;
+    if (::kill(process, 0) == 0 || errno != ESRCH) return false;
+    const int marker = ::open((path / kMarkerFile).c_str(), O_RDWR | O_CLOEXEC);
+    if (marker < 0) return errno == ENOENT && name.starts_with(own_prefix);
+    const bool is_unlocked = ::flock(marker, LOCK_EX | LOCK_NB) == 0;
+    ::close(marker);
+    return is_unlocked;
+}
+
+void remove_abandoned(const fs::path& parent_folder, const std::string& own_prefix) {
+    std::error_code failed;
+    std::vector<fs::path> abandoned;
+    for (const auto& entry : fs::directory_iterator(parent_folder, failed))
+        if (is_abandoned(entry.path(), own_prefix)) abandoned.push_back(entry.path());
+    for (const fs::path& path : abandoned) fs::remove_all(path, failed);
 }
 
 }  // namespace
@@ -128,6 +199,66 @@ void remove_temp(const fs::path& folder) {
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
 
+void codecs::write_file(const std::filesystem::path& path, std::string_view bytes) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        OutputFile file(temporary);
+        file.write(bytes);
+        file.close();
+    });
+}
+
 void write_text_file(const fs::path& path, const std::string& text) { codecs::write_file(path, text); }
+
+StagedFolder::StagedFolder(const fs::path& final_path)
+    // Removes a slash at the end, because filename() would be empty.
+    : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
+    const std::string prefix = fmt::format(".{}{}", final_path_.filename().string(), kStagedInfix);
+    remove_abandoned(final_path_.parent_path(), prefix);
+    path_ = final_path_.parent_path() / fmt::format("{}{}", prefix, ::getpid());
+    std::error_code failed;
+    fs::remove_all(path_, failed);
+    fs::create_directories(path_, failed);
+    if (failed) fail("cannot create the folder {}: {}", path_.string(), failed.message());
+    // While this process holds the lock, remove_abandoned() keeps the folder, even on
+    // another machine.
+    marker_ = ::open((path_ / kMarkerFile).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
+}
+
+StagedFolder::~StagedFolder() {
+    std::error_code failed;
+    fs::remove_all(path_, failed);
+    if (marker_ >= 0) ::close(marker_);
+}
+
+void StagedFolder::publish_folder() const {
+    ::unlink((path_ / kMarkerFile).c_str());
+    // rename() replaces an empty folder. It fails if anything else exists at the
+    // destination.
+    if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
+    const int error = errno;
+    const bool destination_exists = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
+    fail("cannot create {}: {}", final_path_.string(),
+         destination_exists ? "another process has created it in the meantime"
+                            : "renaming the temporary folder failed: " + errno_text(error));
+}
+
+void StagedFolder::replace_folder() const {
+    ::unlink((path_ / kMarkerFile).c_str());
+#ifdef RENAME_EXCHANGE
+    // Exchanges the new and the old folder atomically. The old folder then has the
+    // temporary name, and the destructor deletes it.
+    if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, final_path_.c_str(), RENAME_EXCHANGE) == 0) return;
+#endif
+    const fs::path old = path_.string() + "-old";
+    std::error_code failed, ignored;
+    if (fs::exists(fs::symlink_status(final_path_, ignored))) fs::rename(final_path_, old, failed);
+    if (!failed) fs::rename(path_, final_path_, failed);
+    if (failed) fs::rename(old, final_path_, ignored);
+    if (failed)
+        fail("cannot create {}: renaming the temporary folder failed: {}", final_path_.string(),
+             failed.message());
+    fs::remove_all(old, ignored);
+}
 
 }  // namespace relidar

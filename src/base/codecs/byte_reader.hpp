@@ -42,4 +42,9 @@ private:
     std::size_t at_ = 0;
 };
 
+template <class T>
+T number_at(std::string_view bytes, std::size_t offset) {
+    return ByteReader(bytes.substr(offset)).read_number<T>();
+}
+
 }  // namespace relidar::codecs

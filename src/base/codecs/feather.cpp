@@ -5,11 +5,11 @@
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
-#include <cstring>
 #include <utility>
 
 #include <glm/gtc/packing.hpp>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/codecs/unpack.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -20,19 +20,13 @@ namespace {
 using codecs::ArrowCompression;
 using codecs::ArrowField;
 using codecs::ArrowValueKind;
+using codecs::number_at;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kArrowMagic = "ARROW1";
 // Per byte of the file: rows of a table and bytes of text of a column.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kMaxPaddingBytes = 64;  // Maximum number of padding bytes at the end of a buffer.
-
-template <class T>
-T read_at(std::string_view bytes, std::size_t byte_offset) {
-    T value;
-    std::memcpy(&value, bytes.data() + byte_offset, sizeof value);
-    return value;
-}
 
 /// Returns the `n_bytes` bytes at an offset. Throws an error if the data ends before.
 std::string_view checked_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
@@ -52,7 +46,7 @@ std::string_view find_footer(std::string_view bytes) {
     if (!bytes.ends_with(kArrowMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(bytes.size() - kTrailerBytes),
-                       n = read_at<std::int32_t>(bytes, bytes.size() - kTrailerBytes);
+                       n = number_at<std::int32_t>(bytes, bytes.size() - kTrailerBytes);
     return checked_range(bytes, end - n, n, "a footer");
 }
 
@@ -61,10 +55,10 @@ std::string_view find_footer(std::string_view bytes) {
 Batch read_batch(std::string_view bytes, const codecs::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefixBytes = 8;
     const std::string_view message = checked_range(bytes, block.offset, block.metadata_bytes, "a message");
-    if (std::int64_t(message.size()) < kPrefixBytes || read_at<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
+    if (std::int64_t(message.size()) < kPrefixBytes || number_at<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
              block.offset);
-    const auto n = read_at<std::int32_t>(message, 4);
+    const auto n = number_at<std::int32_t>(message, 4);
     return {codecs::parse_batch(checked_range(message, kPrefixBytes, n, "a message")),
             checked_range(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
@@ -77,9 +71,7 @@ std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t
     bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
-        if (stored.size() < 8)
-            fail("a block of compressed values has {} bytes, expected at least 8", stored.size());
-        n = read_at<std::int64_t>(stored, 0);
+        n = number_at<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
@@ -116,7 +108,7 @@ void append_converted(std::vector<T>& values, const Batch& batch, const Feather:
     const std::size_t n = rows_without_nulls(batch, column.node, column.buffer + 1);
     const std::string bytes = decompress(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i)
-        values.push_back(convert_stored_value(read_at<Stored>(bytes, i * sizeof(Stored))));
+        values.push_back(convert_stored_value(number_at<Stored>(bytes, i * sizeof(Stored))));
 }
 
 /// Appends the integers of a column to `values`. The integers may have any width.
@@ -153,7 +145,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
     if (n == 0) return;  // Without rows, writers may omit the offsets.
     const std::string offsets = decompress(batch, buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
-        return read_at<std::int32_t>(offsets, index * sizeof(std::int32_t));
+        return number_at<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))

@@ -1,8 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Writes and reads the bytes of files. Detects every failure, for example short writes,
-// failed flushes and files that shrink while they are read. Error messages contain only
-// the failed operation. write_atomically() and the readers add the path. Private to
-// base/codecs.
+// SPDX-License-Identifier: Apache-2.0 Writes the bytes of files with C streams, because
+// C++ streams do not report the cause of an error (errno). Error messages contain only
+// the failed operation; write_atomically() adds the path.
 #pragma once
 
 #include <bit>
@@ -12,7 +10,6 @@
 #include <string>
 #include <string_view>
 #include <utility>
-#include <vector>
 
 namespace relidar::codecs {
 
@@ -35,8 +32,6 @@ private:
 };
 
 void write_file(const std::filesystem::path& path, std::string_view bytes);
-
-std::vector<std::byte> read_file(const std::filesystem::path& path);
 
 std::string metadata_line(const std::pair<std::string, std::string>& key_and_value);
 

@@ -146,36 +146,27 @@ std::string McapWriter::encode_statistics() const {
                                              n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
 }
 
-/// Returns the bytes of the summary section at the end of the file. Records with the same
-/// code form a group.
-/// @param record_groups receives the position of each group
-std::string McapWriter::encode_summary(std::vector<SummaryRecordGroup>& record_groups) const {
-    std::string bytes;
-    const auto add = [&](McapRecordCode code, const std::string& records) {
-        if (!records.empty()) record_groups.push_back({code, written_ + bytes.size(), records.size()});
-        bytes += records;
-    };
-    add(kSchema, schemas_);
-    add(kChannel, channels_);
-    add(kStatistics, encode_statistics());
-    add(kChunkIndex, chunk_indices_);
-    add(kMetadataIndex, metadata_indices_);
-    return bytes;
-}
-
 void McapWriter::finish() {
     write_chunk();
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     const std::uint32_t no_checksum = 0;
     append(encode_record(kDataEnd, encode(no_checksum)));
+    // Records of the summary with the same code form a group. The positions of the groups
+    // follow the summary.
     const std::uint64_t begin = written_;
-    std::vector<SummaryRecordGroup> groups;
-    append(encode_summary(groups));
-    const std::uint64_t offsets = written_;
-    for (const SummaryRecordGroup& group : groups)
-        append(encode_record(kSummaryOffset, encode(group.code, group.begin, group.n_bytes)));
-    // The footer contains the positions of the summary and of its offsets.
-    append(encode_record(kFooter, encode(begin, offsets, no_checksum)));
+    std::string positions;
+    for (const auto& [code, records] : {std::pair(kSchema, schemas_),
+                                        {kChannel, channels_},
+                                        {kStatistics, encode_statistics()},
+                                        {kChunkIndex, chunk_indices_},
+                                        {kMetadataIndex, metadata_indices_}}) {
+        if (records.empty()) continue;
+        positions += encode_record(kSummaryOffset, encode(code, written_, std::uint64_t(records.size())));
+        append(records);
+    }
+    const std::uint64_t positions_begin = written_;
+    append(positions);
+    append(encode_record(kFooter, encode(begin, positions_begin, no_checksum)));
     append(kMagic);
     file_.close();
     if (!file_) fail("cannot write '{}': the disk is probably full", path_.string());

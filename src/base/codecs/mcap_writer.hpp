@@ -35,11 +35,6 @@ private:
     struct MessageIndexEntry {
         std::uint64_t time_ns, offset;  ///< Offset of the message in the chunk.
     };
-    struct SummaryRecordGroup {
-        std::uint8_t code;             ///< Code of the records in the group.
-        std::uint64_t begin, n_bytes;  ///< Position and size of the group in the file.
-    };
-
     std::filesystem::path path_;
     std::ofstream file_;
     std::uint64_t written_ = 0;
@@ -55,7 +50,6 @@ private:
 
     void append(std::string_view bytes);
     std::string encode_statistics() const;
-    std::string encode_summary(std::vector<SummaryRecordGroup>& record_groups) const;
 };
 
 }  // namespace relidar::codecs

@@ -6,29 +6,22 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
-#include <cmath>
 #include <cstring>
-#include <limits>
 #include <type_traits>
 
 #include <fmt/ranges.h>
+#include <glm/gtc/packing.hpp>
 
 namespace relidar {
 namespace {
 
-/// A half-precision number (IEEE 754): sign, 5 bits of exponent, 10 bits of mantissa.
+/// A half-precision number (IEEE 754).
 struct Half {
     std::uint16_t bits;
 
     template <class Number>
     explicit operator Number() const {
-        const int exponent = bits >> 10 & 31, mantissa = bits & 1023;
-        float value =
-            std::ldexp(float(exponent ? mantissa + 1024 : mantissa), exponent ? exponent - 25 : -24);
-        if (exponent == 31)
-            value =
-                mantissa ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
-        return Number(bits & 0x8000 ? -value : value);
+        return Number(glm::unpackHalf1x16(bits));
     }
 };
 

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes and parses the header of a .npy file in numpy's format, for example:
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
-//
-// Accepts only the types that NamedArray supports. Rejects big-endian numbers, structs
-// and objects, each with a separate message.
 #include "npy.hpp"
 #include "base/fail.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cstring>
+#include <set>
+#include <span>
 
 #include <fmt/format.h>
 
@@ -25,36 +25,32 @@ class NpyHeaderParser {
 public:
     explicit NpyHeaderParser(std::string_view text) : text_(text) {}
 
-    void parse_header() {
+    NpyHeader parse_header() {
+        NpyHeader header;
+        std::set<std::string> keys;
         expect_character('{');
         while (!accept_character('}')) {
             const std::string key = parse_string();
             expect_character(':');
-            if (key == "descr") {
-                if (next_is('[')) fail_header("contains a struct type, expected a plain number type");
-                descr = parse_string();
-            } else if (key == "fortran_order") fortran_order = parse_boolean();
-            else if (key == "shape") shape = parse_tuple();
-            else fail_header("has the unknown key '" + key + "'");
-            if (!accept_character(',') && !next_is('}')) fail_header("is malformed");
+            if (key == "descr") parse_type(header);
+            else if (key == "fortran_order") header.fortran_order = parse_boolean();
+            else if (key == "shape") header.shape = parse_tuple();
+            else fail_header();
+            keys.insert(key);
+            end_item('}');
         }
-        if (!descr || !fortran_order || !shape)
-            fail_header("has no descr, fortran_order or shape, expected all of them");
+        if (keys.size() < 3) fail_header();
+        return header;
     }
 
-    std::optional<std::string> descr;
-    std::optional<bool> fortran_order;
-    std::optional<std::vector<std::size_t>> shape;
-
 private:
-    [[noreturn]] static void fail_header(const std::string& reason) {
-        throw DataError("the npy header " + reason);
+    [[noreturn]] static void fail_header() {
+        fail("the npy header is malformed, expected a dict with descr, fortran_order and shape");
     }
 
     bool next_is(char character) {
-        while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
-            text_.remove_prefix(1);
-        return !text_.empty() && text_[0] == character;
+        text_.remove_prefix(std::min(text_.find_first_not_of(" \n\t"), text_.size()));
+        return text_.starts_with(character);
     }
     bool accept_character(char character) {
         if (!next_is(character)) return false;
@@ -62,43 +58,60 @@ private:
         return true;
     }
     void expect_character(char character) {
-        if (!accept_character(character)) fail_header("is malformed");
+        if (!accept_character(character)) fail_header();
     }
-    bool accept_word(std::string_view word) {
-        next_is(' ');
-        if (!text_.starts_with(word)) return false;
-        text_.remove_prefix(word.size());
-        return true;
+    /// A comma follows each item; it may be missing after the last one.
+    void end_item(char end_of_items) {
+        if (!accept_character(',') && !next_is(end_of_items)) fail_header();
     }
     std::string parse_string() {
         const char quote = next_is('"') ? '"' : '\'';
         expect_character(quote);
-        const std::size_t end = text_.find(quote);
-        if (end == std::string_view::npos) fail_header("is malformed");
+        const std::size_t end = std::min(text_.find(quote), text_.size());
         std::string result(text_.substr(0, end));
-        text_.remove_prefix(end + 1);
+        text_.remove_prefix(end);
+        expect_character(quote);
         return result;
     }
     bool parse_boolean() {
-        if (accept_word("True")) return true;
-        if (accept_word("False")) return false;
-        fail_header("is malformed");
+        const bool value = next_is('T');
+        const std::string_view word = value ? "True" : "False";
+        if (!text_.starts_with(word)) fail_header();
+        text_.remove_prefix(word.size());
+        return value;
+    }
+    /// Parses '<f4', or a list of fields such as [('x', '<f4'), ('rgb', '|u1', (3,))].
+    void parse_type(NpyHeader& header) {
+        if (!accept_character('[')) {
+            header.type = parse_string();
+            return;
+        }
+        while (!accept_character(']')) {
+            expect_character('(');
+            NpyField& field = header.fields.emplace_back();
+            field.name = parse_string();
+            expect_character(',');
+            field.type = parse_string();
+            if (accept_character(',') && next_is('(')) field.shape = parse_tuple();
+            expect_character(')');
+            end_item(']');
+        }
     }
     std::size_t parse_integer() {
         next_is(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
-        if (error != std::errc()) fail_header("contains an invalid shape, expected whole numbers");
+        if (error != std::errc()) fail_header();
         text_.remove_prefix(std::size_t(end - text_.data()));
         accept_character('L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
     }
-    std::vector<std::size_t> parse_tuple() {
-        std::vector<std::size_t> result;
+    ArrayShape parse_tuple() {
+        ArrayShape result;
         expect_character('(');
         while (!accept_character(')')) {
             result.push_back(parse_integer());
-            if (!accept_character(',') && !next_is(')')) fail_header("is malformed");
+            end_item(')');
         }
         return result;
     }
@@ -108,15 +121,14 @@ private:
 
 /// Returns the type without its byte order, for example "f4" for "<f4". Accepts "|" only
 /// for types whose byte order does not matter.
-std::string parse_dtype(const std::string& numpy_type_with_byte_order) {
-    const std::string_view type =
-        std::string_view(numpy_type_with_byte_order).substr(numpy_type_with_byte_order.empty() ? 0 : 1);
-    const char order = numpy_type_with_byte_order.empty() ? '?' : numpy_type_with_byte_order[0];
+std::string parse_dtype(const std::string& ordered_type) {
+    const std::string type = ordered_type.substr(1);
     const std::size_t size = element_bytes(type);
-    if (size == 0) fail("type '{}' is not supported", numpy_type_with_byte_order);
-    if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
-        fail("type '{}' is big-endian, expected little-endian", numpy_type_with_byte_order);
-    return std::string(type);
+    if (size == 0) fail("type '{}' is not supported", ordered_type);
+    const bool has_no_order = size == 1 || type.starts_with('S');
+    if (!ordered_type.starts_with('<') && !(has_no_order && ordered_type.starts_with('|')))
+        fail("type '{}' is big-endian, expected little-endian", ordered_type);
+    return type;
 }
 
 /// Reorders an array in Fortran order, in which the first index varies fastest.
@@ -158,10 +170,10 @@ std::string make_npy_header(const NamedArray& array) {
     return header + dict;
 }
 
-NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
-    if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
-        throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
-    const auto version = std::to_integer<int>(bytes[6]);
+NpyHeader parse_npy_header(std::string_view bytes) {
+    if (bytes.size() < 12 || !bytes.starts_with(kNpyMagic))
+        fail("the file does not begin like an .npy file, expected an array of NumPy");
+    const int version = static_cast<unsigned char>(bytes[kNpyMagic.size()]);
     if (version < 1 || version > 3) fail("the file has npy version {}, expected 1 to 3", version);
     // The length of the header has 2 bytes in version 1, otherwise 4 bytes.
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
@@ -169,16 +181,21 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     std::memcpy(&length, bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
         fail("the npy header should have {} bytes, but only {} bytes are left", length, bytes.size() - start);
+    NpyHeader header = NpyHeaderParser(bytes.substr(start, length)).parse_header();
+    header.values = bytes.substr(start + length);
+    return header;
+}
 
-    NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
-    header.parse_header();
-    NamedArray array{name, parse_dtype(*header.descr), *header.shape, {}};
+NamedArray parse_npy(const std::string& name, std::string_view bytes) {
+    const NpyHeader header = parse_npy_header(bytes);
+    if (header.type.empty()) fail("the elements of the array have fields, expected plain numbers");
+    NamedArray array{name, parse_dtype(header.type), header.shape, {}};
     const auto n_expected_bytes = array_bytes(array.shape, element_bytes(array.dtype));
-    const std::size_t n_value_bytes = bytes.size() - start - length;
-    if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)
-        fail("the {} bytes of values do not fit the shape of the array", n_value_bytes);
-    array.bytes.assign(bytes.end() - std::ptrdiff_t(n_value_bytes), bytes.end());
-    if (*header.fortran_order) make_row_major(array);
+    if (!n_expected_bytes || *n_expected_bytes != header.values.size())
+        fail("the {} bytes of values do not fit the shape of the array", header.values.size());
+    array.bytes.resize(header.values.size());
+    std::ranges::copy(std::as_bytes(std::span(header.values)), array.bytes.begin());
+    if (header.fortran_order) make_row_major(array);
     return array;
 }
 

@@ -4,18 +4,19 @@
 #include "base/codecs/tfrecord.hpp"
 
 #include <array>
-#include <cstring>
 #include <fstream>
 #include <utility>
 
 #include <fmt/format.h>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
 namespace {
 
+using codecs::number_at;
 constexpr std::uint64_t kHeaderBytes = 12, kFooterBytes = 4;
 
 constexpr std::array<std::uint32_t, 256> make_crc_table() {
@@ -28,17 +29,8 @@ constexpr std::array<std::uint32_t, 256> make_crc_table() {
     return table;
 }
 
-template <class T>
-T load_value(const char* bytes) {
-    T value;
-    std::memcpy(&value, bytes, sizeof value);
-    return value;
-}
-
 }  // namespace
 
-/// Returns the CRC-32C of bytes in the masked form of TFRecord: rotated right by 15 bits,
-/// plus 0xa282ead8.
 std::uint32_t masked_crc32c(std::string_view bytes) {
     static constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
     std::uint32_t c = ~0u;
@@ -56,14 +48,14 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
     if (end < 0) fail("cannot read {}", file_.string());
     for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
         const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
-        std::array<char, kHeaderBytes> header{};
+        std::string header(kHeaderBytes, '\0');
         in.seekg(std::streamoff(at));
         if (left < kHeaderBytes || !in.read(header.data(), kHeaderBytes))
             fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeaderBytes);
-        if (load_value<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
+        if (number_at<std::uint32_t>(header, 8) != masked_crc32c(header.substr(0, 8)))
             fail("{}: the checksum (CRC) of its length is wrong, so the file is damaged or no TFRecord file",
                  where);
-        const auto size = load_value<std::uint64_t>(header.data());
+        const auto size = number_at<std::uint64_t>(header, 0);
         left -= kHeaderBytes;
         if (left < kFooterBytes || size > left - kFooterBytes)
             fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, size,
@@ -84,7 +76,7 @@ std::string TfRecordReader::read_record(std::size_t record_index) const {
     if (!in.read(data.data(), std::streamsize(data.size())))
         fail("{}: record {}: cannot read its {} bytes", file_.string(), record_index, data.size());
     // The checksum of the data follows the data.
-    const auto crc = load_value<std::uint32_t>(&data[byte_range.size]);
+    const auto crc = number_at<std::uint32_t>(data, byte_range.size);
     data.resize(byte_range.size);
     if (crc != masked_crc32c(data))
         fail("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged", file_.string(),

@@ -8,13 +8,14 @@
 #include <charconv>
 #include <fstream>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "base/codecs/blosc.hpp"
 #include "base/codecs/byte_reader.hpp"
+#include "base/codecs/unpack.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 
@@ -51,13 +52,6 @@ std::string extended_path(const std::string& records) {
     if (key == std::string::npos) return "";
     const std::size_t begin = key + 6;
     return records.substr(begin, records.find('\n', begin) - begin);
-}
-
-std::vector<std::size_t> read_shape(const JsonField& field) {
-    std::vector<std::size_t> shape;
-    for (std::size_t i = 0; i < field.size(); ++i)
-        shape.push_back(std::size_t(field.at(i).integer_in(0, std::int64_t(1) << 32)));
-    return shape;
 }
 
 }  // namespace
@@ -115,24 +109,19 @@ std::string ZarrStore::read_value(const std::string& key) const {
 }
 
 std::vector<std::string> ZarrStore::list_children(const std::string& group) const {
-    std::vector<std::string> names;
-    if (!is_archive_) {
-        if (!does_path_exist(path_ / group)) return names;
+    std::set<std::string> names;
+    if (!is_archive_ && does_path_exist(path_ / group)) {
         for (const fs::path& entry : list_folder(path_ / group))
-            if (fs::is_directory(entry)) names.push_back(entry.filename().string());
-        std::ranges::sort(names);
-        return names;
+            if (fs::is_directory(entry)) names.insert(entry.filename().string());
     }
     const std::string prefix = group.empty() ? "" : group + "/";
     for (auto member = members_.lower_bound(prefix);
          member != members_.end() && member->first.starts_with(prefix); ++member) {
         const std::size_t slash = member->first.find('/', prefix.size());
-        if (slash == std::string::npos) continue;
-        std::string child = member->first.substr(prefix.size(), slash - prefix.size());
-        if (std::ranges::find(names, child) == names.end()) names.push_back(std::move(child));
+        if (slash != std::string::npos)
+            names.insert(member->first.substr(prefix.size(), slash - prefix.size()));
     }
-    std::ranges::sort(names);
-    return names;
+    return {names.begin(), names.end()};
 }
 
 ZarrJson read_zarr_attributes(const ZarrStore& store, const std::string& path) {
@@ -150,7 +139,7 @@ std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, con
     if (head.at("zarr_format").integer_in(0, 99) != 2) fail("{}: expected version 2 of zarr", where);
     if (const std::string found = head.at("dtype").short_text(99); found != type)
         fail("{}: the type is '{}', expected '{}'", where, quote(found), type);
-    if (const auto found = read_shape(head.at("shape")); found != shape)
+    if (const auto found = head.at("shape").sizes(); found != shape)
         fail("{}: the shape is {}, expected {}", where, found, shape);
     if (head.at("order").short_text(9) != "C" || !json.value("filters", nlohmann::json()).is_null())
         fail("{}: expected the order C and no filters", where);
@@ -158,7 +147,7 @@ std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, con
     if (is_compressed && head.at("compressor").at("id").short_text(99) != "blosc")
         fail("{}: the codec is '{}', expected blosc", where,
              quote(head.at("compressor").at("id").short_text(99)));
-    const std::vector<std::size_t> chunk_shape = read_shape(head.at("chunks"));
+    const std::vector<std::size_t> chunk_shape = head.at("chunks").sizes();
     if (chunk_shape.size() != shape.size() || shape.empty() || (shape[0] > 0 && chunk_shape[0] == 0) ||
         !std::equal(shape.begin() + 1, shape.end(), chunk_shape.begin() + 1))
         fail("{}: the shape of a chunk is {}, expected {} except for the first number", where, chunk_shape,

@@ -4,13 +4,15 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
-#include <cstring>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "read/files/point_table.hpp"
 
 namespace relidar::read {
 namespace {
+
+using codecs::number_at;
 
 // byte offsets in the header
 constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordAt = 105, kCountAt = 107,
@@ -19,13 +21,6 @@ constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordA
 constexpr int kMostFormat = 10, kFirstLongFormat = 6;
 constexpr double kMostAway_m = 100.0;  // a scan has points closer to the origin than this along x and y
 constexpr int kPackedFlag = 128;       // added to the point format if the points are compressed
-
-template <class T>
-T read_unaligned(std::string_view bytes, std::size_t offset) {
-    T value;
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
-    return value;
-}
 
 struct LasHeader {
     int format = 0;
@@ -43,20 +38,20 @@ LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
         fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());
     LasHeader header;
-    header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
+    header.format = number_at<std::uint8_t>(bytes, kFormatAt);
     if (header.format >= kPackedFlag)
         fail("{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them", where);
     if (header.format > kMostFormat)
         fail("{}: found the point format {}, expected a format from 0 to {}", where, header.format,
              kMostFormat);
-    header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
-    header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
-    header.n = read_unaligned<std::uint32_t>(bytes, kCountAt);
-    if (read_unaligned<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
-        header.n = std::max(header.n, read_unaligned<std::uint64_t>(bytes, kLongCountAt));
+    header.begin = number_at<std::uint32_t>(bytes, kPointsAt);
+    header.record = number_at<std::uint16_t>(bytes, kRecordAt);
+    header.n = number_at<std::uint32_t>(bytes, kCountAt);
+    if (number_at<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
+        header.n = std::max(header.n, number_at<std::uint64_t>(bytes, kLongCountAt));
     for (std::size_t axis = 0; axis < 3; ++axis) {
-        header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
-        header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
+        header.scale[axis] = number_at<double>(bytes, kScaleAt + 8 * axis);
+        header.offset_m[axis] = number_at<double>(bytes, kOffsetAt + 8 * axis);
     }
     const std::size_t min_record_bytes = header.gps_time_offset() + (header.has_gps_time() ? 8 : 0);
     if (header.record < min_record_bytes || header.begin > bytes.size() ||
@@ -94,7 +89,7 @@ PointTable parse_las(const SharedBytes& file, const std::string& where) {
         const std::string_view point(points + i * header.record, header.record);
         for (std::size_t axis = 0; axis < 3; ++axis)
             p[axis][i] =
-                header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
+                header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // The return number has 4 bits in new point formats and 3 bits in old ones. A ray
         // keeps at most 8 returns.
         return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_extended() ? 15 : 7), 8));

@@ -2,8 +2,8 @@
 // Reads PCD 0.7 files. The points follow a text header. They are stored as text, as
 // binary, or as binary compressed with LZF. Compressed points are stored field by field.
 #include <cstdint>
-#include <cstring>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/files/point_table.hpp"
@@ -157,10 +157,9 @@ std::string decompress_points(std::string_view compressed_data, const std::strin
     if (compressed_data.size() < 8)
         fail("{}: the file is truncated: found {} bytes after the header, expected at least 8", where,
              compressed_data.size());
-    std::uint32_t packed = 0, size = 0;
-    std::memcpy(&packed, compressed_data.data(), 4);
-    std::memcpy(&size, compressed_data.data() + 4, 4);
-    compressed_data.remove_prefix(8);
+    codecs::ByteReader reader(compressed_data);
+    const auto packed = reader.read_number<std::uint32_t>(), size = reader.read_number<std::uint32_t>();
+    compressed_data = reader.read_rest();
     if (packed > compressed_data.size() || size / kMostExpansion > packed)
         fail("{}: {} bytes of compressed data cannot unpack to {} bytes; the file has {} bytes", where,
              packed, size, compressed_data.size());

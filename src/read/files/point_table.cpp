@@ -22,56 +22,38 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of points of a scan
 
-struct PointFieldName {
-    std::string_view name;
-    PointAttribute value;
-};
 /// Field names in lower case. The first name that a file has wins.
-constexpr PointFieldName kFieldNames[] = {
-    {"x", PointAttribute::x},
-    {"y", PointAttribute::y},
-    {"z", PointAttribute::z},
-    {"intensity", PointAttribute::intensity},
-    {"intensities", PointAttribute::intensity},
-    {"i", PointAttribute::intensity},
-    {"reflectivity", PointAttribute::intensity},
-    {"reflectance", PointAttribute::intensity},
-    {"remission", PointAttribute::intensity},
-    {"amplitude", PointAttribute::intensity},
-    {"signal", PointAttribute::intensity},
-    {"ring", PointAttribute::ring},
-    {"rings", PointAttribute::ring},
-    {"channel", PointAttribute::ring},
-    {"line", PointAttribute::ring},
-    {"ring_id", PointAttribute::ring},
-    {"laser_id", PointAttribute::ring},
-    {"laser_number", PointAttribute::ring},
-    {"beam", PointAttribute::ring},
-    {"beam_id", PointAttribute::ring},
-    {"time", PointAttribute::time},
-    {"t", PointAttribute::time},
-    {"timestamp", PointAttribute::time},
-    {"time_stamp", PointAttribute::time},
-    {"offset_time", PointAttribute::time},
-    {"return", PointAttribute::return_number},
-    {"return_number", PointAttribute::return_number},
-    {"return_type", PointAttribute::return_type},
-    {"range", PointAttribute::range},
-    {"distance", PointAttribute::range},
+const std::map<PointAttribute, std::vector<std::string_view>> kFieldNames{
+    {PointAttribute::x, {"x"}},
+    {PointAttribute::y, {"y"}},
+    {PointAttribute::z, {"z"}},
+    {PointAttribute::intensity,
+     {"intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal"}},
+    {PointAttribute::ring,
+     {"ring", "rings", "channel", "line", "ring_id", "laser_id", "laser_number", "beam", "beam_id"}},
+    {PointAttribute::time, {"time", "t", "timestamp", "time_stamp", "offset_time"}},
+    {PointAttribute::return_number, {"return", "return_number"}},
+    {PointAttribute::return_type, {"return_type"}},
+    {PointAttribute::range, {"range", "distance"}}};
+
+struct FieldMeaning {
+    PointAttribute attribute;
+    std::size_t rank;  ///< index in the list of names; 0 is preferred
 };
-constexpr std::size_t kNotRead = std::size(kFieldNames);
 
 constexpr std::string_view kNamePrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
                                               "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
-std::size_t find_exact_field(std::string_view field_name) {
-    const auto* const row = std::ranges::find(kFieldNames, field_name, &PointFieldName::name);
-    return std::size_t(row - std::begin(kFieldNames));
+std::optional<FieldMeaning> find_exact_field(std::string_view field_name) {
+    for (const auto& [attribute, names] : kFieldNames)
+        if (const auto at = std::ranges::find(names, field_name); at != names.end())
+            return FieldMeaning{attribute, std::size_t(at - names.begin())};
+    return {};
 }
 
-/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from
+/// Returns nothing for unknown fields. Ignores upper case, and prefixes from
 /// kNamePrefixes.
-std::size_t find_field_index(std::string_view field_name) {
+std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     std::string name(trim(field_name));
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
@@ -79,11 +61,11 @@ std::size_t find_field_index(std::string_view field_name) {
     // "points:0".
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
-            return std::size_t(axis - '0');
+            return FieldMeaning{PointAttribute(axis - '0'), 0};
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kNamePrefixes)
-        if (rest.starts_with(prefix) && find_exact_field(rest) == kNotRead) rest.remove_prefix(prefix.size());
+        if (rest.starts_with(prefix) && !find_exact_field(rest)) rest.remove_prefix(prefix.size());
     return find_exact_field(rest);
 }
 
@@ -183,8 +165,14 @@ PointTable table_of_array(NamedArray array, const std::vector<std::string>& colu
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
-    if (const SharedBytes bytes = share_bytes(read_file(file)); is_structured(bytes.bytes))
-        return parse_npy(bytes, file.string());
+    const SharedBytes bytes = share_bytes(read_file(file));
+    codecs::NpyHeader header;
+    try {
+        header = codecs::parse_npy_header(bytes.bytes);
+    } catch (const DataError& error) {
+        fail("{}: {}", file.string(), error.what());
+    }
+    if (header.type.empty()) return parse_npy_fields(bytes, header, file.string());
     return table_of_array(read_npy(file), column_names, file.string());
 }
 
@@ -218,22 +206,20 @@ PointTable read_npz_points(const fs::path& file, const std::vector<std::string>&
 }  // namespace
 
 std::optional<PointAttribute> find_attribute(std::string_view field_name) {
-    const std::size_t row = find_field_index(field_name);
-    return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
+    const auto meaning = find_meaning(field_name);
+    return meaning ? std::optional(meaning->attribute) : std::nullopt;
 }
 
 std::vector<std::string> PointTable::list_fields(PointAttribute attribute) const {
-    // Sort keys: row in the table of known names; true if upper and lower case differ
-    // from the known name; name.
+    // Sort keys: rank of the known name; true if upper and lower case differ from the
+    // known name; name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
-    for (const auto& [name, values] : fields_) {
-        const std::size_t row = find_field_index(name);
-        if (row != kNotRead && kFieldNames[row].value == attribute)
-            ranked.emplace_back(row, name != kFieldNames[row].name, name);
-    }
+    for (const auto& [name, values] : fields_)
+        if (const auto meaning = find_meaning(name); meaning && meaning->attribute == attribute)
+            ranked.emplace_back(meaning->rank, name != kFieldNames.at(attribute)[meaning->rank], name);
     std::ranges::sort(ranked);
     std::vector<std::string> names;
-    for (auto& [row, is_other, name] : ranked) names.push_back(std::move(name));
+    for (auto& [rank, is_other, name] : ranked) names.push_back(std::move(name));
     return names;
 }
 

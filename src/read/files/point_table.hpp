@@ -20,6 +20,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
+#include "base/codecs/npy.hpp"
 
 namespace relidar::read {
 
@@ -194,8 +195,9 @@ PointTable parse_ply(const SharedBytes& file, const std::string& where);
 PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& column_names,
                       const std::string& where);
 
-/// Returns true if the bytes are a .npy file whose elements have named fields.
-bool is_structured(std::string_view bytes);
-PointTable parse_npy(const SharedBytes& file, const std::string& where);
+/// Returns the points of a .npy file whose elements have named fields.
+/// @param header  header of the file
+PointTable parse_npy_fields(const SharedBytes& file, const codecs::NpyHeader& header,
+                            const std::string& where);
 
 }  // namespace relidar::read

@@ -23,13 +23,10 @@
 namespace relidar::packets {
 namespace {
 
+using codecs::number_at;
+
 constexpr std::size_t kLivoxHeader = 36, kDurationAt = 3, kCountAt = 5, kKindAt = 10, kLivoxTimeAt = 28;
 constexpr std::int64_t kLargestDrift_ns = 50'000'000;
-
-template <class T>
-T read_number_at(std::string_view bytes, std::size_t offset) {
-    return codecs::ByteReader(bytes.substr(offset)).read_number<T>();
-}
 
 /// Point types of Livox: 1 in millimetres, 2 in centimetres, 3 in spherical coordinates.
 glm::vec3 read_position_m(codecs::ByteReader& reader, int point_type) {
@@ -62,8 +59,8 @@ std::int64_t clamped_step_ns(std::int64_t first_ns, std::int64_t second_ns) {
 /// @return number of points
 std::uint32_t append_points(std::string& point_bytes, std::string_view packet, std::int64_t offset_ns) {
     const int kind = std::uint8_t(packet[kKindAt]);
-    const auto n = read_number_at<std::uint16_t>(packet, kCountAt);
-    const double step_ns = 100.0 * read_number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n), 1);
+    const auto n = number_at<std::uint16_t>(packet, kCountAt);
+    const double step_ns = 100.0 * number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n), 1);
     codecs::ByteReader reader(packet.substr(kLivoxHeader));
     std::uint32_t n_points = 0;
     for (int i = 0; i < int(n); ++i) {
@@ -91,7 +88,7 @@ bool is_livox_packet(std::string_view packet_bytes) {
     const int point_type = std::uint8_t(packet_bytes[kKindAt]);
     if (point_type < 1 || point_type > 3) return false;
     return packet_bytes.size() ==
-           kLivoxHeader + kPointBytes[point_type] * read_number_at<std::uint16_t>(packet_bytes, kCountAt);
+           kLivoxHeader + kPointBytes[point_type] * number_at<std::uint16_t>(packet_bytes, kCountAt);
 }
 
 std::string join_livox_packets(std::string_view packed_packets, std::string_view frame_id) {
@@ -103,7 +100,7 @@ std::string join_livox_packets(std::string_view packed_packets, std::string_view
         const auto stamp_ns = reader.read_number<std::int64_t>();
         const std::string_view packet = reader.read_string();
         if (!is_livox_packet(packet)) continue;
-        const auto clock_ns = read_number_at<std::int64_t>(packet, kLivoxTimeAt);
+        const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) {
             first_stamp_ns = stamp_ns;
             first_clock_ns = clock_ns;

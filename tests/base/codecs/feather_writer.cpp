@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/codecs/feather_writer.hpp"
+#include "base/codecs/arrow_metadata.hpp"
 
 #include <algorithm>
 
@@ -15,17 +16,9 @@ namespace {
 using Builder = flatbuffers::FlatBufferBuilder;
 using Offset = flatbuffers::Offset<flatbuffers::Table>;
 
-struct Node {
-    std::int64_t length, null_count;
-};
-struct Buffer {
-    std::int64_t offset, length;
-};
-struct Block {
-    std::int64_t offset;
-    std::int32_t metadata_bytes, padding;
-    std::int64_t body_bytes;
-};
+using Node = codecs::ArrowFieldNode;
+using Buffer = codecs::ArrowBufferRange;
+using Block = codecs::ArrowFileBlock;
 
 flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 

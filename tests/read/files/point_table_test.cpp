@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/bytes.hpp"
 #include "read/scans/far_marker.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_meaning.hpp"
@@ -12,22 +13,17 @@
 namespace relidar::read {
 namespace {
 
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
-
 /// Makes a table of two points with 23 bytes each: x, y, z, ring, a colour, a time.
 PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     std::string bytes;
     for (const auto& [x, ring, time] : {std::tuple(3.5f, std::uint16_t(7), first_time),
                                         std::tuple(-2.25f, std::uint16_t(300), second_time)}) {
-        append(bytes, x);
-        append(bytes, 1.0f);
-        append(bytes, 0.5f);
-        append(bytes, ring);
-        append(bytes, std::uint8_t(9));
-        append(bytes, time);
+        append_raw(bytes, x);
+        append_raw(bytes, 1.0f);
+        append_raw(bytes, 0.5f);
+        append_raw(bytes, ring);
+        append_raw(bytes, std::uint8_t(9));
+        append_raw(bytes, time);
     }
     const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
                                             {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};

@@ -9,6 +9,8 @@
 
 #include <relidar/base/math.hpp>
 
+#include "base/codecs/npy.hpp"
+
 namespace relidar::test {
 namespace {
 
@@ -102,12 +104,7 @@ std::string bin(const FilePoints& points) {
 }
 
 std::string npy(const FilePoints& points) {
-    std::string header =
-        fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", points.size());
-    header.resize(118 - 1, ' ');
-    std::string bytes = "\x93NUMPY";
-    bytes += {'\x01', '\x00', char(118), '\x00'};
-    bytes += header + "\n";
+    std::string bytes = codecs::make_npy_header({"points", "f8", {points.size(), 6}, {}});
     for (const FilePoint& p : points)
         append(bytes, glm::dvec3(p.point_m), double(p.intensity), double(p.ring), p.time_s);
     return bytes;

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/codecs/blosc.hpp"
+#include "base/codecs/unpack.hpp"
 #include "read/datasets/ncore/ncore_folder.hpp"
 #include "read/datasets/ncore/ncore_scans.hpp"
 

@@ -2,6 +2,9 @@
 // Converts range images and other scalar images to colours, by linear interpolation
 // between the colours below. "turbo" resembles the colour map Turbo: near is dark indigo,
 // blue and cyan, then green and yellow, far is orange and dark red. "heat" is for errors.
+//
+// Writes 8-bit RGB images as PNG files. Uses the simplified interface of libpng, because
+// it reports failures by return values instead of longjmp.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -9,33 +12,23 @@
 #include <cmath>
 #include <span>
 
+#include <png.h>
+#include <zlib.h>
+
 #include "base/fail.hpp"
+#include "file_io.hpp"
 
 namespace relidar {
 namespace {
 
 using Colour = std::array<std::uint8_t, 3>;
 
-constexpr std::array<Colour, 16> kTurboColours{{
-    {38, 24, 84},
-    {54, 50, 148},
-    {62, 84, 204},
-    {60, 120, 240},
-    {46, 156, 246},
-    {28, 190, 224},
-    {30, 216, 184},
-    {66, 234, 138},
-    {120, 246, 92},
-    {168, 246, 62},
-    {210, 232, 50},
-    {240, 202, 52},
-    {248, 162, 46},
-    {244, 114, 30},
-    {216, 64, 16},
-    {132, 12, 8},
-}};
-constexpr std::array<Colour, 2> kGrayColours{{{0, 0, 0}, {255, 255, 255}}};
-constexpr std::array<Colour, 4> kHeatColours{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
+// Colours as 0xRRGGBB.
+constexpr std::uint32_t kTurboColours[] = {0x261854, 0x363294, 0x3e54cc, 0x3c78f0, 0x2e9cf6, 0x1cbee0,
+                                           0x1ed8b8, 0x42ea8a, 0x78f65c, 0xa8f63e, 0xd2e832, 0xf0ca34,
+                                           0xf8a22e, 0xf4721e, 0xd84010, 0x840c08};
+constexpr std::uint32_t kGrayColours[] = {0x000000, 0xffffff};
+constexpr std::uint32_t kHeatColours[] = {0x000000, 0xd20000, 0xffdc00, 0xffffff};
 constexpr Colour kNoValue{44, 44, 48};        // Dark gray for pixels without a value.
 constexpr std::uint8_t kSeparatorGray = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
@@ -43,13 +36,16 @@ constexpr int kSeparatorRows = 2;
 /// Returns the interpolated colour at a position of a colour map.
 /// @param stops colours of the map, evenly spaced
 /// @param fraction position in the map, [0, 1]
-Colour colour_at(std::span<const Colour> stops, double fraction) {
+Colour colour_at(std::span<const std::uint32_t> stops, double fraction) {
     const double position = fraction * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
     const double share = position - double(low);
     Colour colour;
-    for (std::size_t k = 0; k < 3; ++k)
-        colour[k] = std::uint8_t(std::lround((1.0 - share) * stops[low][k] + share * stops[low + 1][k]));
+    for (std::size_t k = 0; k < 3; ++k) {
+        const auto channel = [&](std::uint32_t stop) { return stop >> (16 - 8 * k) & 0xFF; };
+        colour[k] =
+            std::uint8_t(std::lround((1.0 - share) * channel(stops[low]) + share * channel(stops[low + 1])));
+    }
     return colour;
 }
 
@@ -58,6 +54,27 @@ void check_pixels(const char* name, std::size_t count, std::size_t expected_coun
         fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel", name, count,
              expected_count);
 }
+
+void append_be32(std::string& bytes, std::uint32_t value) {
+    for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
+}
+
+/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
+/// this chunk ourselves, because the simplified interface of libpng cannot write text.
+std::string make_text_chunk(const std::string& keyword, const std::string& text) {
+    // The zero bytes: end of the name, not compressed, method 0, no language, no
+    // translation.
+    const std::string body = "iTXt" + keyword + std::string(5, '\0') + text;
+    std::string chunk;
+    append_be32(chunk, static_cast<std::uint32_t>(body.size() - 4));
+    chunk += body;
+    append_be32(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()),
+                                                        static_cast<uInt>(body.size()))));
+    return chunk;
+}
+
+// Size of the PNG signature (8) and the IHDR chunk (25).
+constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 
 }  // namespace
 
@@ -69,7 +86,7 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
     if (!std::isfinite(min_value) || !std::isfinite(max_value))
         fail("cannot colour an image: the colour scale goes from {} to {}, expected finite limits", min_value,
              max_value);
-    std::span<const Colour> stops;
+    std::span<const std::uint32_t> stops;
     if (colours == "turbo") stops = kTurboColours;
     else if (colours == "gray") stops = kGrayColours;
     else if (colours == "heat") stops = kHeatColours;
@@ -113,6 +130,35 @@ Image stack_images(const std::vector<Image>& images, int vertical_scale) {
         result.rows += image.rows * vertical_scale;
     }
     return result;
+}
+
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
+    const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
+    if (n == 0 || image.rgb.size() != n)
+        fail("cannot encode a PNG image of {} x {} pixels: found {} bytes, expected {}", image.rows,
+             image.columns, image.rgb.size(), n);
+    png_image description{};
+    description.version = PNG_IMAGE_VERSION;
+    description.width = png_uint_32(image.columns);
+    description.height = png_uint_32(image.rows);
+    description.format = PNG_FORMAT_RGB;
+    png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
+    std::vector<std::uint8_t> bytes(size);
+    const int done =
+        png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
+    const std::string message = description.message;
+    png_image_free(&description);
+    if (!done) throw DataError("cannot encode a PNG image: " + message);
+    bytes.resize(size);
+    std::string chunks;
+    for (const auto& [name, text] : metadata) chunks += make_text_chunk(name, text);
+    bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
+    return bytes;
+}
+
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata) {
+    const std::vector<std::uint8_t> bytes = encode_png(image, metadata);
+    codecs::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
 }  // namespace relidar
