@@ -26,6 +26,8 @@
 #include <cmath>
 #include <limits>
 
+#include <fmt/ranges.h>
+
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -152,32 +154,27 @@ private:
     /// several match, because nothing shows which file belongs to the sensor.
     void set_laser_angles(const std::vector<AngleCorrection>& corrections) {
         const std::size_t n = layout_.n_lasers();
-        std::string files, reasons;  // reasons: why other files are not used
+        std::vector<const AngleCorrection*> matches;
+        std::vector<std::string> problems;  // why other files are not used
         for (const AngleCorrection& correction : corrections) {
-            if (correction.lasers.size() != n && correction.is_named)
-                fail("{}: found the angles of {} lasers, expected {} for a {}", correction.where,
-                     correction.lasers.size(), n, layout_.name);
-            if (correction.lasers.size() != n) {
-                reasons += reasons.empty() ? ", because " : "; ";
-                reasons += correction.problem.empty()
-                               ? fmt::format("{} has angles of {} lasers, expected {}", correction.where,
-                                             correction.lasers.size(), n)
-                               : correction.problem;
-                continue;
-            }
-            if (!files.empty()) {
-                angles_.clear();
-                angles_about_ = fmt::format(
-                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; the "
-                    "file of this sensor needs the name of the recording",
-                    files, correction.where, n);
-                return;
-            }
-            files = correction.where;
-            angles_ = correction.lasers;
-            angles_about_ = "beam angles from " + files;
+            const std::string mismatch = fmt::format("{} has angles of {} lasers, expected {}",
+                                                     correction.where, correction.lasers.size(), n);
+            if (correction.lasers.size() == n) matches.push_back(&correction);
+            else if (correction.is_named) fail("{} for a {}", mismatch, layout_.name);
+            else problems.push_back(correction.problem.empty() ? mismatch : correction.problem);
         }
-        if (files.empty()) angles_about_ += reasons;
+        if (matches.size() > 1) {
+            angles_about_ += fmt::format(
+                ", because {} and {} both have angles of {} lasers; the file of this sensor needs the name "
+                "of "
+                "the recording",
+                matches[0]->where, matches[1]->where, n);
+        } else if (matches.size() == 1) {
+            angles_ = matches[0]->lasers;
+            angles_about_ = "beam angles from " + matches[0]->where;
+        } else if (!problems.empty()) {
+            angles_about_ += fmt::format(", because {}", fmt::join(problems, "; "));
+        }
     }
 
     /// Returns which of two alternating sets of lasers fires, 0 or 1.

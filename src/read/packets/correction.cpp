@@ -2,7 +2,6 @@
 #include "read/packets/decoder.hpp"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <map>
 #include <set>
@@ -21,23 +20,16 @@ constexpr std::uintmax_t kMostCorrectionBytes = 65536;
 constexpr std::size_t kMostCorrections = 64;
 constexpr double kMostCorrectedLasers = 1024.0;
 
-bool equals_no_case(std::string_view text, std::string_view lowercase_text) {
-    return std::ranges::equal(text, lowercase_text, [](char first, char second) {
-        return std::tolower(static_cast<unsigned char>(first)) == second;
-    });
-}
-
 /// Returns true if a file is a small CSV table with the columns of an angle correction.
 bool is_angle_file(const fs::path& file) {
     std::error_code failed;
-    if (!equals_no_case(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
+    if (!find_name(file.extension().string(), {".csv"}) || !fs::is_regular_file(file, failed) ||
         fs::file_size(file, failed) > kMostCorrectionBytes)
         return false;
     const std::vector<std::string> lines = split_lines(read_file(file));
     if (lines.empty()) return false;
     const std::vector<std::string_view> header = split_csv_cells(lines.front());
-    return header.size() >= 3 && equals_no_case(header[1], "elevation") &&
-           equals_no_case(header[2], "azimuth");
+    return header.size() >= 3 && find_name(header[1], {"elevation"}) && find_name(header[2], {"azimuth"});
 }
 
 /// Reads all angle correction files in a folder. A damaged file is added with its error
@@ -88,15 +80,16 @@ AngleCorrection parse_angles(const std::string& csv_text, const std::string& whe
 std::vector<AngleCorrection> find_angle_files(const std::vector<fs::path>& recording_files) {
     std::set<fs::path> named, folders;
     for (const fs::path& file : recording_files) {
-        const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
-        // For a ROS 2 bag, the file FOLDER.csv next to the folder counts too.
-        const fs::path of_file = fs::path(file).replace_extension(".csv"),
-                       of_folder = fs::path(fs::absolute(folder)).concat(".csv");
-        const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
+        const fs::path folder = fs::absolute(file).parent_path();
+        std::vector<fs::path> candidates{fs::path(file).replace_extension(".csv")};
         folders.insert(folder);
-        if (is_ros2_folder) folders.insert(fs::absolute(folder).parent_path());
-        if (is_angle_file(of_file)) named.insert(of_file);
-        else if (is_ros2_folder && is_angle_file(of_folder)) named.insert(of_folder);
+        if (does_path_exist(folder / "metadata.yaml")) {
+            // For a ROS 2 bag, the file FOLDER.csv next to the folder counts too.
+            candidates.push_back(fs::path(folder).concat(".csv"));
+            folders.insert(folder.parent_path());
+        }
+        const auto match = std::ranges::find_if(candidates, is_angle_file);
+        if (match != candidates.end()) named.insert(*match);
     }
     std::vector<AngleCorrection> corrections;
     for (const fs::path& file : named) {

@@ -119,12 +119,22 @@ struct DecoderCalibration {
     bool has_two_returns = false;
 };
 
+/// What the packets of a product have in common.
+struct PacketSignature {
+    struct Byte {
+        std::size_t at = 0;
+        int value = -1;  ///< -1: any value
+    };
+    std::string_view head;       ///< first bytes
+    std::size_t size = 0;        ///< 0: any size above 500 bytes
+    std::size_t n_optional = 0;  ///< size of optional fields at the end
+    Byte first = {}, second = {};
+};
+
 /// A LiDAR product whose packets relidar recognises.
 struct LidarProduct {
     const char* name;
-    /// Returns true if a packet has the size and the header of this product. Null for
-    /// Ouster, whose packets are recognised by the sensor's metadata.
-    bool (*is)(std::string_view bytes);
+    PacketSignature signature;
     /// Creates a decoder. Null if relidar recognises the packets but cannot decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
     std::unique_ptr<PacketDecoder> (*make)(const char* name, const DecoderCalibration& calibration);

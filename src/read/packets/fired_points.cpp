@@ -153,7 +153,7 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
     const FiringTiming& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = full_scale();
     const int n_columns = int(timing.fires.size());
-    const std::uint32_t first_message = first_message_of(revolution);
+    const std::uint32_t first_message = message_range(revolution).first;
     // Number of firings of the revolution before this packet, including lost firings.
     std::size_t before = 0;
     int previous_number = -1;

@@ -168,7 +168,7 @@ private:
     /// Writes the range and the reflectivity of a return into a pixel. Ouster measures
     /// ranges from the axis of rotation, so the distance of the beam origin from the axis
     /// is added.
-    void write_pixel(char* pixel, const LaserReturn& laser_return, double beam_origin_offset_m) const {
+    void write_pixel(char* pixel, const DecodedReturn& laser_return, double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
         if (laser_return.range_m <= 0.0f) return;
         const double range =

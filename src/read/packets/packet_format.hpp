@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interface of the packet formats. Each manufacturer has a file: velodyne_format.cpp,
-// hesai_format.cpp and ouster_format.cpp. packet_encoder.cpp distributes the firings of
-// scans to packets.
+// Interface of the packet formats: block_formats.cpp (Velodyne and Hesai) and
+// ouster_format.cpp. packet_encoder.cpp distributes the firings of scans to packets.
 #pragma once
 
 #include <array>
@@ -13,14 +12,9 @@
 
 #include <relidar/read/packets.hpp>
 
-#include "read/packets/block_layouts.hpp"
+#include "read/packets/decoder.hpp"
 
 namespace relidar::packets {
-
-struct LaserReturn {
-    float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
-    float intensity = 0.0f;  ///< 0 to 1
-};
 
 /// All lasers of a rotating LiDAR at one azimuth of its head, with their returns.
 struct FiringColumn {
@@ -32,7 +26,7 @@ struct FiringColumn {
     bool has_returns = false;
     /// [rings] strongest and second strongest return of each beam, highest beam first;
     /// empty if no scan contains the firing
-    std::vector<std::array<LaserReturn, 2>> returns = {};
+    std::vector<std::array<DecodedReturn, 2>> returns = {};
 
     bool is_known() const { return is_measured || is_filled; }
 };
@@ -86,69 +80,12 @@ std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const 
 std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Returns the number of scan columns that form one firing, like
-/// PacketFormat::columns_per_firing(). Scans that were decoded from packets store both
-/// sequences in one column.
-int count_columns(const PacketLayout& layout, const SpinningSensor& sensor);
-
-/// Packets of Velodyne and Hesai, which consist of the same kind of blocks.
-class BlockWriter : public PacketFormat {
-public:
-    /// @throws UsageError if `sensor` does not have the beams that `layout` describes
-    BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
-
-    int udp_port() const override { return 2368 + 2 * unit_; }
-    int firings_per_packet() const override;
-    double firing_period_us() const override { return layout_.cycle_us * double(layout_.n_sequences()); }
-    int packets_per_firing() const override;
-    int columns_per_firing() const override { return columns_per_firing_; }
-    std::vector<FiringColumn> merge_columns(std::vector<FiringColumn> scan_columns) const override;
-    std::vector<double> beam_delays() const override { return offsets_us_; }
-
-protected:
-    const PacketLayout& layout() const { return layout_; }
-    bool is_dual() const { return returns_ == 2; }
-    /// Returns the manufacturer's number, from 0, of the laser of a ring.
-    std::size_t laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
-    /// Returns the firing sequence of a block. Sequences can be in different packets.
-    std::size_t sequence_of_block(std::size_t block_index, std::uint32_t packet_number) const;
-    void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
-                       double range_unit_m) const;
-    /// Returns the time of a packet in nanoseconds since 1970.
-    /// @param firing_time_member  FiringColumn::time_s or FiringColumn::clock_s
-    std::int64_t packet_time_ns(std::span<const FiringColumn> firings, std::uint32_t packet_number,
-                                double FiringColumn::*firing_time_member) const;
-
-private:
-    /// Indices of the firing sequence, of the group of lasers, and of the return.
-    struct BlockIndex {
-        std::size_t part, bank, number;
-    };
-
-    const PacketLayout& layout_;
-    int returns_, columns_per_firing_, unit_;
-    std::int64_t start_ns_;
-    double sequence_deg_;            ///< rotation of the head between two firing sequences
-    std::vector<PacketBeam> beams_;  ///< beams of a firing
-    /// [rings] delay of each laser
-    std::vector<double> offsets_us_;
-    std::vector<std::size_t> laser_of_;
-    /// [firing sequences, lasers] index in FiringColumn::returns
-    std::vector<std::vector<std::size_t>> ring_of_;
-
-    double mean_delay_us(std::size_t laser) const;
-    std::size_t count_blocks() const { return layout_.banks * std::size_t(returns_) * layout_.n_sequences(); }
-    void append_returns(std::string& bytes, const FiringColumn& firing, const BlockIndex& block_position,
-                        double range_unit_m) const;
-};
-
-const PacketLayout& find_layout(const std::string& product_name);
 std::vector<std::string> velodyne_names();
 std::vector<std::string> hesai_names();
 
 /// @return nanoseconds since 1970
 std::int64_t to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
 /// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
-std::uint8_t to_reflectivity(const LaserReturn& laser_return);
+std::uint8_t to_reflectivity(const DecodedReturn& laser_return);
 
 }  // namespace relidar::packets

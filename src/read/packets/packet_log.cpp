@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <span>
 #include <utility>
 
 #include <fmt/ranges.h>
@@ -139,10 +140,12 @@ void PacketIndex::unwrap_clock(Entry& entry) const {
 void PacketIndex::count_intensities(const DecodedPacket& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
-        for (const DecodedReturn& echo : returns)
-            if (echo.range_m > 0.0f)
-                ++n_bright_[std::size_t(
-                    std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
+        for (const DecodedReturn& echo : returns) {
+            if (!(echo.range_m > 0.0f)) continue;
+            const double bright = std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright);
+            ++n_bright_[std::size_t(bright)];
+            most_bright_ = std::max(most_bright_, bright);
+        }
 }
 
 void PacketIndex::finish() {
@@ -158,42 +161,31 @@ void PacketIndex::finish() {
     find_revolutions();
 }
 
-/// Returns the number of packets that the sensor sent since the previous packet; 1 if
-/// none was lost. Computes it from the azimuths. Only for a sensor that fires at fixed
-/// azimuths.
-std::size_t PacketIndex::count_sent(std::size_t packet_index) const {
-    const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
-    const double n = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
-                      before.first_slot) /
-                     double(n_slots_);
-    return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
-}
-
-/// Computes from the elapsed time how many firings were lost before this packet. Excludes
-/// the time in which the head passes the skipped sector. Not for sensors that fire at
-/// fixed azimuths.
-double PacketIndex::count_lost_firings(std::size_t packet_index) const {
-    const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
-    const double cycle_us = decoder_->timing().cycle_us,
-                 slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
-                 skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
-    return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
-}
-
 /// Returns the number of packets that were lost before this packet. Does not count
 /// packets without a firing, because the sensor may not send them.
 std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
-    if (fires.empty())
-        return std::size_t(
-            std::clamp(std::round(count_lost_firings(packet_index) / double(n_slots_)), 0.0, 1e9));
-    const std::size_t n = count_sent(packet_index) - 1;
+    const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
+    if (fires.empty()) {
+        // The elapsed time, without the time in which the head passes the skipped sector,
+        // shows how many firings were lost.
+        const double cycle_us = decoder_->timing().cycle_us,
+                     slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
+                     skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
+        const double n_firings =
+            slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
+        return std::size_t(std::clamp(std::round(n_firings / double(n_slots_)), 0.0, 1e9));
+    }
+    // The azimuths show how many packets the sensor has sent.
+    const double n_sent = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
+                           before.first_slot) /
+                          double(n_slots_);
+    const std::size_t n = std::size_t(std::clamp(std::round(n_sent), 1.0, 1e9)) - 1;
     // After more than two revolutions, counts all packets, because the loop below would
     // be slow.
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
-    const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet_index].n_empty_before);
-    const Entry& before = packets_[packet_index - 1];
+    const std::size_t n_lost = n - std::min<std::size_t>(n, entry.n_empty_before);
     std::int64_t column =
         std::llround((before.azimuth_deg - kRear_deg) / column_step_deg()) - before.first_slot;
     std::size_t missing = 0;  // number of lost packets with at least one firing
@@ -353,20 +345,18 @@ bool PacketIndex::has_steady_clock(const PacketRevolution& revolution) const {
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Returns the index of the earliest message that contains packets of a revolution.
-/// Packets are sorted by time, but their messages can be in another order.
-std::uint32_t PacketIndex::first_message_of(const PacketRevolution& revolution) const {
-    std::uint32_t first = packets_[revolution.first].message;
-    for (std::size_t i = revolution.first; i <= revolution.last; ++i)
-        first = std::min(first, packets_[i].message);
-    return first;
+/// Returns the first and the last message that contain packets of a revolution. Packets
+/// are sorted by time, but their messages can be in another order.
+std::pair<std::uint32_t, std::uint32_t> PacketIndex::message_range(const PacketRevolution& revolution) const {
+    const auto packets =
+        std::span(packets_).subspan(revolution.first, revolution.last + 1 - revolution.first);
+    const auto [first, last] = std::ranges::minmax(packets, {}, &Entry::message);
+    return {first.message, last.message};
 }
 
 std::vector<PacketIndex::MessageSource> PacketIndex::messages_of(const PacketRevolution& revolution) const {
-    std::uint32_t last = 0;
-    for (std::size_t i = revolution.first; i <= revolution.last; ++i)
-        last = std::max(last, packets_[i].message);
-    return {messages_.begin() + first_message_of(revolution), messages_.begin() + last + 1};
+    const auto [first, last] = message_range(revolution);
+    return {messages_.begin() + first, messages_.begin() + last + 1};
 }
 
 /// Returns the mean azimuth step between two firings of a revolution, including lost
@@ -395,17 +385,10 @@ SpinningSensor PacketIndex::make_sensor() const {
     return decoder_->make_sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the highest intensity of all packets, where 255 means intensity 1.
-double PacketIndex::max_raw_intensity() const {
-    std::size_t most = n_bright_.size();
-    while (most > 0 && n_bright_[most - 1] == 0) --most;
-    return most > 0 ? double(most - 1) : 0.0;
-}
-
 /// Returns the value by which intensities are divided: 1 if no intensity exceeds 1,
 /// otherwise their 99.5th percentile.
 double PacketIndex::full_scale() const {
-    if (max_raw_intensity() <= 255.0) return 1.0;
+    if (most_bright_ <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
     for (const std::uint32_t count : n_bright_) n += count;
     left = std::uint64_t(0.995 * double(n - 1));
@@ -415,9 +398,9 @@ double PacketIndex::full_scale() const {
 }
 
 std::string PacketIndex::describe_product() const {
-    if (max_raw_intensity() <= 255.0) return decoder_->describe_product();
+    if (most_bright_ <= 255.0) return decoder_->describe_product();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
-                       decoder_->describe_product(), max_raw_intensity(), 255.0 * full_scale());
+                       decoder_->describe_product(), most_bright_, 255.0 * full_scale());
 }
 
 }  // namespace relidar::packets

@@ -152,6 +152,7 @@ private:
     /// Number of returns by intensity in units of 1/255. Used only for sensors whose
     /// intensities can exceed 1.
     std::vector<std::uint32_t> n_bright_;
+    double most_bright_ = 0.0;  ///< highest intensity of all packets, in units of 1/255
 
     void set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
     void index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
@@ -163,15 +164,12 @@ private:
     Scan make_scan(const PacketRevolution& turn, TurnPoints& points, const SpinningSensor& sensor) const;
     int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
     void find_revolutions();
-    std::size_t count_sent(std::size_t packet_index) const;
-    double count_lost_firings(std::size_t packet_index) const;
     std::size_t count_lost_packets(std::size_t packet_index) const;
     void store_lost_packets(PacketRevolution& revolution) const;
     bool has_steady_clock(const PacketRevolution& revolution) const;
     void set_times(PacketRevolution& revolution) const;
     double mean_step_deg(const PacketRevolution& revolution) const;
-    std::uint32_t first_message_of(const PacketRevolution& revolution) const;
-    double max_raw_intensity() const;
+    std::pair<std::uint32_t, std::uint32_t> message_range(const PacketRevolution& revolution) const;
     double full_scale() const;
     DecodedPacket decode_entry(std::size_t message_index, const Entry& packet_entry,
                                const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const;

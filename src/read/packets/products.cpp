@@ -15,102 +15,75 @@ namespace {
 
 using std::string_view;
 
-constexpr std::size_t kVelodyneBytes = 1206, kProductAt = 1205, kLasersAt = 6, kBlocksAt = 7;
+constexpr std::size_t kMinAnySize = 500;  // bytes of packets that have no fixed size
 
-bool has_byte_at(string_view packet, std::size_t offset, int expected_value) {
-    return offset < packet.size() && static_cast<unsigned char>(packet[offset]) == expected_value;
-}
-bool is_velodyne(string_view packet) {
-    return packet.size() == kVelodyneBytes && packet.starts_with("\xff\xee");
-}
-template <int product>
-bool is_velodyne_model(string_view packet) {
-    return is_velodyne(packet) && has_byte_at(packet, kProductAt, product);
-}
-/// Header of newer Hesai sensors: the bytes EE FF and the protocol version.
-template <int major, int minor>
-bool is_hesai(string_view packet) {
-    return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte_at(packet, 2, major) &&
-           has_byte_at(packet, 3, minor);
-}
-/// @tparam bytes  packet size without the optional fields at the end
-template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
-bool is_hesai_model(string_view packet) {
-    return is_hesai<major, minor>(packet) && has_byte_at(packet, kLasersAt, lasers) &&
-           has_byte_at(packet, kBlocksAt, blocks) &&
-           (packet.size() == bytes || packet.size() == bytes + optional);
-}
-/// RoboSense's first spinning sensors. Byte 31, in older packets byte 30, is the model.
-template <int model>
-bool is_robosense(string_view packet) {
-    return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
-           has_byte_at(packet, has_byte_at(packet, 31, 0) ? 30 : 31, model);
-}
-constexpr auto is_rs16 = is_robosense<1>;
-/// RoboSense Ruby, Helios or Airy: the first two blocks begin with the byte `flag`.
-template <int flag, std::size_t first_block_at, std::size_t second_block_at>
-bool is_flagged(string_view packet) {
-    return packet.starts_with("\x55\xaa\x05\x5a") && has_byte_at(packet, first_block_at, flag) &&
-           has_byte_at(packet, second_block_at, flag);
-}
-/// RoboSense's sensors that do not spin.
-template <std::size_t bytes>
-bool is_solid_state(string_view packet) {
-    return packet.size() == bytes && packet.starts_with("\x55\xaa\x5a\xa5");
-}
 // Sizes of optional fields at the end of a packet: packet number and digital signature.
-constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
-constexpr std::size_t kOt128ModeAt = 816;  // 0: high resolution
-constexpr auto is_ot128 = is_hesai_model<1, 4, 128, 2, 861, kSignatureBytes>;
+constexpr std::size_t kNumber = 4, kSignature = 32;
+// First bytes of the packets of Velodyne, and of RoboSense's first spinning sensors.
+constexpr const char *kVelodyne = "\xff\xee", *kRoboSense = "\x55\xaa\x05\x0a\x5a\xa5\x50\xa0";
 
+// Byte 6 of Hesai's packets is the number of lasers, byte 7 the number of blocks. Byte
+// 816 of the OT128 is its mode. Byte 31 of RoboSense's packets is the model, in older
+// packets byte 30.
 constexpr LidarProduct kProducts[] = {
-    {"VLP-16", is_velodyne_model<0x22>, make_block_decoder},
-    {"VLP-32C", is_velodyne_model<0x28>, make_block_decoder},
-    {"HDL-32E", is_velodyne_model<0x21>, make_block_decoder},
-    {"Pandar40P",
-     [](string_view p) { return (p.size() == 1262 || p.size() == 1266) && p.starts_with("\xff\xee"); },
+    {"VLP-16", {kVelodyne, 1206, 0, {1205, 0x22}}, make_block_decoder},
+    {"VLP-32C", {kVelodyne, 1206, 0, {1205, 0x28}}, make_block_decoder},
+    {"HDL-32E", {kVelodyne, 1206, 0, {1205, 0x21}}, make_block_decoder},
+    {"Pandar40P", {"\xff\xee", 1262, kNumber}, make_block_decoder},
+    {"Pandar64", {"\xee\xff\x40\x06", 1194, kNumber}, make_block_decoder},
+    {"XT32", {"\xee\xff\x06\x01", 1076, kNumber, {6, 32}, {7, 8}}, make_block_decoder},
+    {"XT16", {"\xee\xff\x06\x01", 564, kNumber, {6, 16}, {7, 8}}, make_block_decoder},
+    {"XT32M", {"\xee\xff\x06\x01", 816, kNumber, {6, 32}, {7, 6}}, make_block_decoder},
+    {"QT64", {"\xee\xff\x03\x01", 1068, kNumber, {6, 64}, {7, 4}}, make_block_decoder},
+    {"QT128", {"\xee\xff\x03\x02", 1095, kSignature, {6, 128}, {7, 2}}, make_block_decoder},
+    {"OT128 in high resolution",
+     {"\xee\xff\x01\x04", 861, kSignature, {6, 128}, {816, 0}},
      make_block_decoder},
-    {"Pandar64",
-     [](string_view p) {
-         return (p.size() == 1194 || p.size() == 1198) && p.starts_with("\xee\xff\x40\x06");
-     },
-     make_block_decoder},
-    {"XT32", is_hesai_model<6, 1, 32, 8, 1076, kNumberBytes>, make_block_decoder},
-    {"XT16", is_hesai_model<6, 1, 16, 8, 564, kNumberBytes>, make_block_decoder},
-    {"XT32M", is_hesai_model<6, 1, 32, 6, 816, kNumberBytes>, make_block_decoder},
-    {"QT64", is_hesai_model<3, 1, 64, 4, 1068, kNumberBytes>, make_block_decoder},
-    {"QT128", is_hesai_model<3, 2, 128, 2, 1095, kSignatureBytes>, make_block_decoder},
-    {"OT128", [](string_view p) { return is_ot128(p) && !has_byte_at(p, kOt128ModeAt, 0); },
-     make_block_decoder},
-    {"OT128 in high resolution", is_ot128, make_block_decoder},
-    {"VLS-128", is_velodyne_model<0xA1>, make_block_decoder},
-    {"Puck Hi-Res", is_velodyne_model<0x24>, nullptr, "velodyne_pointcloud or nebula"},
-    {"Velarray", is_velodyne_model<0x63>, nullptr, "velodyne_pointcloud"},
-    {"Velodyne of an unknown model", is_velodyne, nullptr, "velodyne_pointcloud or nebula"},
-    {"PandarQT of the first generation",
-     [](string_view p) { return p.size() >= 1072 && p.starts_with("\xee\xff\x40\x04"); }, nullptr, "nebula"},
-    {"Pandar128 or OT128", is_hesai<1, 4>, nullptr, "nebula"},
-    {"AT128", is_hesai<4, 3>, nullptr, "nebula"},
-    {"Hesai LiDAR of an unknown model",
-     [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
-    {"RS-LiDAR-16", is_rs16, make_block_decoder},
-    {"RS-LiDAR-32", is_robosense<2>, nullptr, "rslidar_sdk"},
-    {"RS-BPearl", is_robosense<3>, nullptr, "rslidar_sdk or nebula"},
-    {"RS-Ruby-128", is_flagged<0xFE, 80, 468>, nullptr, "rslidar_sdk"},
-    {"RS-Ruby-80", is_flagged<0xFE, 80, 324>, nullptr, "rslidar_sdk"},
-    {"RS-Ruby-48", is_flagged<0xFE, 80, 228>, nullptr, "rslidar_sdk"},
-    {"RS-Helios", is_flagged<0xFF, 42, 142>, nullptr, "rslidar_sdk or nebula"},
-    {"RS-Airy", is_flagged<0xFF, 42, 190>, nullptr, "rslidar_sdk"},
-    {"RS-LiDAR-M1", is_solid_state<1210>, nullptr, "rslidar_sdk"},
-    {"RS-LiDAR-M2", is_solid_state<1342>, nullptr, "rslidar_sdk"},
-    {"RS-LiDAR-E1", is_solid_state<1200>, nullptr, "rslidar_sdk"},
-    {"RoboSense model that relidar does not know",
-     [](string_view p) {
-         return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));
-     },
-     nullptr, "rslidar_sdk"},
-    {"Livox", is_livox_packet, nullptr, "livox_ros_driver2"},
-};
+    {"OT128", {"\xee\xff\x01\x04", 861, kSignature, {6, 128}, {7, 2}}, make_block_decoder},
+    {"VLS-128", {kVelodyne, 1206, 0, {1205, 0xA1}}, make_block_decoder},
+    {"Puck Hi-Res", {kVelodyne, 1206, 0, {1205, 0x24}}, nullptr, "velodyne_pointcloud or nebula"},
+    {"Velarray", {kVelodyne, 1206, 0, {1205, 0x63}}, nullptr, "velodyne_pointcloud"},
+    {"Velodyne of an unknown model", {kVelodyne, 1206}, nullptr, "velodyne_pointcloud or nebula"},
+    {"PandarQT of the first generation", {"\xee\xff\x40\x04"}, nullptr, "nebula"},
+    {"Pandar128 or OT128", {"\xee\xff\x01\x04"}, nullptr, "nebula"},
+    {"AT128", {"\xee\xff\x04\x03"}, nullptr, "nebula"},
+    {"Hesai LiDAR of an unknown model", {"\xee\xff"}, nullptr, "hesai_ros_driver"},
+    {"RS-LiDAR-16", {kRoboSense, 1248, 0, {31, 1}}, make_block_decoder},
+    {"RS-LiDAR-16", {kRoboSense, 1248, 0, {31, 0}, {30, 1}}, make_block_decoder},
+    {"RS-LiDAR-32", {kRoboSense, 1248, 0, {31, 2}}, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-32", {kRoboSense, 1248, 0, {31, 0}, {30, 2}}, nullptr, "rslidar_sdk"},
+    {"RS-BPearl", {kRoboSense, 1248, 0, {31, 3}}, nullptr, "rslidar_sdk or nebula"},
+    {"RS-BPearl", {kRoboSense, 1248, 0, {31, 0}, {30, 3}}, nullptr, "rslidar_sdk or nebula"},
+    {"RS-Ruby-128", {"\x55\xaa\x05\x5a", 0, 0, {80, 0xFE}, {468, 0xFE}}, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-80", {"\x55\xaa\x05\x5a", 0, 0, {80, 0xFE}, {324, 0xFE}}, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-48", {"\x55\xaa\x05\x5a", 0, 0, {80, 0xFE}, {228, 0xFE}}, nullptr, "rslidar_sdk"},
+    {"RS-Helios", {"\x55\xaa\x05\x5a", 0, 0, {42, 0xFF}, {142, 0xFF}}, nullptr, "rslidar_sdk or nebula"},
+    {"RS-Airy", {"\x55\xaa\x05\x5a", 0, 0, {42, 0xFF}, {190, 0xFF}}, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-M1", {"\x55\xaa\x5a\xa5", 1210}, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-M2", {"\x55\xaa\x5a\xa5", 1342}, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-E1", {"\x55\xaa\x5a\xa5", 1200}, nullptr, "rslidar_sdk"},
+    {"RoboSense model that relidar does not know", {"\x55\xaa\x05"}, nullptr, "rslidar_sdk"},
+    {"RoboSense model that relidar does not know", {"\x55\xaa\x5a"}, nullptr, "rslidar_sdk"}};
+// Packets without an identifying header.
+constexpr LidarProduct kOusterProduct{"Ouster", {}, make_ouster_decoder},
+    kLivoxProduct{"Livox", {}, nullptr, "livox_ros_driver2"};
+
+bool has_signature(string_view packet, const PacketSignature& signature) {
+    const auto has_byte = [&](const PacketSignature::Byte& byte) {
+        return byte.value < 0 ||
+               (byte.at < packet.size() && static_cast<unsigned char>(packet[byte.at]) == byte.value);
+    };
+    const bool has_size = signature.size == 0 ? packet.size() > kMinAnySize
+                                              : packet.size() == signature.size ||
+                                                    packet.size() == signature.size + signature.n_optional;
+    return has_size && packet.starts_with(signature.head) && has_byte(signature.first) &&
+           has_byte(signature.second);
+}
+
+bool is_rs16(string_view packet) {
+    const LidarProduct* product = find_product(packet, {});
+    return product && product->name == string_view("RS-LiDAR-16");
+}
 
 /// Returns the time in microseconds within the current second.
 double read_clock_us(string_view packet) {
@@ -118,22 +91,20 @@ double read_clock_us(string_view packet) {
     return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
 }
 
-/// Packets without an identifying header.
-constexpr LidarProduct kOusterProduct{"Ouster", nullptr, make_ouster_decoder};
-
 }  // namespace
 
 const LidarProduct* find_product(string_view packet_bytes, const DecoderCalibration& calibration) {
     if (calibration.ouster && calibration.ouster->packet_bytes == packet_bytes.size()) return &kOusterProduct;
-    const auto* product =
-        std::ranges::find_if(kProducts, [&](const LidarProduct& row) { return row.is(packet_bytes); });
-    return product == std::end(kProducts) ? nullptr : product;
+    for (const LidarProduct& product : kProducts)
+        if (has_signature(packet_bytes, product.signature)) return &product;
+    return is_livox_packet(packet_bytes) ? &kLivoxProduct : nullptr;
 }
 
 std::string unsupported_text(const LidarProduct* product, string_view packet_bytes) {
-    std::string supported_products;
+    std::vector<string_view> supported;
     for (const LidarProduct& row : kProducts)
-        if (row.make) supported_products += (supported_products.empty() ? "" : ", ") + std::string(row.name);
+        if (row.make && (supported.empty() || supported.back() != row.name)) supported.push_back(row.name);
+    const std::string supported_products = fmt::format("{}", fmt::join(supported, ", "));
     const auto* begin = reinterpret_cast<const unsigned char*>(packet_bytes.data());
     const std::vector<unsigned> first(begin, begin + std::min(packet_bytes.size(), std::size_t(4)));
     if (!product)

@@ -68,9 +68,7 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
         "data/ouster" / name;
     if (!std::filesystem::exists(file)) return std::nullopt;
     const std::vector<NamedArray> arrays = read_npz(file);
-    const auto array = [&](const char* key) -> const NamedArray& {
-        return *std::ranges::find_if(arrays, [&](const NamedArray& a) { return a.name == key; });
-    };
+    const auto array = [&](const char* key) -> const NamedArray& { return *find_array(arrays, key); };
     OusterImages images;
     images.product = product;
     images.profile = profile;

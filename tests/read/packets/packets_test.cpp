@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares bytes with the manuals, and reads the packets of all products again.
 #include <cmath>
-#include <cstring>
 
 #include <gmock/gmock.h>
 
@@ -10,10 +9,13 @@
 #include <relidar/read/dataset.hpp>
 #include <relidar/read/packets.hpp>
 
+#include "base/codecs/byte_reader.hpp"
 #include "read/packets/decoder.hpp"
 
 namespace relidar {
 namespace {
+
+using codecs::number_at;
 
 constexpr double kStart_s = 1'700'000'000.0;  // 2023-11-14 22:13:20 UTC
 constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
@@ -60,13 +62,6 @@ std::vector<SensorPacket> make_packets_of(const SpinningSensor& sensor, const Pa
         std::ranges::copy(encoder.add_scan(scan, 1.0 + sensor.period_s * k), std::back_inserter(packets));
     std::ranges::copy(encoder.flush(), std::back_inserter(packets));
     return packets;
-}
-
-template <class T>
-T number_at(const std::string& bytes, std::size_t offset) {
-    T value{};
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
-    return value;
 }
 
 /// Compares with manual 63-9243. Laser k of a VLP-16 has an elevation of -15 + k degrees
@@ -274,8 +269,17 @@ Log write_and_load_log(const SpinningSensor& sensor, const PacketOptions& option
     return load_sequence(file.string(), {.poses_file = kNoPoses, .max_range_m = sensor.max_range_m});
 }
 
-double measure_angle_deg(const glm::vec3& first, const glm::vec3& second) {
-    return double(glm::length(first - second)) * 180.0 / kPi;
+/// Compares ray `i` of a decoded scan with a ray of the written scan.
+void expect_same_return(const Scan& decoded, std::size_t i, const Scan& scan, std::size_t ray,
+                        double tolerance_m, double most_apart_deg) {
+    ASSERT_NEAR(decoded.range_m[i], scan.range_m[ray], tolerance_m) << "ray " << i;
+    ASSERT_NEAR(decoded.intensity[i], scan.intensity[ray], 1e-6) << "ray " << i;
+    const double apart_deg =
+        double(glm::length(decoded.rays.direction[i] - scan.rays.direction[ray])) * 180.0 / kPi;
+    ASSERT_LT(apart_deg, most_apart_deg) << "ray " << i;
+    for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
+        ASSERT_NEAR(decoded.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray], tolerance_m)
+            << "ray " << i;
 }
 
 void expect_same_returns(const WrittenProduct& product) {
@@ -312,12 +316,7 @@ void expect_same_returns(const WrittenProduct& product) {
             const std::size_t ray = at->second;
             const double fired_s = double(scan.rays.time_offset_s[ray]);
             ASSERT_NEAR(std::remainder(time_s - 1.0 - fired_s, sensor.period_s), 0.0, 1e-6);
-            ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.5001 * quantum_m);
-            ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
-            ASSERT_LT(measure_angle_deg(frame.scan.rays.direction[i], scan.rays.direction[ray]), 0.012);
-            for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
-                ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
-                            0.5001 * quantum_m);
+            ASSERT_NO_FATAL_FAILURE(expect_same_return(frame.scan, i, scan, ray, 0.5001 * quantum_m, 0.012));
             matched_keys.insert(at->first);
         }
     }
@@ -388,14 +387,8 @@ void expect_rays_of_lasers(const AlternatingProduct& product) {
             const auto at = written.find({laser, firing % sensor.columns});
             ASSERT_NE(at, written.end()) << "laser " << laser << " at " << time_s << " s";
             const std::size_t ray = at->second;
-            ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.002001) << laser << " at " << time_s;
-            ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
-            for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
-                ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
-                            0.002001);
-            ASSERT_LT(measure_angle_deg(frame.scan.rays.direction[i], scan.rays.direction[ray]),
-                      product.most_apart_deg)
-                << "laser " << laser;
+            ASSERT_NO_FATAL_FAILURE(
+                expect_same_return(frame.scan, i, scan, ray, 0.002001, product.most_apart_deg));
             parities[laser].insert(firing % 2);
             ++n_matched_returns;
         }
