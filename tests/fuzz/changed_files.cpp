@@ -11,14 +11,18 @@ ChangedFiles::ChangedFiles(std::vector<std::filesystem::path> files) : files_(st
     for (const std::filesystem::path& file : files_) usual_.push_back(read_contents(file));
 }
 
+/// Writes the usual content of the changed files.
+struct ChangedFiles::Restore {
+    const ChangedFiles& all;
+    std::vector<std::size_t> changed = {};
+
+    ~Restore() {
+        for (const std::size_t file : changed) put(all.files_[file], all.usual_[file]);
+    }
+};
+
 void ChangedFiles::read(std::string_view input, const std::function<void(unsigned options)>& read) const {
-    struct Restore {
-        const ChangedFiles& all;
-        std::vector<std::size_t> changed = {};
-        ~Restore() {
-            for (const std::size_t file : changed) put(all.files_[file], all.usual_[file]);
-        }
-    } restore{*this};
+    Restore restore{*this};
     for (std::size_t at = 1; at + 3 <= input.size();) {
         const auto byte = [&](std::size_t index) {
             return static_cast<std::size_t>(static_cast<unsigned char>(input[index]));
@@ -48,14 +52,8 @@ std::vector<std::string> ChangedFiles::seeds(const std::vector<unsigned>& alone,
 
 void ChangedFiles::read_one(std::string_view input, const std::function<void()>& read) const {
     if (input.empty()) return;
-    struct Restore {
-        const std::filesystem::path& file;
-        const std::string& usual;
-        ~Restore() { put(file, usual); }
-    };
-    const std::size_t file = static_cast<unsigned char>(input[0]) % files_.size();
-    const Restore restore{files_[file], usual_[file]};
-    put(files_[file], input.substr(1));
+    const Restore restore{*this, {static_cast<unsigned char>(input[0]) % files_.size()}};
+    put(files_[restore.changed[0]], input.substr(1));
     read();
 }
 

@@ -26,6 +26,7 @@ public:
     std::vector<std::string> make_seeds_of_one() const;
 
 private:
+    struct Restore;
     std::vector<std::filesystem::path> files_;
     std::vector<std::string> usual_;
 };

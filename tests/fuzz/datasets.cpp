@@ -10,24 +10,13 @@
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/ncore/ncore_folder.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
+#include "read/datasets/waymo/waymo_segment.hpp"
 #include "read/scans/stamped_folders.hpp"
 
 namespace relidar::fuzz {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::vector<std::string> make_feather_seeds(const fs::path&) {
-    const std::vector<std::int64_t> times{315966265259836000, 7, -1};
-    std::vector<std::string> seeds;
-    for (const test::FeatherCodec codec :
-         {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
-        seeds.push_back(test::make_feather_bytes(
-            {test::make_numbers("a", times), test::make_halves("b", {1.0f, -2.0f, 3.0f}),
-             test::make_texts("c", {"up_lidar", "", "x"}), test::make_texts("d", {"y", "y", "z"}, true)},
-            codec, 2));
-    return seeds;
-}
 
 void read_feather(std::string_view input, const fs::path&) {
     const Feather table("input", std::string(input));
@@ -111,6 +100,47 @@ std::vector<std::string> make_itar_seeds(const fs::path&) {
             store.read_value(frame + "/ray_bundle/model_element/0.0")};
 }
 
+// Random changes of Waymo's files would fail at CRCs and zlib streams. Therefore the
+// first byte of an input selects its use: the file, the data of a record, or an
+// uncompressed matrix of TOP.
+enum Part : unsigned { kFile, kRecord, kImage, kPixelPoses, kParts };
+
+const test::WaymoSegment& make_segment_in(const fs::path& folder) {
+    static const test::WaymoSegment segment((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz_waymo"));
+    return segment;
+}
+
+/// Returns a matrix with only eight columns, because libFuzzer inputs are short.
+std::string make_small_matrix(int channels) {
+    const int rows = test::WaymoSegment::kTopRows, columns = 8;
+    return test::make_waymo_unpacked_matrix(std::vector<float>(std::size_t(rows * columns * channels), 5.0f),
+                                            {rows, columns, channels});
+}
+
+/// @param image, poses uncompressed matrices of the TOP LiDAR
+std::string record_with(const test::WaymoSegment& segment, const std::string& image,
+                        const std::string& poses) {
+    test::WaymoFrame frame = segment.frames[0];
+    frame.lasers = {test::make_waymo_laser(1, test::deflate_bytes(image), test::deflate_bytes(image),
+                                           test::deflate_bytes(poses))};
+    return frame.encode_frame_message();
+}
+
+std::string file_of(std::string_view input, const test::WaymoSegment& segment) {
+    const unsigned part = input.empty() ? 0u : static_cast<unsigned char>(input[0]) % kParts;
+    const std::string bytes(input.substr(std::min<std::size_t>(1, input.size())));
+    if (part == kFile) return bytes;
+    if (part == kRecord) return test::make_tfrecord(bytes);
+    if (part == kImage) return test::make_tfrecord(record_with(segment, bytes, make_small_matrix(6)));
+    return test::make_tfrecord(record_with(segment, make_small_matrix(4), bytes));
+}
+
+void read_waymo(std::string_view input, const fs::path& folder) {
+    const test::WaymoSegment& segment = make_segment_in(folder);
+    put(segment.file, file_of(input, segment));
+    load_sequence("waymo:" + segment.file.string(), {});
+}
+
 template <class Dataset>
 const Dataset& dataset_in(const fs::path& folder) {
     ::setenv("TEST_TMPDIR", folder.c_str(), 1);
@@ -131,13 +161,14 @@ Harness make_harness(const char* name) {
 }  // namespace
 
 std::vector<Harness> list_dataset_harnesses() {
-    return {{"feather", make_feather_seeds, read_feather, false},
+    return {{"feather", nullptr, read_feather, false},
             make_harness<Argoverse2>("argoverse2"),
             make_harness<Nuscenes>("nuscenes"),
             make_harness<Boreas>("boreas"),
             make_harness<Mulran>("mulran"),
             make_harness<Once>("once"),
             make_harness<Ncore>("ncore"),
+            {"waymo", nullptr, read_waymo},
             {"itar", make_itar_seeds, read_itar, false}};
 }
 

@@ -27,42 +27,41 @@ void thin(const fs::path& scan) {
     put(scan, some);
 }
 
-class Drive {
-public:
-    explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {
-        for (int frame = 0; frame < 3; ++frame) thin(drive_.scan(frame));
-        put(drive_.file("poses.txt"),
-            "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+struct Drive {
+    test::KittiDrive log{"fuzz"};
+    fs::path odometry = log.file("odometry"), poses = log.file("poses.txt");
+    ChangedFiles files{write_files()};
+
+    std::vector<fs::path> write_files() const {
+        put(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+        fs::create_directories(odometry / "velodyne");
         for (int frame = 0; frame < 3; ++frame) {
-            fs::create_directories(odometry() / "velodyne");
-            put(odometry() / "velodyne" / fmt::format("{:06d}.bin", frame),
-                read_contents(drive_.scan(frame)));
+            thin(log.scan(frame));
+            fs::copy_file(log.scan(frame), odometry / "velodyne" / fmt::format("{:06d}.bin", frame));
         }
-        put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
-        put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
-        put(odometry() / "poses.txt", read_contents(drive_.file("poses.txt")));
-        files_.emplace({drive_.file("velodyne_points/timestamps.txt"),
-                        drive_.file("velodyne_points/timestamps_start.txt"),
-                        drive_.file("velodyne_points/timestamps_end.txt"),
-                        drive_.file("oxts/data/0000000000.txt"), drive_.file("oxts/data/0000000001.txt"),
-                        drive_.calibration(), drive_.file("tracklet_labels.xml"), drive_.file("poses.txt"),
-                        drive_.scan(0), drive_.scan(2), odometry() / "calib.txt", odometry() / "times.txt",
-                        odometry() / "poses.txt", odometry() / "velodyne/000000.bin"});
+        put(odometry / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
+        put(odometry / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
+        fs::copy_file(poses, odometry / "poses.txt");
+        return {log.file("velodyne_points/timestamps.txt"),
+                log.file("velodyne_points/timestamps_start.txt"),
+                log.file("velodyne_points/timestamps_end.txt"),
+                log.file("oxts/data/0000000000.txt"),
+                log.file("oxts/data/0000000001.txt"),
+                log.calibration(),
+                log.file("tracklet_labels.xml"),
+                poses,
+                log.scan(0),
+                log.scan(2),
+                odometry / "calib.txt",
+                odometry / "times.txt",
+                odometry / "poses.txt",
+                odometry / "velodyne/000000.bin"};
     }
-
-    const fs::path& folder() const { return drive_.folder; }
-    fs::path scan() const { return drive_.scan(0); }
-    fs::path odometry() const { return drive_.file("odometry"); }
-    fs::path poses() const { return drive_.file("poses.txt"); }
-    const ChangedFiles& files() const { return *files_; }
-
-private:
-    test::KittiDrive drive_;
-    std::optional<ChangedFiles> files_;
 };
 
 const Drive& make_drive_in(const fs::path& folder) {
-    static const Drive drive(folder);
+    ::setenv("TEST_TMPDIR", folder.c_str(), 1);
+    static const Drive drive;
     return drive;
 }
 
@@ -80,20 +79,20 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
 }
 
 void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+    const std::vector<int> frames = kitti::list_scans(drive.log.folder / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
-    attempt_all({[&] { kitti::read_sweep_s(drive.folder()); },
+    attempt_all({[&] { kitti::read_sweep_s(drive.log.folder); },
                  [&] {
                      Log sequence;
-                     kitti::read_frame_times(drive.folder() / "velodyne_points/timestamps.txt", frames,
+                     kitti::read_frame_times(drive.log.folder / "velodyne_points/timestamps.txt", frames,
                                              sequence);
                  },
                  [&] {
-                     if (options & kPosesFile) kitti::read_matrices(drive.poses(), frames);
-                     else kitti::read_oxts_poses(drive.folder(), frames);
+                     if (options & kPosesFile) kitti::read_matrices(drive.poses, frames);
+                     else kitti::read_oxts_poses(drive.log.folder, frames);
                  },
-                 [&] { kitti::split_rings(kitti::read_kitti_scan(drive.scan()).points); },
-                 [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
+                 [&] { kitti::split_rings(kitti::read_kitti_scan(drive.log.scan(0)).points); },
+                 [&] { kitti::read_tracklets(drive.log.folder / "tracklet_labels.xml", frames, track); }});
 }
 
 DatasetOptions to_dataset(unsigned options) {
@@ -105,23 +104,23 @@ DatasetOptions to_dataset(unsigned options) {
 
 void read_all_frames(const Drive& drive, unsigned options) {
     DatasetOptions dataset = to_dataset(options);
-    if ((options & kPosesFile) && !(options & kNone)) dataset.poses_file = drive.poses();
+    if ((options & kPosesFile) && !(options & kNone)) dataset.poses_file = drive.poses;
     dataset.allow_missing_scans = !(options & kAllScans);
-    load_sequence("kitti_raw:" + drive.folder().string(), dataset);
+    load_sequence("kitti_raw:" + drive.log.folder.string(), dataset);
 }
 
 void read_odometry(const Drive& drive, unsigned options) {
-    load_sequence("kitti_odometry:" + drive.odometry().string(), to_dataset(options));
+    load_sequence("kitti_odometry:" + drive.odometry.string(), to_dataset(options));
 }
 
 template <auto Read>
 void read_changed(std::string_view input, const fs::path& folder) {
     const Drive& drive = make_drive_in(folder);
-    drive.files().read(input, [&](unsigned options) { Read(drive, options); });
+    drive.files.read(input, [&](unsigned options) { Read(drive, options); });
 }
 
 std::vector<std::string> make_drive_seeds(const fs::path& folder) {
-    return make_drive_in(folder).files().seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
+    return make_drive_in(folder).files.seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
 }
 
 struct Kitti360 {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A libFuzzer harness: a function that returns seeds, and one that reads an input.
+// A libFuzzer harness: a function that reads an input, and one that returns seeds. Seeds
+// of formats that never change are stored in corpus.tar.xz instead (seeds/NAME).
 #pragma once
 
 #include <filesystem>
@@ -11,6 +12,7 @@ namespace relidar::fuzz {
 
 struct Harness {
     const char* name;
+    /// Null if all seeds are stored.
     /// @param folder folder in which the writers of the program create files
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
     /// May only throw a relidar::Error of usage or data, with a short message.
@@ -18,14 +20,11 @@ struct Harness {
     bool seeds_are_good = true;  ///< true if all seeds can be read without an error
 };
 
-std::vector<Harness> list_array_harnesses();
 std::vector<Harness> list_text_harnesses();
 std::vector<Harness> list_drive_harnesses();
-std::vector<Harness> list_waymo_harnesses();
 std::vector<Harness> list_folder_harnesses();
 std::vector<Harness> list_dataset_harnesses();
-std::vector<Harness> list_sensor_harnesses();
-std::vector<Harness> run_harnesses();
+std::vector<Harness> list_binary_harnesses();
 std::vector<Harness> list_request_harnesses();
 #ifdef RELIDAR_FUZZ_BAGS
 std::vector<Harness> list_bag_harnesses();

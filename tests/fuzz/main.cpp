@@ -36,10 +36,9 @@ void on_free(const volatile void* bytes) {
 }
 
 std::vector<Harness> list_all_harnesses() {
-    std::vector<Harness> all = list_array_harnesses();
+    std::vector<Harness> all = list_binary_harnesses();
     for (const auto& more : {list_text_harnesses(), list_drive_harnesses(), list_dataset_harnesses(),
-                             list_folder_harnesses(), list_sensor_harnesses(), list_waymo_harnesses(),
-                             run_harnesses(), list_request_harnesses(), list_bag_harnesses()})
+                             list_folder_harnesses(), list_request_harnesses(), list_bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }
@@ -56,14 +55,16 @@ fs::path get_scratch_folder() {
 
 Harness chosen;
 
+/// Adds the seeds of the harness to a folder, and reads all seeds of the folder.
 [[noreturn]] void write_seeds(const fs::path& folder) {
     fs::create_directories(folder);
     std::size_t n = 0;
-    for (const std::string& seed : chosen.seeds(get_scratch_folder())) {
-        // no exception may be caught here: the reader must accept the seeds
-        if (chosen.seeds_are_good) chosen.read(seed, get_scratch_folder());
-        put(folder / ("seed_" + std::to_string(n++)), seed);
-    }
+    if (chosen.seeds)
+        for (const std::string& seed : chosen.seeds(get_scratch_folder()))
+            put(folder / ("seed_" + std::to_string(n++)), seed);
+    // no exception may be caught here: the reader must accept the seeds
+    for (const auto& seed : fs::directory_iterator(folder))
+        if (chosen.seeds_are_good) chosen.read(read_contents(seed.path()), get_scratch_folder());
     std::exit(0);
 }
 

@@ -23,28 +23,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> make_request_seeds(const fs::path&) {
-    const std::string edits =
-        R"({"copies": [{"of": "7", "from": "", "at": [1, 2, 0, 90, 5, 0, 0]}], "moves": {"8": [1, 0, 0, 10]},
-        "removed": ["9"], "hidden": ["7"]})";
-    return {
-        R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0,
-        "weather": "fog=50,rain=2", "simulate": true, "real": false, "edits": )" +
-            edits + "}",
-        R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n1\n"})",
-        R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
-}
-
 void read_request(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
 
 #ifdef RELIDAR_FUZZ_VIEW
-
-std::vector<std::string> make_head_seeds(const fs::path&) {
-    return {
-        "localhost:8080\nhttp://localhost:8080\na=1; "
-        "relidar_8080=0123456789abcdef\ntoken=0123456789abcdef&b=2",
-        "[::1]:80\nhttp://[::1]\n\n", "127.0.0.1\n\n\n"};
-}
 
 void read_head(std::string_view input, const fs::path&) {
     std::string_view lines[4];
@@ -143,103 +124,18 @@ void read_frame(std::string_view input, const fs::path& folder) {
         [&] { (void)reader.read_request(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 
-std::vector<std::string> make_frame_seeds(const fs::path&) {
-    serve::sensorsim::LidarRenderRequest request;
-    request.set_scene_id("town");
-    request.mutable_lidar()->set_lidar_type(serve::sensorsim::AT128);
-    request.set_frame_start_us(1'000'000);
-    request.set_frame_end_us(1'100'000);
-    serve::sensorsim::Pose& pose = *request.mutable_sensor_pose()->mutable_start();
-    pose.mutable_translation()->set_x(2.0f);
-    pose.mutable_rotation()->set_w(1.0f);
-    *request.mutable_sensor_pose()->mutable_end() = pose;
-    serve::sensorsim::DynamicObject& object = *request.add_dynamic_objects();
-    object.set_track_id("7");
-    *object.mutable_pose() = request.sensor_pose();
-    return {request.SerializeAsString()};
-}
-
-void add_pose(v1::TimedPose& timed, double time_s) {
-    timed.set_time_s(time_s);
-    timed.mutable_pose()->mutable_translation()->set_x(2.0 * time_s);
-    timed.mutable_pose()->mutable_rotation()->set_w(1.0);
-}
-
-v1::RenderLidarRequest scan_request(const char* sensor) {
-    v1::RenderLidarRequest request;
-    request.mutable_sensor()->set_name(sensor);
-    add_pose(*request.add_path(), 0.25);
-    add_pose(*request.add_path(), 0.5);
-    request.set_time_s(0.375);
-    v1::ActorTrack& actor = *request.mutable_actors()->add_actors();
-    actor.set_name("7");
-    add_pose(*actor.add_poses(), 0.25);
-    request.set_sample_seed(3);
-    request.mutable_wanted()->set_points(true);
-    return request;
-}
-
-std::vector<v1::SensorSpec> make_sensor_specs() {
-    std::vector<v1::SensorSpec> specs(4);
-    auto& spinning = *specs[0].mutable_spinning();
-    spinning.add_beams()->set_elevation_rad(0.1);
-    spinning.add_beams()->set_elevation_rad(-0.1);
-    spinning.set_columns(16);
-    spinning.set_period_s(0.1);
-    auto& window = *specs[1].mutable_window();
-    window.set_rows(4);
-    window.set_columns(4);
-    window.set_left_rad(0.5);
-    window.set_right_rad(-0.5);
-    window.set_top_rad(0.2);
-    window.set_bottom_rad(-0.2);
-    window.set_period_s(0.1);
-    auto& rosette = *specs[2].mutable_rosette();
-    rosette.set_rays(16);
-    rosette.set_deflection_rad(0.2);
-    rosette.set_first_hz(100);
-    rosette.set_second_hz(-60);
-    rosette.set_period_s(0.1);
-    const float directions[6] = {1.0f, 0.0f, 0.0f, 0.0f, 1.0f, 0.0f};
-    specs[3].mutable_rays()->set_direction(directions, sizeof directions);
-    return specs;
-}
-
-std::vector<std::string> make_call_seeds(const fs::path&) {
-    const auto seed = [](char call, const auto& message) { return call + message.SerializeAsString(); };
-    std::vector<std::string> seeds{seed(0, scan_request("VLP-16:16x10"))};
-    v1::RenderRigRequest rig;
-    *rig.mutable_rig() = scan_request("");
-    rig.add_sensors()->mutable_sensor()->set_name("VLP-16:16x10");
-    rig.mutable_sensors(0)->mutable_rig_from_sensor()->mutable_translation()->set_z(1.5);
-    seeds.push_back(seed(1, rig));
-    for (const v1::SensorSpec& spec : make_sensor_specs()) {
-        v1::UploadSensorRequest upload;
-        *upload.mutable_sensor() = spec;
-        seeds.push_back(seed(2, upload));
-        v1::RenderLidarRequest request = scan_request("");
-        *request.mutable_sensor()->mutable_spec() = spec;
-        seeds.push_back(seed(0, request));
-    }
-    v1::GetTracksRequest tracks;
-    tracks.set_scene("town");
-    tracks.add_actors("7");
-    seeds.push_back(seed(3, tracks));
-    return seeds;
-}
-
 #endif
 
 }  // namespace
 
 std::vector<Harness> list_request_harnesses() {
-    return {{"wish", make_request_seeds, read_request},
+    return {{"wish", nullptr, read_request},
 #ifdef RELIDAR_FUZZ_VIEW
-            {"head", make_head_seeds, read_head},
+            {"head", nullptr, read_head},
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
-            {"call", make_call_seeds, read_call},
-            {"frame", make_frame_seeds, read_frame}
+            {"call", nullptr, read_call},
+            {"frame", nullptr, read_frame}
 #endif
     };
 }

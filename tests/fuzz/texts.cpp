@@ -2,6 +2,8 @@
 // Text files. The harness "toml" builds its text from tokens, so that most are valid.
 #include "harness.hpp"
 
+#include <fmt/format.h>
+
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/read/dataset.hpp>
@@ -64,11 +66,27 @@ std::vector<std::string> make_scene_seeds(const fs::path& folder) {
     return seeds;
 }
 
-void read_sensor(std::string_view input, const fs::path& folder) {
-    put(folder / "beams.csv", input);
-    const SensorModel sensor = find_sensor((folder / "beams.csv").string());
-    const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
-    if (!spinning || spinning->beams.size() < 1000) make_rays(sensor);
+constexpr const char* kSensorEndings[] = {"csv", "json", "npz"};
+constexpr std::size_t kMostMade = 20000;  // maximum number of rays that the test also creates
+
+void make(const SensorModel& sensor) {
+    const std::size_t n = summarise_pattern(sensor.pattern).n_rays;
+    if (n <= kMostMade) make_rays(sensor, 0.3);
+}
+
+void read_sensors(std::string_view input, const fs::path& folder) {
+    if (input.empty()) return;
+    const fs::path file =
+        folder / fmt::format("sensor.{}", kSensorEndings[static_cast<unsigned char>(input[0]) % 3]);
+    put(file, input.substr(1));
+    make(find_sensor(file.string()));
+}
+
+void read_rig(std::string_view input, const fs::path& folder) {
+    put(folder / "near.csv", "elevation_deg\n5\n-5\n");
+    put(folder / "rig.json", input);
+    const auto rig = read_sensor_rig((folder / "rig.json").string());
+    for (std::size_t i = 0; rig && i < std::min<std::size_t>(rig->size(), 3); ++i) make((*rig)[i].sensor);
 }
 
 void read_track(std::string_view input, const fs::path& folder) {
@@ -121,34 +139,13 @@ std::vector<Harness> list_text_harnesses() {
                                 std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
          },
          read_config},
-        {"street",
-         [](const fs::path&) {
-             return std::vector<std::string>{
-                 "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = "
-                 "8.0\nmoving_cars = true\n"};
-         },
-         read_street},
+        {"street", nullptr, read_street},
         // the file contains either settings or a street
-        {"toml",
-         [](const fs::path&) {
-             return std::vector<std::string>{std::string("\x28\x02\x17\x00\x29\x02\x16\x00", 8),
-                                             std::string("\x06\x30\x07\x00\x2e\x02\x16", 7)};
-         },
-         read_tokens, false},
+        {"toml", nullptr, read_tokens, false},
         {"scene", make_scene_seeds, read_scene},
-        {"sensor",
-         [](const fs::path&) {
-             return std::vector<std::string>{
-                 "elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,"
-                 "0.2,0.026\n-3,0.5,0,0.12,-0.026\n"};
-         },
-         read_sensor},
-        {"trajectory",
-         [](const fs::path&) {
-             return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n",
-                                             "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"};
-         },
-         read_track},
+        {"sensors", nullptr, read_sensors},
+        {"rig", nullptr, read_rig},
+        {"trajectory", nullptr, read_track},
     };
 }
 
