@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text files. The harness "toml" builds its text from tokens, so that most are valid.
+// Text files. toml.dict has the tokens of settings and streets.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -95,40 +95,6 @@ void read_track(std::string_view input, const fs::path& folder) {
     (void)track.pose_at(track.time_s.front() + 0.1);
 }
 
-/// Builds TOML text from tokens. Each byte of the input selects a token.
-std::string format_toml(std::string_view input) {
-    constexpr std::string_view kTokens =  // separated by |
-        "\n|\n| = | = "
-        "|.|.|[|]|[[|]]|{|}|,|\"|'|\"\"\"|#|\\|\\u0000|\xC3\xA9|\xFF|\t|0|-1|1e308|-1e308|1e-308|nan|inf|"
-        "9223372036854775807|9223372036854775808|0x10|true|false|1979-05-27|07:32:00|\"none\"|\"paper\"|"
-        "preset|seed|n_frames|rows|columns|range_noise_m|speed_mps|moving_cars|a";
-    static const std::vector<std::string> tokens = [&] {
-        std::vector<std::string> all(1);
-        for (const char c : kTokens)
-            if (c == '|') all.emplace_back();
-            else all.back() += c;
-        for (const ConfigKey& key : list_config_keys({})) all.push_back(key.key);
-        return all;
-    }();
-    std::string text;
-    for (const char c : input) {
-        const auto token = static_cast<unsigned char>(c);
-        if (token < tokens.size()) text += tokens[token];
-        else text += static_cast<char>(token);
-    }
-    return text;
-}
-
-void read_tokens(std::string_view input, const fs::path& folder) {
-    const std::string text = format_toml(input);
-    try {
-        read_config(text, folder);
-    } catch (const Error& error) {
-        if (std::string_view(error.what()).size() > 1000) throw;
-    }
-    read_street(text, folder);
-}
-
 }  // namespace
 
 std::vector<Harness> list_text_harnesses() {
@@ -140,8 +106,6 @@ std::vector<Harness> list_text_harnesses() {
          },
          read_config},
         {"street", nullptr, read_street},
-        // the file contains either settings or a street
-        {"toml", nullptr, read_tokens, false},
         {"scene", make_scene_seeds, read_scene},
         {"sensors", nullptr, read_sensors},
         {"rig", nullptr, read_rig},
