@@ -7,7 +7,7 @@
 
 #include <Eigen/SparseCholesky>
 
-#include "registration/level_maps.hpp"
+#include "registration/plane_maps.hpp"
 #include "registration/pose_equations.hpp"
 
 namespace relidar {
@@ -34,7 +34,7 @@ constexpr double kGridPenalty = 0.01;
 // Number of points of a scan from which the score of a start position is computed.
 constexpr std::size_t kGridPoints = 400;
 // An alignment ends after kMaxLoopSteps steps per map level, or after a step shorter than
-// kMinLoopStep_m. For the prior, see SinglePoseEquations::solve_step().
+// kMinLoopStep_m. For the prior, see SinglePoseEquations::move_pose().
 constexpr int kMaxLoopSteps = 10;
 constexpr double kMinLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // Minimum share of the scan's points on planes of the map.
@@ -211,10 +211,7 @@ private:
                     part.add_residual(make_residual({p, pose.translation}, *plane, scale_m));
             });
         fraction_on_planes = double(equations.count_on_planes()) / double(points.size());
-        if (equations.empty()) return 0.0;
-        const Twist x = equations.solve_step(kLoopPrior);
-        pose = apply_twist(pose, x);
-        return twist_size_m(x);
+        return equations.move_pose(pose, kLoopPrior);
     }
 
     /// Aligns a scan with the map, from large to small planes. Changes `pose`.
@@ -284,15 +281,15 @@ private:
             const Matrix6 ja =
                 -twist_transfer(keyframe_pose(second).translation - keyframe_pose(first).translation);
             const Matrix6 jb = Matrix6::Identity();
-            const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
+            const Vector6 target = to_vector(expected_difference);
             const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
             // Adds J^T W J to the matrix. Adds J^T W expected_difference to g.
             add_block(first, first, ja.transpose() * wa);
             add_block(first, second, ja.transpose() * wb);
             add_block(second, first, jb.transpose() * wa);
             add_block(second, second, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(first)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(second)) += wb.transpose() * target;
+            block_of(g, first) += wa.transpose() * target;
+            block_of(g, second) += wb.transpose() * target;
         };
         // The error of odometry grows with the path, so a longer step has a lower weight.
         for (std::size_t k = 0; k + 1 < keyframes_.size(); ++k)
@@ -313,17 +310,15 @@ private:
                                 const Eigen::VectorXd& keyframe_corrections) const {
         return twist_transfer(track_.pose[pose_index].translation -
                               keyframe_pose(keyframe_index).translation) *
-               keyframe_corrections.segment<6>(6 * Eigen::Index(keyframe_index));
+               block_of(keyframe_corrections, keyframe_index);
     }
 
     /// Returns the error in metres of a loop closure after the poses are corrected.
     double closure_error_m(const LoopClosure& loop_closure, const Eigen::VectorXd& corrections) const {
         const Vector6 moves =
-            corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
+            block_of(corrections, loop_closure.later) -
             transfer_correction(keyframes_[loop_closure.later], loop_closure.earlier, corrections);
-        return (moves.head<3>() -
-                Eigen::Vector3d(loop_closure.off[0], loop_closure.off[1], loop_closure.off[2]))
-            .norm();
+        return (moves - to_vector(loop_closure.off)).head<3>().norm();
     }
 
     /// Corrects all poses by the loop closures. Solves several times with new robust
@@ -356,7 +351,7 @@ private:
                              : 0.0;
             const Vector6 c =
                 (1.0 - s) * transfer_correction(k, key, x) + s * transfer_correction(k, next, x);
-            result.track.pose[k] = apply_twist(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
+            result.track.pose[k] = apply_twist(track_.pose[k], to_twist(c));
         }
     }
 };

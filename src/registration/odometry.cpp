@@ -13,7 +13,7 @@
 #include <utility>
 
 #include "base/parallel.hpp"
-#include "registration/level_maps.hpp"
+#include "registration/plane_maps.hpp"
 #include "registration/pose_equations.hpp"
 
 namespace relidar {
@@ -184,7 +184,7 @@ private:
     /// weight
     /// @param fraction_on_planes output: share of the points that lie on planes before
     /// the step
-    /// @return length of the step, metres (twist_size_m())
+    /// @return length of the step in metres
     double gauss_newton_step(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan, int map_level, double kernel_scale_m,
                              double& fraction_on_planes) {
@@ -199,11 +199,10 @@ private:
                     part.add_residual(make_residual(at, *plane, kernel_scale_m), moves_along);
             });
         fraction_on_planes = double(equations.count_on_planes()) / double(scan.size());
-        if (equations.empty()) return 0.0;
-        const Twist x =
-            equations.solve_step(kPriorWeight, compute_twist(start_pose, track_.pose[pose_index]));
-        set_pose(pose_index, apply_twist(track_.pose[pose_index], x));
-        return twist_size_m(x);
+        Pose pose = track_.pose[pose_index];
+        const double step_m = equations.move_pose(pose, kPriorWeight, compute_twist(start_pose, pose));
+        set_pose(pose_index, pose);
+        return step_m;
     }
 };
 

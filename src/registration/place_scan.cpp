@@ -16,7 +16,7 @@ constexpr double kThinningCell_m = 0.1;
 // Scale of the robust kernel: a point that is farther than this from the rendered surface
 // has a weight below 1/4.
 constexpr double kKernelScale_m = 0.05;
-constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::solve_step()
+constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::move_pose()
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;
 
@@ -72,10 +72,8 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         result.on_surfaces = double(equations.count_on_planes()) / double(n);
         if (equations.empty()) return result;
         // The prior pulls the pose towards its value before the alignment.
-        const Twist step =
-            equations.solve_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
-        track.pose[pose_index] = apply_twist(track.pose[pose_index], step);
-        step_m = twist_size_m(step);
+        Pose& pose = track.pose[pose_index];
+        step_m = equations.move_pose(pose, kPosePriorWeight, compute_twist(before, pose));
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
     if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)

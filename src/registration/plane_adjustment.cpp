@@ -33,37 +33,41 @@ std::vector<WorldPointWithOrigin> points_to_world(const PoseTrack& track,
     return placed;
 }
 
-Twist twist_of_pose(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
-    Twist twist;
-    for (std::size_t i = 0; i < 6; ++i) twist[i] = stacked_twists[Eigen::Index(6 * pose_index + i)];
-    return twist;
-}
-
 /// Returns the twists from the poses of the first track to the poses of the second track,
 /// stacked in one vector with 6 values per pose.
 Eigen::VectorXd stack_twists(const PoseTrack& first_track, const PoseTrack& second_track) {
     Eigen::VectorXd result(6 * Eigen::Index(first_track.pose.size()));
-    for (std::size_t k = 0; k < first_track.pose.size(); ++k) {
-        const Twist twist = compute_twist(first_track.pose[k], second_track.pose[k]);
-        for (std::size_t i = 0; i < 6; ++i) result[Eigen::Index(6 * k + i)] = twist[i];
-    }
+    for (std::size_t k = 0; k < first_track.pose.size(); ++k)
+        block_of(result, k) = to_vector(compute_twist(first_track.pose[k], second_track.pose[k]));
     return result;
 }
 
 /// Fits a plane in each cell that contains points from at least two sweeps.
-std::vector<std::optional<LocalPlane>> fit_cell_planes(const PointCellGrid& cells,
-                                                       const std::vector<SubsampledPoint>& points,
-                                                       const std::vector<WorldPointWithOrigin>& world_points,
-                                                       const FitRound& round) {
-    std::vector<std::optional<LocalPlane>> planes(cells.size());
-    parallel_blocks(cells.size(), [&](std::size_t c) {
-        const std::span<const std::uint32_t> members = cells.points_in_cell(c);
+PlaneMap fit_cell_planes(const std::vector<SubsampledPoint>& points,
+                         const std::vector<WorldPointWithOrigin>& world_points, const FitRound& round,
+                         double grid_shift_cells) {
+    PlaneMap map{PointCellGrid(world_points, round.cell_m, grid_shift_cells), {}};
+    map.planes.resize(map.cells.size());
+    parallel_blocks(map.cells.size(), [&](std::size_t c) {
+        const std::span<const std::uint32_t> members = map.cells.points_in_cell(c);
         // The points of a cell are sorted by pose. A plane that only one sweep observes
         // moves with the pose of this sweep, so it contributes nothing.
         if (points[members.front()].pose != points[members.back()].pose)
-            planes[c] = fit_plane(world_points, members, round.cell_m, round.scale_m);
+            map.planes[c] = fit_plane(world_points, members, round.cell_m, round.scale_m);
     });
-    return planes;
+    return map;
+}
+
+/// Returns the nearest selected poses before and after a pose. For a side on which no
+/// pose is selected, returns `pose_index`.
+std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
+                                                    const std::vector<bool>& is_selected) {
+    std::size_t before = pose_index, after = pose_index;
+    for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
+        if (is_selected[k]) before = k;
+    for (std::size_t k = pose_index + 1; k < is_selected.size() && after == pose_index; ++k)
+        if (is_selected[k]) after = k;
+    return {before, after};
 }
 
 }  // namespace
@@ -95,10 +99,7 @@ std::vector<FitRound> PoseAdjustment::adjust_poses(
 }
 
 PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
-    const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
-    PlaneMap map{PointCellGrid(placed, round_settings.cell_m, 0.0), {}};
-    map.planes = fit_cell_planes(map.cells, points_, placed, round_settings);
-    return map;
+    return fit_cell_planes(points_, points_to_world(track_, points_), round_settings, 0.0);
 }
 
 /// Fits a plane to the points in each cell, and moves all poses by one Gauss-Newton step
@@ -108,23 +109,21 @@ PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
 /// @return the settings with the statistics of this round
 FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
-    const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
-    const std::vector<std::optional<LocalPlane>> planes =
-        fit_cell_planes(cells, points_, placed, round_settings);
+    const PlaneMap map = fit_cell_planes(points_, placed, round_settings, grid_shift_cells);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
-    const std::size_t chunk_size = cells.size() / kChunks + 1;
-    parallel_ranges(cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
+    const std::size_t chunk_size = map.cells.size() / kChunks + 1;
+    parallel_ranges(map.cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
         for (std::size_t c = begin; c < end; ++c)
-            if (planes[c])
-                parts[begin / chunk_size].add_cell(points_, placed, cells.points_in_cell(c), *planes[c],
-                                                   round_settings.scale_m);
+            if (map.planes[c])
+                parts[begin / chunk_size].add_cell(points_, placed, map.cells.points_in_cell(c),
+                                                   *map.planes[c], round_settings.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
     if (prior_) add_prior(parts[0]);
     const PoseTrack before = track_;
     const Eigen::VectorXd step = parts[0].solve_steps(track_, stack_twists(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = apply_twist(track_.pose[k], twist_of_pose(step, k));
+        track_.pose[k] = apply_twist(track_.pose[k], to_twist(block_of(step, k)));
     centre_poses();
     round_settings.planes = parts[0].n_planes();
     round_settings.residual_m = parts[0].rms_residual_m();
@@ -139,14 +138,12 @@ FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_ce
 void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;
     const Eigen::VectorXd correction = stack_twists(start_, track_);
-    const auto of_pose = [&](std::size_t index) -> Vector6 {
-        return correction.segment<6>(6 * Eigen::Index(index));
-    };
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        equations.add_zero_prior(k, prior_->pull, of_pose(k));
+        equations.add_zero_prior(k, prior_->pull, block_of(correction, k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_smooth_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+        equations.add_smooth_prior(k, share * prior_->link,
+                                   block_of(correction, k + 1) - block_of(correction, k));
     }
 }
 
@@ -172,16 +169,6 @@ void PoseAdjustment::centre_poses() {
     }
 }
 
-std::pair<std::size_t, std::size_t> PoseAdjustment::find_neighbours(std::size_t pose_index,
-                                                                    const std::vector<bool>& is_selected) {
-    std::size_t before = pose_index, after = pose_index;
-    for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
-        if (is_selected[k]) before = k;
-    for (std::size_t k = pose_index + 1; k < is_selected.size() && after == pose_index; ++k)
-        if (is_selected[k]) after = k;
-    return {before, after};
-}
-
 double PoseAdjustment::time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const {
     const std::vector<double>& t = initial_track_.time_s;
     return (t[pose] - t[before]) / (t[after_index] - t[before]);
@@ -198,13 +185,12 @@ void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_kno
         if (before == k) before = after;
         if (after == k) after = before;
         const double s = before == after ? 0.0 : time_fraction(before, k, after);
-        Twist twist = twist_of_pose(corrections, before);
-        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of_pose(corrections, after)[i] - twist[i]);
-        track_.pose[k] = apply_twist(start_.pose[k], twist);
+        const Vector6 earlier = block_of(corrections, before), later = block_of(corrections, after);
+        track_.pose[k] = apply_twist(start_.pose[k], to_twist(earlier + s * (later - earlier)));
     }
 }
 
-double PoseAdjustment::share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+double PoseAdjustment::share_on_planes(const PlaneMap& map, const std::vector<SubsampledPoint>& points,
                                        double kernel_scale_m) const {
     std::size_t n_placed = 0;
     for (const SubsampledPoint& point : points) {
@@ -237,25 +223,14 @@ double PoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<boo
     return least;
 }
 
-std::vector<std::size_t> PoseAdjustment::interpolate_lost(const PlaneMap& map,
+std::vector<std::size_t> PoseAdjustment::interpolate_lost(const SubsampledScans& scans,
+                                                          const std::vector<double>& shares_on_planes,
                                                           const std::vector<bool>& pose_has_points,
-                                                          double kernel_scale_m, double max_deviation_m) {
-    std::vector<std::span<const SubsampledPoint>> scans(pose_has_points.size());
-    // Points are sorted by pose, so the points of each scan are contiguous.
-    for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
-        while (end < points_.size() && points_[end].pose == k) ++end;
-        scans[k] = std::span(points_).subspan(begin, end - begin);
-    }
-    std::vector<double> shares(scans.size());
-    parallel_for(static_cast<int>(scans.size()), [&](int k) {
-        shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
-    });
+                                                          double max_deviation_m) {
     std::vector<std::size_t> lost;
     std::vector<bool> is_registered = pose_has_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
-        // A pose counts as registered if it has enough points on planes and a
-        // correction that agrees with its neighbours.
-        if (!pose_has_points[k] || (has_enough_planes(shares[k], scans[k].size()) &&
+        if (!pose_has_points[k] || (has_enough_planes(shares_on_planes[k], scans[k].size()) &&
                                     deviation_m(k, pose_has_points) <= max_deviation_m))
             continue;
         lost.push_back(k);
@@ -274,9 +249,7 @@ void PoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
                 part.add_residual(make_residual(placed, *plane, kernel_scale_m),
                                   weight_of_pose(points[i], pose_index));
         });
-    if (!equations.empty())
-        track_.pose[pose_index] =
-            apply_twist(track_.pose[pose_index], equations.solve_step(kAdjustmentPrior));
+    equations.move_pose(track_.pose[pose_index], kAdjustmentPrior);
 }
 
 }  // namespace relidar

@@ -56,17 +56,20 @@ public:
     /// Replaces poses without points and poses whose registration failed by
     /// interpolation. Too few points of a failed pose lie on planes, or its correction
     /// differs from both neighbours by more than `max_deviation_m`.
+    /// @param shares_on_planes  [poses] share_on_planes() of each scan
     /// @param pose_has_points  [poses]
     /// @return indices of the failed poses
-    std::vector<std::size_t> interpolate_lost(const PlaneMap& map, const std::vector<bool>& pose_has_points,
-                                              double scale_m, double max_deviation_m);
+    std::vector<std::size_t> interpolate_lost(const SubsampledScans& scans,
+                                              const std::vector<double>& shares_on_planes,
+                                              const std::vector<bool>& pose_has_points,
+                                              double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step towards fixed planes.
     void align_pose(const PlaneMap& map, std::size_t pose_index, const std::vector<SubsampledPoint>& points,
                     double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
     static bool has_enough_planes(double fraction_on_planes, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
-    double share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+    double share_on_planes(const PlaneMap& map, const std::vector<SubsampledPoint>& points,
                            double scale_m) const;
     /// Returns the smallest difference between the correction of a pose and those of the
     /// earlier neighbour, the later one, and the interpolation between both, in metres,
@@ -85,10 +88,6 @@ private:
     void add_prior(PoseEquations& equations) const;
     void centre_poses();
     void fill_corrections(const std::vector<bool>& is_correction_known);
-    /// Returns the nearest selected poses before and after a pose. For a side on which no
-    /// pose is selected, returns `pose_index`.
-    static std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
-                                                               const std::vector<bool>& is_selected);
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;
 };
 

@@ -61,7 +61,9 @@ SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& 
     return *this;
 }
 
-Twist SinglePoseEquations::solve_step(double prior_weight, const Twist& current_correction) const {
+double SinglePoseEquations::move_pose(Pose& pose, double prior_weight,
+                                      const Twist& current_correction) const {
+    if (empty()) return 0.0;
     // Solves (H + P) x = -(g + P c). P is the diagonal prior, c the current correction.
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
@@ -73,12 +75,8 @@ Twist SinglePoseEquations::solve_step(double prior_weight, const Twist& current_
         gradient[i] += pulls[i / 3] * current_correction[std::size_t(i)];
     }
     const Vector6 x = -stiffness.llt().solve(gradient);
-    return {x[0], x[1], x[2], x[3], x[4], x[5]};
-}
-
-double twist_size_m(const Twist& pose_change) {
-    return glm::length(glm::dvec3(pose_change[0], pose_change[1], pose_change[2])) +
-           10.0 * glm::length(glm::dvec3(pose_change[3], pose_change[4], pose_change[5]));
+    pose = apply_twist(pose, to_twist(x));
+    return glm::length(glm::dvec3(x[0], x[1], x[2])) + 10.0 * glm::length(glm::dvec3(x[3], x[4], x[5]));
 }
 
 Matrix6 twist_transfer(const glm::dvec3& offset_m) {
@@ -100,7 +98,7 @@ void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual&
     const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
         if (share == 0.0) continue;
-        gradient_.segment<6>(6 * Eigen::Index(pose)) +=
+        block_of(gradient_, pose) +=
             plane_residual.weight * plane_residual.residual_m * share * plane_residual.j;
         diagonal_[pose] += share * share * square;
     }
@@ -148,8 +146,7 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
-        gradient_.segment<6>(6 * Eigen::Index(couplings_[k].pose)) -=
-            couplings_[k].c.cast<double>() * whitened(pull);
+        block_of(gradient_, couplings_[k].pose) -= couplings_[k].c.cast<double>() * whitened(pull);
     plane_end_.push_back(couplings_.size());
     ++n_planes_;
 }
@@ -171,27 +168,24 @@ void PoseEquations::add_equations(PoseEquations&& other) {
 
 void PoseEquations::add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction) {
     diagonal_[pose].diagonal() += weights;
-    gradient_.segment<6>(6 * Eigen::Index(pose)) += weights.cwiseProduct(correction);
+    block_of(gradient_, pose) += weights.cwiseProduct(correction);
 }
 
 void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference) {
     diagonal_[pose].diagonal() += weights;
     diagonal_[pose + 1].diagonal() += weights;
     next_[pose].diagonal() -= weights;
-    gradient_.segment<6>(6 * Eigen::Index(pose)) -= weights.cwiseProduct(difference);
-    gradient_.segment<6>(6 * Eigen::Index(pose + 1)) += weights.cwiseProduct(difference);
+    block_of(gradient_, pose) -= weights.cwiseProduct(difference);
+    block_of(gradient_, pose + 1) += weights.cwiseProduct(difference);
 }
 
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
-    const auto block = [](auto& vector, std::size_t pose) {
-        return vector.template segment<6>(6 * Eigen::Index(pose));
-    };
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
-        block(y, k) += diagonal_[k] * block(x, k);
+        block_of(y, k) += diagonal_[k] * block_of(x, k);
         if (k + 1 == diagonal_.size()) break;
-        block(y, k) += next_[k] * block(x, k + 1);
-        block(y, k + 1) += next_[k].transpose() * block(x, k);
+        block_of(y, k) += next_[k] * block_of(x, k + 1);
+        block_of(y, k + 1) += next_[k].transpose() * block_of(x, k);
     }
     if (n_planes_ == 0) return y;
     y -= parallel_sum(
@@ -204,9 +198,9 @@ Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
                 Eigen::Vector3d moved = Eigen::Vector3d::Zero();
                 for (std::size_t k = begin; k < end; ++k)
-                    moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
+                    moved += couplings_[k].c.cast<double>().transpose() * block_of(x, couplings_[k].pose);
                 for (std::size_t k = begin; k < end; ++k)
-                    block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
+                    block_of(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
             }
             return part;
         });
@@ -225,13 +219,13 @@ public:
             carry_.push_back(twist_transfer(track.pose[k].translation -
                                             track.pose[k / kPosesPerGroup * kPosesPerGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            find_block(k / kPosesPerGroup, k / kPosesPerGroup) +=
+            const std::size_t group = k / kPosesPerGroup, next_group = (k + 1) / kPosesPerGroup;
+            find_block(group, group) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
-            if (k + 1 < n_) {
-                const Matrix6 pair_matrix = carry_[k].transpose() * equations.next_[k] * carry_[k + 1];
-                find_block(k / kPosesPerGroup, (k + 1) / kPosesPerGroup) += pair_matrix;
-                find_block((k + 1) / kPosesPerGroup, k / kPosesPerGroup) += pair_matrix.transpose();
-            }
+            if (k + 1 == n_) break;
+            const Matrix6 pair_matrix = carry_[k].transpose() * equations.next_[k] * carry_[k + 1];
+            find_block(group, next_group) += pair_matrix;
+            find_block(next_group, group) += pair_matrix.transpose();
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
@@ -247,12 +241,10 @@ public:
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
-            sums.segment<6>(6 * Eigen::Index(k / kPosesPerGroup)) +=
-                carry_[k].transpose() * right_hand_side.segment<6>(6 * Eigen::Index(k));
+            block_of(sums, k / kPosesPerGroup) += carry_[k].transpose() * block_of(right_hand_side, k);
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
-            pose_steps.segment<6>(6 * Eigen::Index(k)) +=
-                carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kPosesPerGroup));
+            block_of(pose_steps, k) += carry_[k] * block_of(motion, k / kPosesPerGroup);
     }
 
 private:
@@ -313,8 +305,7 @@ Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::
     // group, which would need many iterations otherwise.
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
-        for (std::size_t k = 0; k < n; ++k)
-            z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
+        for (std::size_t k = 0; k < n; ++k) block_of(z, k) = inverse[k].solve(block_of(r, k));
         groups.add_group_motions(r, z);
         return z;
     };

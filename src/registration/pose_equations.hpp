@@ -24,6 +24,14 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
+inline Twist to_twist(const Vector6& x) { return {x[0], x[1], x[2], x[3], x[4], x[5]}; }
+inline Vector6 to_vector(const Twist& twist) { return Eigen::Map<const Vector6>(twist.data()); }
+/// Returns the six values of a pose in a vector of all poses.
+template <class Vector>
+auto block_of(Vector& vector, std::size_t pose_index) {
+    return vector.template segment<6>(6 * Eigen::Index(pose_index));
+}
+
 /// Distance of a point from a plane, its weight, and its derivatives by a pose.
 struct PlaneResidual {
     double residual_m, weight;
@@ -46,11 +54,12 @@ public:
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_on_planes() const { return n_on_planes_; }
-    /// Solves the equations for the next Gauss-Newton step of the pose.
+    /// Moves a pose by one Gauss-Newton step, unless the equations are empty.
     /// @param prior_weight  weight of a term that pulls the total correction of the pose
     /// to zero, relative to the mean weight of the points
     /// @param current_correction  total correction of the pose so far
-    Twist solve_step(double prior_weight, const Twist& current_correction = {}) const;
+    /// @return the distance in metres by which points ten metres away move
+    double move_pose(Pose& pose, double prior_weight, const Twist& current_correction = {}) const;
 
 private:
     Matrix6 stiffness_ = Matrix6::Zero();
@@ -71,10 +80,6 @@ SinglePoseEquations sum_point_equations(std::size_t n_points, const AddPoint& ad
     });
 }
 
-/// Returns the size of a pose change in metres: the distance by which points ten metres
-/// away move.
-double twist_size_m(const Twist& pose_change);
-
 /// Returns the 6x6 matrix that converts the twist (v, w) of a rigid body to another
 /// reference point. The result is (v + w x `offset_m`, w).
 /// @param offset_m  second point minus first point
@@ -86,9 +91,6 @@ class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
-    /// Adds the distance of a point from a fixed plane. The point moves with the two
-    /// poses between which it was measured.
-    void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Adds the distances of the points of a grid cell from its plane. A Schur complement
     /// eliminates the changes of the plane (offset and two tilts).
     void add_cell(const std::vector<SubsampledPoint>& points,
@@ -125,6 +127,9 @@ private:
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
+    /// Adds the distance of a point from a fixed plane. The point moves with the two
+    /// poses between which it was measured.
+    void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Returns H times a vector without building H, which would be dense because planes
     /// couple many poses.
     Eigen::VectorXd multiply(const Eigen::VectorXd& input_vector) const;

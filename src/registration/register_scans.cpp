@@ -80,20 +80,6 @@ std::vector<bool> keep_middle(const std::vector<bool>& is_selected) {
     return is;
 }
 
-/// Returns the share of a scan's points that lie on planes, as the median over sweeps.
-/// @param is_sweep_selected [sweeps] sweeps that are included
-double median_share(const PoseAdjustment& adjustment, const PlaneMap& map, const SubsampledScans& scans,
-                    const std::vector<bool>& is_sweep_selected) {
-    std::vector<double> all(scans.size()), shares;
-    parallel_for(static_cast<int>(scans.size()), [&](int index) {
-        all[std::size_t(index)] =
-            adjustment.share_on_planes(map, scans[std::size_t(index)], kFinalRound.scale_m);
-    });
-    for (std::size_t k = 0; k < all.size(); ++k)
-        if (is_sweep_selected[k]) shares.push_back(all[k]);
-    return compute_median(std::move(shares));
-}
-
 }  // namespace
 
 RegistrationResult register_scans(const Log& log, const Split& split, const RegistrationOptions& options) {
@@ -144,8 +130,15 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
             log.name, split.train.size());
     // Training scans are finished first, because held-out scans must not affect them.
     const PlaneMap map = adjustment.fit_planes(kFinalRound);
-    result.on_planes = median_share(adjustment, map, scans, is_train);
-    result.lost = adjustment.interpolate_lost(map, is_train, kFinalRound.scale_m, options.largest_m);
+    std::vector<double> shares(scans.size()), train_shares;
+    parallel_for(static_cast<int>(scans.size()), [&](int index) {
+        const auto k = std::size_t(index);
+        shares[k] = adjustment.share_on_planes(map, scans[k], kFinalRound.scale_m);
+    });
+    for (std::size_t k = 0; k < shares.size(); ++k)
+        if (is_train[k]) train_shares.push_back(shares[k]);
+    result.on_planes = compute_median(std::move(train_shares));
+    result.lost = adjustment.interpolate_lost(scans, shares, is_train, options.largest_m);
     const SubsampledScans held_out = thin_sweeps(log, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost =
         align_test_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);

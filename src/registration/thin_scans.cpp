@@ -27,8 +27,7 @@ SweepSet group_sweeps(const Log& sequence) {
     SweepSet sweeps;
     for (std::size_t pose = 0; pose < leads.size(); ++pose) {
         if (!leads[pose]) continue;
-        sweeps.track.time_s.push_back(vehicle_track.time_s[pose]);
-        sweeps.track.pose.push_back(vehicle_track.pose[pose]);
+        sweeps.track.append(vehicle_track.time_s[pose], vehicle_track.pose[pose]);
         sweeps.pose.push_back(pose);
         sweeps.frames.push_back(std::move(frames[pose]));
     }

@@ -5,19 +5,12 @@
 #include <cmath>
 #include <random>
 
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
 #include "read/datasets/street/street.hpp"
 
 namespace relidar::test {
-namespace {
-
-double median(std::vector<double> values) {
-    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
-    return values[values.size() / 2];
-}
-
-}  // namespace
 
 Log set_poses(Log street, PoseTrack track) {
     set_trajectory(street, std::move(track));
@@ -98,7 +91,7 @@ PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<in
         degrees.push_back(glm::length(glm::dvec3(e[3], e[4], e[5])) * 180.0 / kPi);
         squares += metres.back() * metres.back();
     }
-    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())),
+    return {compute_median(metres), compute_median(degrees), std::sqrt(squares / double(positions.size())),
             *std::max_element(metres.begin(), metres.end()),
             *std::max_element(degrees.begin(), degrees.end())};
 }

@@ -49,10 +49,6 @@ TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     expect_registered(register_street(initial_poses, true));
 }
 
-TEST_F(WholeDrive, StaysWithExactPoses) {
-    expect_registered(register_street(drive().world_from_vehicle, true));
-}
-
 TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};

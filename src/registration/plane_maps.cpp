@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "registration/voxel_planes.hpp"
+#include "registration/plane_maps.hpp"
 
 #include <array>
 #include <cmath>
 #include <mutex>
+
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -54,6 +56,28 @@ void VoxelPlaneMap::refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& ce
 void VoxelPlaneMap::remove_before(double min_travelled_distance_m) {
     std::erase_if(cells_,
                   [&](const auto& entry) { return entry.second.travelled_m < min_travelled_distance_m; });
+}
+
+void PlaneMaps::clear() {
+    maps_.clear();
+    for (int level = 0; level < kLevels; ++level) maps_.emplace_back(settings_of_level(level).cell_m);
+}
+
+void PlaneMaps::add_points(const std::vector<glm::dvec3>& points_m, double travelled_distance_m) {
+    parallel_for(kLevels, [&](int level) {
+        for (const glm::dvec3& point_m : points_m)
+            maps_[std::size_t(level)].add_point(point_m, travelled_distance_m);
+    });
+}
+
+void PlaneMaps::forget_before(double min_travelled_distance_m) {
+    for (VoxelPlaneMap& map : maps_) map.remove_before(min_travelled_distance_m);
+}
+
+const LocalPlane* PlaneMaps::find_plane(const glm::dvec3& point_m, int finest_level) const {
+    const LocalPlane* plane = nullptr;
+    for (int l = finest_level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].find_plane_at(point_m);
+    return plane;
 }
 
 }  // namespace relidar

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Map of planes that grows scan by scan. Each cell of a grid stores sums over its points,
-// from which the plane of the cell is computed. Adding a point and looking up a plane
-// take constant time.
+// Maps of planes that grow scan by scan, with several cell sizes, so that scans can be
+// aligned from coarse to fine. Each cell of a map stores sums over its points, from which
+// its plane is computed. Adding a point and finding a plane take constant time.
 #pragma once
 
 #include <atomic>
 #include <optional>
 #include <unordered_map>
+#include <vector>
 
 #include "base/geometry/plane_sums.hpp"
 #include "registration/plane_cells.hpp"
@@ -19,15 +20,10 @@ public:
     explicit VoxelPlaneMap(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
-    /// Adds a point to its cell.
-    /// @param travelled_distance_m distance that the sensor had driven when it measured
-    /// the point
     void add_point(const glm::dvec3& point_m, double travelled_distance_m);
     /// Returns the plane of the cell that contains a point, or null if its points do not
     /// form a plane. Several threads can call this function at the same time.
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
-    /// Removes the cells that were last observed before the sensor had driven
-    /// `min_travelled_distance_m`.
     void remove_before(double min_travelled_distance_m);
 
 private:
@@ -51,6 +47,34 @@ private:
         return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_;
     }
     void refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
+};
+
+class PlaneMaps {
+public:
+    static constexpr int kLevels = 3;
+
+    /// @param first, last  cell size and scale of the robust kernel at the coarsest and
+    /// at the finest level
+    PlaneMaps(const FitRound& first, const FitRound& last) : first_(first), last_(last) { clear(); }
+
+    void clear();
+    bool empty() const { return maps_.front().empty(); }
+    FitRound settings_of_level(int level) const {
+        return blend_rounds(first_, last_, level / double(kLevels - 1));
+    }
+    /// Adds points that the vehicle measured after driving `travelled_distance_m`.
+    void add_points(const std::vector<glm::dvec3>& points_m, double travelled_distance_m);
+    /// Removes the cells that got their last point before the vehicle had driven this
+    /// distance.
+    void forget_before(double min_travelled_distance_m);
+    /// Returns the plane at a point. Searches map `finest_level` first, then the coarser
+    /// maps, because distant points form planes only in large cells. Returns null if no
+    /// map has a plane.
+    const LocalPlane* find_plane(const glm::dvec3& point_m, int finest_level) const;
+
+private:
+    FitRound first_, last_;
+    std::vector<VoxelPlaneMap> maps_;  // [kLevels]
 };
 
 }  // namespace relidar
