@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads a log of each dataset, for registry.cpp. All functions throw a DataError with the
-// file and the field, line or record. They throw a UsageError if DatasetOptions::sequence
-// is unknown or no scan is in the requested frame range.
+// file and the field, line, record or message. They throw a UsageError if
+// DatasetOptions::sequence is unknown or no scan is in the requested frame range.
 #pragma once
 
 #include <filesystem>
@@ -58,6 +58,10 @@ Log load_once(const std::filesystem::path& folder, const DatasetOptions& options
 /// Loads a log in relidar's format: a folder with sequence.json, poses.txt, boxes.json
 /// and scans.
 Log load_folder(const std::filesystem::path& folder, const DatasetOptions& options);
+
+/// Loads a recording: rosbag2 in MCAP or SQLite, a ROS 1 bag, an MCAP file with ROS
+/// messages from another recorder, or a network capture of LiDAR packets.
+Log load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options);
 
 /// Generates the log that folder/street.toml describes. The origin of the world is the
 /// sensor position in the middle of the full log, even if only some frames are loaded.

@@ -16,7 +16,6 @@
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 #include "log/checks/checks.hpp"
-#include "read/bag/load_ros_bag.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"

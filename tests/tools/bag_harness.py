@@ -69,8 +69,12 @@ def pose(place, yaw=0.0):
             "orientation": {"x": 0.0, "y": 0.0, "z": float(np.sin(yaw / 2)), "w": float(np.cos(yaw / 2))}}
 
 
-def transform(stamp, parent, child, place, yaw=0.0):
-    return {"header": header(stamp, parent), "child_frame_id": child, "transform": pose(place, yaw)}
+def transform(stamp, parent, child, place, yaw=0.0, quaternion=None):
+    """@param quaternion  x y z w; None: only the yaw"""
+    placed = pose(place, yaw)
+    if quaternion is not None:
+        placed["orientation"] = dict(zip("xyzw", quaternion))
+    return {"header": header(stamp, parent), "child_frame_id": child, "transform": placed}
 
 
 def turned(v, yaw):

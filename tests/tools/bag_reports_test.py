@@ -8,7 +8,7 @@ import math
 import struct
 import subprocess
 
-from bag_harness import WORK, convert, expect, header, np, returns, run, run_tests
+from bag_harness import WORK, convert, expect, np, returns, run, run_tests, transform
 from bag_harness import cloud as cloud_of_rows
 
 import bag_writer as bags
@@ -34,11 +34,6 @@ def cloud(stamp, frame="lidar", late_s=lambda t: 0, kind="f4"):
     row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
     row["time"] += late_s(row["time"])
     return cloud_of_rows(stamp, frame, row)
-
-
-def transform(stamp, parent, child, place, q=(0, 0, 0, 1)):
-    return {"header": header(stamp, parent), "child_frame_id": child,
-            "transform": {"position": dict(zip("xyz", place)), "orientation": dict(zip("xyzw", q))}}
 
 
 def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=0.5, tf_extra=(), lidars=(("/points", "lidar"),)):
@@ -215,7 +210,7 @@ def test_pose_files():
 
 def test_transforms():
     for q in ((0, 0, 0, 0), (0, 0, 0, math.nan), (0, 0, 0, 2)):
-        notes = check(written("tf", log(tf_extra=[transform(T0, "earth", "enu", (0, 0, 0), q)])))
+        notes = check(written("tf", log(tf_extra=[transform(T0, "earth", "enu", (0, 0, 0), quaternion=q)])))
         expect(names(notes, "44 poses ... 'earth' ... 'enu'"), notes)
     messages = log()
     messages[0][3]["transforms"].insert(0, transform(T0, "base", "camera", (math.nan, 0, 0)))

@@ -4,6 +4,7 @@ wiki.ros.org/Bags/Format/2.0, CDR of the OMG), for tests. It uses no code of rel
 (topic, type, time in ns, value). Values are nested dicts with the fields of the message
 definitions."""
 import bz2
+import itertools
 import sqlite3
 import struct
 import subprocess
@@ -58,10 +59,9 @@ class Serial:
             self.number("I", value % 10**9)
         elif isinstance(kind, str):
             self.number(kind, value)
+        elif isinstance(kind, tuple) and kind[0] == "B":
+            self.out += bytes(value)
         elif isinstance(kind, tuple):       # a list of fixed length
-            if kind[0] == "B":
-                self.out += bytes(value)
-                return
             for item in value:
                 self.number(kind[0], item)
         elif isinstance(kind[0], list):     # a list of any length
@@ -100,45 +100,39 @@ def long_name(type_name):
     return type_name.replace("/", "/msg/")
 
 
+def batches(records, size):
+    """Joins every `size` records."""
+    records = iter(records)
+    while batch := b"".join(itertools.islice(records, size)):
+        yield batch
+
+
 def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True):
     """Writes an MCAP file.
     @param chunk number of messages in a chunk; None: no chunks
     @param end the file ends with a data end and a footer, without index and summary"""
     encoding = "ros1" if form == "ros1" else "cdr"
     record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
-    out = open(path, "wb")   # writes messages immediately, because a bag may be larger than memory
-    out.write(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
-    channels, pending = {}, bytearray()
-    held = 0
+    channels = {}
 
-    def flush():
-        nonlocal pending, held
-        data = bytes(pending)
-        body = packed(compression, data)
-        out.write(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + text(compression) +
-                          struct.pack("<Q", len(body)) + body))
-        out.write(record(7, struct.pack("<HI", 1, 0)))   # an empty index, which readers must skip
-        pending, held = bytearray(), 0
-
-    for topic, type_name, time_ns, value in messages:
-        records = bytearray()
+    def records_of(topic, type_name, time_ns, value):
+        records = b""
         if topic not in channels:
             number = channels[topic] = len(channels) + 1
             records += record(3, struct.pack("<H", number) + text(long_name(type_name)) + text("ros2msg") + text("string data"))
             records += record(4, struct.pack("<HH", number, number) + text(topic) + text(encoding) + struct.pack("<I", 0))
-        records += record(5, struct.pack("<HIQQ", channels[topic], 0, time_ns, time_ns) + message_bytes(type_name, value, form))
-        if chunk is None:
-            out.write(records)
-            continue
-        pending += records
-        held += 1
-        if held == chunk:
-            flush()
-    if held:
-        flush()
-    if end:
-        out.write(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
-    out.close()
+        return records + record(5, struct.pack("<HIQQ", channels[topic], 0, time_ns, time_ns) + message_bytes(type_name, value, form))
+
+    with open(path, "wb") as out:   # writes messages immediately, because a bag may be larger than memory
+        out.write(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
+        for data in batches(itertools.starmap(records_of, messages), chunk or 1):
+            body = packed(compression, data)
+            out.write(data if chunk is None else record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + text(compression) +
+                                                        struct.pack("<Q", len(body)) + body))
+            if chunk:
+                out.write(record(7, struct.pack("<HI", 1, 0)))   # an empty index, which readers must skip
+        if end:
+            out.write(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
 
 
 def write_db3(path, messages, form="cdr", compressed=False):
@@ -170,35 +164,22 @@ def write_metadata(folder, files, mode=""):
 def write_ros1(path, messages, compression="none", chunk=5):
     """Writes a bag without index and counts, as `rosbag record` leaves it after an interruption."""
     def fields(**values):
-        out = bytearray()
-        for name, value in values.items():
-            item = name.encode() + b"=" + value
-            out += struct.pack("<I", len(item)) + item
-        return struct.pack("<I", len(out)) + out
+        return sized(b"".join(sized(name.encode() + b"=" + value) for name, value in values.items()))
 
     sized = lambda data: struct.pack("<I", len(data)) + data
-    out = bytearray(b"#ROSBAG V2.0\n")
-    out += fields(op=b"\3", index_pos=struct.pack("<Q", 0), conn_count=struct.pack("<I", 0), chunk_count=struct.pack("<I", 0)) + sized(b" " * 4027)
-    connections, pending, held = {}, bytearray(), 0
+    connections = {}
 
-    def flush():
-        nonlocal pending, held
-        data = bytes(pending)
-        out.extend(fields(op=b"\5", compression=compression.encode(), size=struct.pack("<I", len(data))) + sized(packed(compression, data)))
-        pending, held = bytearray(), 0
-
-    for topic, type_name, time_ns, value in messages:
+    def records_of(topic, type_name, time_ns, value):
+        records = b""
         if topic not in connections:
-            connections[topic] = len(connections)
-            number = struct.pack("<I", connections[topic])
+            connections[topic] = struct.pack("<I", len(connections))
             about = fields(topic=topic.encode(), type=type_name.encode(), md5sum=b"0" * 32, message_definition=b"string data")
-            pending += fields(op=b"\7", conn=number, topic=topic.encode()) + about
-        number = struct.pack("<I", connections[topic])
+            records += fields(op=b"\7", conn=connections[topic], topic=topic.encode()) + about
         time = struct.pack("<II", time_ns // 10**9, time_ns % 10**9)
-        pending += fields(op=b"\2", conn=number, time=time) + sized(message_bytes(type_name, value, "ros1"))
-        held += 1
-        if held == chunk:
-            flush()
-    if held:
-        flush()
+        return records + fields(op=b"\2", conn=connections[topic], time=time) + sized(message_bytes(type_name, value, "ros1"))
+
+    out = b"#ROSBAG V2.0\n"
+    out += fields(op=b"\3", index_pos=struct.pack("<Q", 0), conn_count=struct.pack("<I", 0), chunk_count=struct.pack("<I", 0)) + sized(b" " * 4027)
+    for data in batches(itertools.starmap(records_of, messages), chunk):
+        out += fields(op=b"\5", compression=compression.encode(), size=struct.pack("<I", len(data))) + sized(packed(compression, data))
     path.write_bytes(out)

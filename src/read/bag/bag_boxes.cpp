@@ -19,33 +19,6 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-class WorldPoseLookup {
-public:
-    explicit WorldPoseLookup(const BoxContext& places) : transform_context_(places) {}
-
-    /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
-    /// does not contain the pose at this time.
-    std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
-        if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
-        auto cached_entry = apart_.find(frame_id);
-        if (cached_entry == apart_.end())
-            cached_entry = apart_
-                               .emplace(frame_id, transform_context_.frames.find_chain(
-                                                      transform_context_.vehicle, frame_id,
-                                                      transform_context_.poses.clock,
-                                                      transform_context_.poses.poses_zero_ns))
-                               .first;
-        if (!cached_entry->second || !cached_entry->second->covers_time(t_s)) return std::nullopt;
-        if (transform_context_.is_world_of_poses && !transform_context_.poses.path->covers_time(t_s))
-            return std::nullopt;
-        return transform_context_.world_from_vehicle(t_s) * cached_entry->second->compute_pose_at(t_s);
-    }
-
-private:
-    const BoxContext& transform_context_;
-    std::map<std::string, std::optional<FramePose>> apart_;
-};
-
 /// Object trackers change the category and the size of an object over time. Gives all
 /// labels of an object its most frequent category and its median size.
 void unify_labels(std::vector<BoxLabel>& labels) {
@@ -72,23 +45,22 @@ void unify_labels(std::vector<BoxLabel>& labels) {
 /// Reads the box messages of a topic and converts the boxes to the world frame.
 class BoxMessageReader {
 public:
-    BoxMessageReader(const BoxContext& places, double first_s, double last_s)
-        : transform_context_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
+    BoxMessageReader(const BoxContext& context, double first_s, double last_s)
+        : context_(context), first_s_(first_s), last_s_(last_s) {}
 
-    bool is_in_log(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
-    double log_time_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
-        const bool is_recorded = transform_context_.poses.clock == LogClock::recorder || header_stamp_ns == 0;
-        return 1e-9 *
-               double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.box_zero_ns);
+    bool is_in_log(const MessageTimes& times) const {
+        const double t_s = log_time_s(times);
+        return t_s >= first_s_ && t_s <= last_s_;
     }
 
     /// Adds the boxes of a message in the world frame. Ignores boxes outside the log, and
     /// boxes without a track id, which cannot be joined to a track.
-    void add_labels(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
+    void add_labels(const BoxListMessage& box_list, std::int64_t log_ns) {
         for (const BoxMessage& box : box_list.boxes) {
-            const double t_s = log_time_s(box.header.stamp_ns, recording_time_ns);
-            if (box.id.empty() || !is_in_log(t_s)) continue;
-            const std::optional<Pose> world_from_frame = frames_.find_pose(box.header.frame, t_s);
+            const MessageTimes times{box.header.stamp_ns, log_ns};
+            if (box.id.empty() || !is_in_log(times)) continue;
+            const double t_s = log_time_s(times);
+            const std::optional<Pose> world_from_frame = find_pose(box.header.frame, t_s);
             if (!world_from_frame) {
                 ++n_unplaced_;
                 unplaced_.insert(box.header.frame);
@@ -105,7 +77,7 @@ public:
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown",
-                n_unplaced_, quote(*unplaced_.begin()), transform_context_.vehicle));
+                n_unplaced_, quote(*unplaced_.begin()), context_.vehicle));
         // Sorts labels by time. Removes repeated labels of an object at the same time.
         std::ranges::stable_sort(labels_, {}, &BoxLabel::time_s);
         std::map<std::string, double> last_s;
@@ -122,12 +94,32 @@ public:
     }
 
 private:
-    const BoxContext& transform_context_;
-    WorldPoseLookup frames_;
+    const BoxContext& context_;
     double first_s_, last_s_;
+    std::map<std::string, std::optional<FramePose>> vehicle_from_frame_;
     std::vector<BoxLabel> labels_;
     std::set<std::string> unplaced_;  ///< frames without a known pose
     std::size_t n_unplaced_ = 0;
+
+    double log_time_s(const MessageTimes& times) const {
+        const LogClock clock = times.stamp_ns == 0 ? LogClock::recorder : context_.poses.clock;
+        return 1e-9 * double(times.time_ns(clock) - context_.box_zero_ns);
+    }
+
+    /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
+    /// does not contain the pose at this time.
+    std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
+        const ChosenPoses& poses = context_.poses;
+        if (context_.is_world_of_poses && frame_id == poses.world) return Pose{};
+        const auto [known, is_new] = vehicle_from_frame_.try_emplace(frame_id);
+        if (is_new)
+            known->second =
+                context_.frames.find_chain(context_.vehicle, frame_id, poses.clock, poses.poses_zero_ns);
+        if (!known->second || !known->second->covers_time(t_s) ||
+            (context_.is_world_of_poses && !poses.path->covers_time(t_s)))
+            return std::nullopt;
+        return context_.world_from_vehicle(t_s) * known->second->compute_pose_at(t_s);
+    }
 };
 
 }  // namespace
@@ -173,7 +165,7 @@ LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
     BoxMessageReader reader(transform_context, times_s.front() - step_s, times_s.back() + step_s);
     const BagTopic& topic = bag.topics()[box_topic.topic];
     for (const BoxIndexEntry& entry : box_topic.lists)
-        if (reader.is_in_log(reader.log_time_s(entry.stamp_ns, entry.log_ns)))
+        if (reader.is_in_log(entry))
             reader.add_labels(read_boxes(topic, bag.read_message(topic, entry.message_position).bytes),
                               entry.log_ns);
     return reader.make_tracks();

@@ -22,7 +22,7 @@ constexpr std::int64_t kMaxRosTime_ns = 4294967296000000000;  // latest time sta
 constexpr std::array kBagExtensions = {".mcap", ".db3", ".bag"};
 
 bool is_pcap_file(const fs::path& file) {
-    const std::string ending = strip_gz(file).extension().string();
+    const std::string ending = strip_packed(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng";
 }
 
@@ -48,7 +48,7 @@ std::vector<std::string> read_file_list(const fs::path& file) {
 /// Returns a file of the recording. If it does not exist, returns its compressed or
 /// unpacked copy, because metadata.yaml may name either.
 fs::path find_packed_copy(const fs::path& file) {
-    for (const fs::path& other : {fs::path(file.string() + ".zstd"), strip_zstd(file)})
+    for (const fs::path& other : {fs::path(file.string() + ".zstd"), strip_packed(file)})
         if (!does_path_exist(file) && does_path_exist(other)) return other;
     return file;
 }
@@ -99,8 +99,8 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     if (paths_.empty()) {
         for (const fs::path& file : list_folder(path))
             if (is_pcap_file(file) ||
-                (std::ranges::find(kBagExtensions, strip_zstd(file).extension()) != kBagExtensions.end() &&
-                 (strip_zstd(file) == file || !does_path_exist(strip_zstd(file)))))
+                (std::ranges::find(kBagExtensions, strip_packed(file).extension()) != kBagExtensions.end() &&
+                 (strip_packed(file) == file || !does_path_exist(strip_packed(file)))))
                 paths_.push_back(file);
         std::ranges::stable_sort(paths_, {},
                                  [](const fs::path& file) { return file.filename().string().size(); });
@@ -108,13 +108,13 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     if (paths_.empty())
         fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
-        const std::string ending = strip_zstd(file).extension().string();
+        const std::string ending = strip_packed(file).extension().string();
         if (is_pcap_file(file)) {
             files_.push_back(open_pcap_file(file));
             continue;
         }
-        const UnpackedZstdFile unpacked(file);
-        const std::string problem = fmt::format("{}: the zstd data are truncated", file.string());
+        const UnpackedFile unpacked(file);
+        const std::string problem = fmt::format("{}: the compressed data are truncated", file.string());
         if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
         if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
         if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));

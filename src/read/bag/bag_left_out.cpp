@@ -3,7 +3,7 @@
 // recording then throws an error.
 
 #include "base/fail.hpp"
-#include "read/bag/load_ros_bag.hpp"
+#include "read/readers.hpp"
 
 namespace relidar {
 

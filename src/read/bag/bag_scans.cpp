@@ -38,13 +38,13 @@ LidarPoints BagScans::read_points(std::size_t frame) const {
     if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
     LidarPoints all;
     for (const RevolutionPart& part : at.entry.parts) {
-        const CloudEntry cloud{part.stamp_ns - at.entry.correction_ns,
-                               part.log_ns,
+        const std::int64_t correction_ns = at.entry.correction_ns;
+        const CloudEntry cloud{{part.stamp_ns - correction_ns, part.log_ns},
                                part.n_points,
                                part.message_position,
                                0,
                                {},
-                               at.entry.correction_ns};
+                               correction_ns};
         LidarPoints points = read_points(
             frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())

@@ -13,18 +13,12 @@
 
 namespace relidar::bag {
 
-/// Time stamp and recording time of a message.
-struct MessageTimes {
-    std::int64_t stamp_ns = 0, log_ns = 0;
-};
-
-/// Returns the times of entries with `stamp_ns` and `log_ns`. Ignores entries without a
-/// time stamp.
+/// Returns the times of messages. Ignores messages without a time stamp.
 template <class Entries>
 std::vector<MessageTimes> list_times(const Entries& entries) {
     std::vector<MessageTimes> times;
-    for (const auto& entry : entries)
-        if (entry.stamp_ns != 0) times.push_back({entry.stamp_ns, entry.log_ns});
+    for (const MessageTimes& entry : entries)
+        if (entry.stamp_ns != 0) times.push_back(entry);
     return times;
 }
 

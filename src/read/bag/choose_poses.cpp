@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/ranges.h>
 
@@ -9,6 +10,10 @@
 
 namespace relidar::bag {
 namespace {
+
+// The heading is uncertain if the antenna stays this close to its mean position.
+constexpr double kMinSpread_m = 2.0;
+constexpr double kMaxResidualShare = 0.2;  // of the spread
 
 /// A possible source of vehicle poses: a pose topic, or a chain of transforms.
 struct PoseSource {
@@ -20,35 +25,26 @@ struct PoseSource {
 };
 
 /// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
-/// that moves relative to its parent, which is the vehicle. If no frame moves, returns
-/// the sensor's frame.
-std::string find_vehicle_frame(const FrameTree& frame_tree,
-                               const std::vector<std::string>& frame_path_to_root,
-                               const std::string& ancestor_frame) {
+/// that moves relative to its parent, which is the vehicle.
+std::optional<std::string> find_moving_frame(const FrameTree& frame_tree,
+                                             const std::vector<std::string>& frame_path_to_root,
+                                             const std::string& ancestor_frame) {
     for (const std::string& frame : frame_path_to_root) {
         if (frame == ancestor_frame) break;
         if (frame_tree.is_frame_moving(frame)) return frame;
     }
-    return frame_path_to_root.front();
-}
-
-bool is_moving_below(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
-                     const std::string& ancestor_frame) {
-    const auto end = std::ranges::find(frame_path_to_root, ancestor_frame);
-    return std::any_of(frame_path_to_root.begin(), end,
-                       [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
+    return std::nullopt;
 }
 
 PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
                           const std::string& ancestor_frame) {
+    const auto moving_frame = find_moving_frame(frame_tree, frame_path_to_root, ancestor_frame);
     PoseSource source;
     source.outer = ancestor_frame;
-    source.vehicle = find_vehicle_frame(frame_tree, frame_path_to_root, ancestor_frame);
+    source.vehicle = moving_frame.value_or(frame_path_to_root.front());
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
                                source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
-                               is_moving_below(frame_tree, frame_path_to_root, ancestor_frame)
-                                   ? ""
-                                   : "; these poses are constant, so the LiDAR does not move");
+                               moving_frame ? "" : "; these poses are constant, so the LiDAR does not move");
     return source;
 }
 
@@ -102,7 +98,7 @@ std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex&
     const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
                                   ? "map"
                                   : frame_path_to_root.back();
-    if (is_moving_below(index.frames, frame_path_to_root, outer))
+    if (find_moving_frame(index.frames, frame_path_to_root, outer))
         return make_tf_source(index.frames, frame_path_to_root, outer);
     // Uses the pose topic with the most messages. Prefers odometry topics.
     const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& p) {
@@ -216,6 +212,50 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.zero_ns = choice.poses_zero_ns = zero_ns;
     choice.path = std::move(recorded);
     return choice;
+}
+
+FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames) {
+    if (!has_proj())
+        return {{}, "positions on the earth are not read, because relidar was built without PROJ"};
+    const Georeference plane{
+        fixes.samples.front().position, {}, local_tangent_crs(fixes.samples.front().position)};
+    const GeoConverter earth(plane);
+    const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
+    std::vector<glm::dvec3> world_m, plane_m;
+    glm::dvec3 world_mean_m(0.0), plane_mean_m(0.0);
+    for (const FixTopic::Sample& fix : fixes.samples) {
+        const double t_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
+        if (!poses.path->covers_time(t_s)) continue;
+        world_m.push_back(poses.path->compute_pose_at(t_s) * antenna.translation);
+        plane_m.push_back(earth.to_dataset(fix.position));
+        world_mean_m += world_m.back();
+        plane_mean_m += plane_m.back();
+    }
+    const double n = std::max(1.0, double(world_m.size()));
+    world_mean_m /= n;
+    plane_mean_m /= n;
+    // Least squares for a rotation about the vertical axis.
+    double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;
+    for (std::size_t i = 0; i < world_m.size(); ++i) {
+        const glm::dvec2 w(world_m[i] - world_mean_m), p(plane_m[i] - plane_mean_m);
+        cross += w.x * p.y - w.y * p.x;
+        dot += glm::dot(w, p);
+        spread += glm::dot(w, w);
+    }
+    const glm::dquat rotation = glm::angleAxis(std::atan2(cross, dot), glm::dvec3(0.0, 0.0, 1.0));
+    for (std::size_t i = 0; i < world_m.size(); ++i) {
+        const glm::dvec2 error(plane_m[i] - plane_mean_m - rotation * (world_m[i] - world_mean_m));
+        residual += glm::dot(error, error);
+    }
+    const double spread_m = std::sqrt(spread / n), residual_m = std::sqrt(residual / n);
+    if (!(spread_m >= kMinSpread_m && residual_m <= kMaxResidualShare * spread_m))
+        return {{},
+                fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
+                            "{:.2f} m from the path",
+                            world_m.size(), spread_m, residual_m)};
+    return {Georeference{earth.to_geodetic(plane_mean_m), world_mean_m, plane.crs, rotation},
+            fmt::format("the place on the earth is that of {} positions, which are {:.2f} m from the path",
+                        world_m.size(), residual_m)};
 }
 
 }  // namespace relidar::bag

@@ -58,9 +58,8 @@ bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<M
 }
 
 constexpr std::int64_t kMinJump_ns = 500000000, kDay_ns = 86400000000000;
-// A message is not recorded before its time stamp, and delays are shorter than this.
-constexpr std::int64_t kMostAhead_ns = 150000000, kMostDelay_ns = 10000000000;
-constexpr std::size_t kLeastRun = 3;  // fewer clouds between two jumps have damaged times
+constexpr std::int64_t kMostDelay_ns = 10000000000;  // of a message
+constexpr std::size_t kLeastRun = 3;                 // fewer clouds between two jumps have damaged times
 
 /// Clouds [begin, end) between two jumps.
 struct ClockRun {
@@ -219,8 +218,8 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
     for (const ClockRun& run : runs) {
         const std::int64_t about_ns = run.ahead_ns - main.ahead_ns;
         const bool is_other = std::abs(about_ns) > kMinJump_ns;
-        const bool is_unclear = std::max(run.recorder_ns, main.recorder_ns) <= kMostAhead_ns &&
-                                std::abs(about_ns) < kMostDelay_ns;
+        const bool is_unclear =
+            std::max(run.recorder_ns, main.recorder_ns) <= kMaxAhead_ns && std::abs(about_ns) < kMostDelay_ns;
         if (is_other && run.size() < kLeastRun && !is_unclear) {
             out_ns = about_ns;
             continue;

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads point clouds, transforms and boxes in Foxglove's protobuf schemas. `relidar
 // render --format mcap` writes these schemas.
+#include <algorithm>
+#include <functional>
 #include <utility>
 
 #include <protozero/pbf_reader.hpp>
 
 #include "base/fail.hpp"
-#include "base/files.hpp"
 #include "read/bag/messages.hpp"
 
 namespace relidar::bag {
@@ -15,186 +16,150 @@ namespace {
 using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 
-constexpr auto kLengthDelimited = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
-               kVarint = pbf_wire_type::varint;
+/// A field of a message, and the function that reads it.
+struct PbfField {
+    protozero::pbf_tag_type tag;
+    pbf_wire_type type;
+    std::function<void(pbf_reader&)> read;
+};
 
-bool is_field(const pbf_reader& reader, protozero::pbf_tag_type tag, pbf_wire_type type) {
-    return reader.tag_and_type() == protozero::tag_and_type(tag, type);
-}
-
-/// Reads the coordinates x, y, z and w of a protobuf message. Missing coordinates are 0.
-glm::dvec4 read_xyzw(pbf_reader reader) {
-    glm::dvec4 v(0.0);
+/// Reads the given fields of a message. Ignores other fields, and fields of other types.
+void read_fields(pbf_reader reader, const std::vector<PbfField>& fields) {
     while (reader.next()) {
-        // Reads the tag first, because reading the value resets it.
-        const int at = int(reader.tag()) - 1;
-        if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
-        else reader.skip();
+        const auto field = std::ranges::find_if(fields, [&](const PbfField& f) {
+            return reader.tag_and_type() == protozero::tag_and_type(f.tag, f.type);
+        });
+        if (field == fields.end()) reader.skip();
+        else field->read(reader);
     }
-    return v;
 }
 
-/// Reads a google.protobuf.Timestamp: seconds (1) and nanoseconds (2).
-std::int64_t read_stamp_ns(pbf_reader reader) {
-    std::int64_t seconds = 0, nanoseconds = 0;
-    while (reader.next()) {
-        if (is_field(reader, 1, kVarint)) seconds = reader.get_int64();
-        else if (is_field(reader, 2, kVarint)) nanoseconds = reader.get_int32();
-        else reader.skip();
+PbfField number(unsigned tag, double& value) {
+    return {tag, pbf_wire_type::fixed64, [&value](pbf_reader& reader) { value = reader.get_double(); }};
+}
+PbfField size_number(unsigned tag, std::size_t& value) {
+    return {tag, pbf_wire_type::fixed32, [&value](pbf_reader& reader) { value = reader.get_fixed32(); }};
+}
+PbfField integer(unsigned tag, std::int64_t& value) {
+    return {tag, pbf_wire_type::varint, [&value](pbf_reader& reader) { value = reader.get_int64(); }};
+}
+PbfField text(unsigned tag, std::string& value) {
+    return {tag, pbf_wire_type::length_delimited,
+            [&value](pbf_reader& reader) { value = reader.get_string(); }};
+}
+/// @param read  function of a reader of the message
+template <class Read>
+PbfField message(unsigned tag, const Read& read) {
+    return {tag, pbf_wire_type::length_delimited, [read](pbf_reader& reader) { read(reader.get_message()); }};
+}
+/// Missing coordinates are 0.
+PbfField vector(unsigned tag, glm::dvec4& v) {
+    return message(tag, [&v](const pbf_reader& reader) {
+        v = glm::dvec4(0.0);
+        read_fields(reader, {number(1, v.x), number(2, v.y), number(3, v.z), number(4, v.w)});
+    });
+}
+/// google.protobuf.Timestamp
+PbfField stamp(unsigned tag, std::int64_t& stamp_ns) {
+    return message(tag, [&stamp_ns](const pbf_reader& reader) {
+        std::int64_t seconds = 0, nanoseconds = 0;
+        read_fields(reader, {integer(1, seconds), integer(2, nanoseconds)});
+        constexpr std::int64_t kMaxRosTime_s = 4294967295;  // limit of ROS times
+        if (seconds < 0 || seconds > kMaxRosTime_s)
+            fail("found the message time {} s, expected 0 to {} s", seconds, kMaxRosTime_s);
+        if (nanoseconds < 0 || nanoseconds > 999999999)
+            fail("found {} ns in a message time, expected 0 to 999999999 ns", nanoseconds);
+        stamp_ns = seconds * 1000000000 + nanoseconds;
+    });
+}
+
+/// Position and quaternion of a pose. A missing part is the identity.
+struct PbfPose {
+    glm::dvec4 position{0.0}, rotation{0.0, 0.0, 0.0, 1.0};
+
+    PoseComponents components() const {
+        return {position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w};
     }
-    constexpr std::int64_t kMaxRosTime_s = 4294967295;  // limit of ROS times
-    if (seconds < 0 || seconds > kMaxRosTime_s)
-        fail("found the message time {} s, expected 0 to {} s", seconds, kMaxRosTime_s);
-    if (nanoseconds < 0 || nanoseconds > 999999999)
-        fail("found {} ns in a message time, expected 0 to 999999999 ns", nanoseconds);
-    return seconds * 1000000000 + nanoseconds;
+};
+/// foxglove.Pose
+PbfField pose(unsigned tag, PbfPose& value) {
+    return message(tag, [&value](const pbf_reader& reader) {
+        read_fields(reader, {vector(1, value.position), vector(2, value.rotation)});
+    });
 }
 
-PoseComponents to_pose(const glm::dvec4& position, const glm::dvec4& quaternion_xyzw) {
-    const glm::dvec4& q = quaternion_xyzw;
-    return {position.x, position.y, position.z, q.x, q.y, q.z, q.w};
-}
-
-/// Reads a foxglove.PackedElementField: name (1), offset (2) and type (3).
-CloudMessage::CloudField read_pbf_field(pbf_reader reader) {
-    struct Type {
-        char kind;
-        std::size_t size;
-    };
-    // Kind and size in bytes of Foxglove's numeric types 1 to 8.
-    static constexpr Type kFoxgloveTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
-                                              {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
+/// Reads a foxglove.PackedElementField.
+CloudMessage::CloudField parse_field(const pbf_reader& reader) {
     CloudMessage::CloudField field;
-    std::int32_t type = 0;
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited)) field.name = reader.get_string();
-        else if (is_field(reader, 2, kFixed32)) field.offset = reader.get_fixed32();
-        else if (is_field(reader, 3, kVarint)) type = reader.get_enum();
-        else reader.skip();
-    }
-    if (type < 1 || type > 8)
-        fail(
-            "the field '{}' of the cloud has the data type {}, expected 1 to 8 (foxglove.PackedElementField)",
-            quote(field.name), type);
-    field.kind = kFoxgloveTypes[type - 1].kind;
-    field.size = kFoxgloveTypes[type - 1].size;
+    std::int64_t type = 0;
+    read_fields(reader, {text(1, field.name), size_number(2, field.offset), integer(3, type)});
+    field.set_type(type, {"U1", "I1", "U2", "I2", "U4", "I4", "F4", "F8"});
     return field;
 }
 
-/// Throws if a cloud has a pose other than the identity, because relidar does not support
-/// such clouds.
-void check_identity(pbf_reader reader) {
-    while (reader.next()) {
-        const bool turns = reader.tag() == 2;
-        if (reader.tag() > 2 || reader.wire_type() != kLengthDelimited) reader.skip();
-        else if (!(glm::length(glm::dvec3(read_xyzw(reader.get_message()))) <= 1e-9))
-            fail("the cloud has a pose with a {}, expected a pose without translation and rotation",
-                 turns ? "rotation" : "translation");
-    }
-}
-
 /// Reads foxglove.PointCloud. It has no width, so the cloud becomes one row of points.
-CloudMessage parse_cloud(pbf_reader reader) {
+CloudMessage parse_cloud(const pbf_reader& reader) {
     CloudMessage cloud;
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited))
-            cloud.header.stamp_ns = read_stamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kLengthDelimited)) cloud.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kLengthDelimited)) check_identity(reader.get_message());
-        else if (is_field(reader, 4, kFixed32)) cloud.point_step = reader.get_fixed32();
-        else if (is_field(reader, 5, kLengthDelimited))
-            cloud.fields.push_back(read_pbf_field(reader.get_message()));
-        else if (is_field(reader, 6, kLengthDelimited)) {
-            const protozero::data_view view = reader.get_view();
-            cloud.data = {view.data(), view.size()};
-        } else reader.skip();
-    }
+    PbfPose cloud_pose;
+    const auto add_field = [&](const pbf_reader& field) { cloud.fields.push_back(parse_field(field)); };
+    const auto set_data = [&](pbf_reader& field) {
+        const protozero::data_view view = field.get_view();
+        cloud.data = {view.data(), view.size()};
+    };
+    read_fields(reader, {stamp(1, cloud.header.stamp_ns),
+                         text(2, cloud.header.frame),
+                         pose(3, cloud_pose),
+                         size_number(4, cloud.point_step),
+                         message(5, add_field),
+                         {6, pbf_wire_type::length_delimited, set_data}});
+    if (!(glm::length(glm::dvec3(cloud_pose.position)) + glm::length(glm::dvec3(cloud_pose.rotation)) <=
+          1e-9))
+        fail("the cloud has a pose, expected a pose without translation and rotation");
     cloud.height = 1;
     cloud.width = cloud.point_step == 0 ? 0 : std::uint32_t(cloud.data.size() / cloud.point_step);
     cloud.row_step = cloud.width * cloud.point_step;
     return cloud;
 }
 
-/// Reads foxglove.FrameTransform. A missing field is the identity.
-void add_transform(TransformListMessage& list, pbf_reader reader) {
+/// Reads foxglove.FrameTransform.
+void add_transform(TransformListMessage& list, const pbf_reader& reader) {
     TransformMessage transform;
-    glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited))
-            transform.header.stamp_ns = read_stamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kLengthDelimited)) transform.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kLengthDelimited)) transform.child = reader.get_string();
-        else if (is_field(reader, 4, kLengthDelimited)) translation = read_xyzw(reader.get_message());
-        else if (is_field(reader, 5, kLengthDelimited)) rotation = read_xyzw(reader.get_message());
-        else reader.skip();
-    }
-    list.add_if_valid(std::move(transform), to_pose(translation, rotation));
+    PbfPose parent_from_child;
+    read_fields(reader, {stamp(1, transform.header.stamp_ns), text(2, transform.header.frame),
+                         text(3, transform.child), vector(4, parent_from_child.position),
+                         vector(5, parent_from_child.rotation)});
+    list.add_if_valid(std::move(transform), parent_from_child.components());
 }
 
-/// Reads foxglove.LocationFix: latitude (1), longitude (2), altitude (3), timestamp (6)
-/// and frame_id (7).
-FixMessage parse_fix(pbf_reader reader) {
-    constexpr auto kFixed64 = pbf_wire_type::fixed64;
+/// Reads foxglove.LocationFix.
+FixMessage parse_fix(const pbf_reader& reader) {
     FixMessage fix;
-    while (reader.next()) {
-        if (is_field(reader, 1, kFixed64)) fix.position.latitude_deg = reader.get_double();
-        else if (is_field(reader, 2, kFixed64)) fix.position.longitude_deg = reader.get_double();
-        else if (is_field(reader, 3, kFixed64)) fix.position.height_m = reader.get_double();
-        else if (is_field(reader, 6, kLengthDelimited))
-            fix.header.stamp_ns = read_stamp_ns(reader.get_message());
-        else if (is_field(reader, 7, kLengthDelimited)) fix.header.frame = reader.get_string();
-        else reader.skip();
-    }
+    read_fields(reader,
+                {number(1, fix.position.latitude_deg), number(2, fix.position.longitude_deg),
+                 number(3, fix.position.height_m), stamp(6, fix.header.stamp_ns), text(7, fix.header.frame)});
     return fix;
 }
 
-/// Reads the pose and the size of a foxglove.CubePrimitive.
-void read_cube(pbf_reader reader, BoxMessage& box, PoseComponents& pose) {
-    glm::dvec4 position(0.0), rotation(0.0, 0.0, 0.0, 1.0);
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited)) {
-            pbf_reader part = reader.get_message();
-            while (part.next()) {
-                if (is_field(part, 1, kLengthDelimited)) position = read_xyzw(part.get_message());
-                else if (is_field(part, 2, kLengthDelimited)) rotation = read_xyzw(part.get_message());
-                else part.skip();
-            }
-        } else if (is_field(reader, 2, kLengthDelimited)) box.size_m = read_xyzw(reader.get_message());
-        else reader.skip();
-    }
-    pose = to_pose(position, rotation);
-}
-
-/// Returns the value of a foxglove.KeyValuePair if it has the expected key, or "".
-std::string read_value(pbf_reader reader, std::string_view expected_key) {
-    std::string key, value;
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited)) key = reader.get_string();
-        else if (is_field(reader, 2, kLengthDelimited)) value = reader.get_string();
-        else reader.skip();
-    }
-    return key == expected_key ? value : "";
-}
-
 /// Reads a scene entity. Adds it as a box if it consists of exactly one cube.
-void add_entity(BoxListMessage& box_list, pbf_reader reader) {
+void add_entity(BoxListMessage& box_list, const pbf_reader& reader) {
     BoxMessage box;
-    PoseComponents pose{};
+    PbfPose box_pose;
     std::size_t n_cubes = 0;
-    while (reader.next()) {
-        if (is_field(reader, 1, kLengthDelimited)) box.header.stamp_ns = read_stamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kLengthDelimited)) box.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kLengthDelimited)) box.id = reader.get_string();
-        else if (is_field(reader, 6, kLengthDelimited)) {
-            const std::string category = read_value(reader.get_message(), "category");
-            if (!category.empty()) box.category = category;
-        } else if (is_field(reader, 8, kLengthDelimited)) {
-            read_cube(reader.get_message(), box, pose);
-            ++n_cubes;
-        } else reader.skip();
-    }
+    const auto read_metadata = [&](const pbf_reader& pair) {
+        std::string key, value;
+        read_fields(pair, {text(1, key), text(2, value)});
+        if (key == "category" && !value.empty()) box.category = value;
+    };
+    const auto read_cube = [&](const pbf_reader& cube) {
+        glm::dvec4 size(box.size_m, 0.0);
+        read_fields(cube, {pose(1, box_pose), vector(2, size)});
+        box.size_m = size;
+        ++n_cubes;
+    };
+    read_fields(reader, {stamp(1, box.header.stamp_ns), text(2, box.header.frame), text(3, box.id),
+                         message(6, read_metadata), message(8, read_cube)});
     if (box_list.header.frame.empty()) box_list.header = box.header;
-    if (n_cubes == 1) box_list.add_if_valid(std::move(box), pose);
+    if (n_cubes == 1) box_list.add_if_valid(std::move(box), box_pose.components());
     else if (n_cubes > 1) ++box_list.n_left_out;
 }
 
@@ -213,7 +178,7 @@ auto parse(const char* schema, std::string_view message_bytes, const Read& read)
 BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
     return parse("foxglove.SceneUpdate", message_bytes, [](pbf_reader reader) {
         BoxListMessage list;
-        while (reader.next(2, kLengthDelimited)) add_entity(list, reader.get_message());
+        while (reader.next(2, pbf_wire_type::length_delimited)) add_entity(list, reader.get_message());
         return list;
     });
 }
@@ -229,7 +194,7 @@ FixMessage read_foxglove_fix(std::string_view message_bytes) {
 TransformListMessage read_foxglove_tf(std::string_view message_bytes) {
     return parse("foxglove.FrameTransforms", message_bytes, [](pbf_reader reader) {
         TransformListMessage list;
-        while (reader.next(1, kLengthDelimited)) add_transform(list, reader.get_message());
+        while (reader.next(1, pbf_wire_type::length_delimited)) add_transform(list, reader.get_message());
         return list;
     });
 }

@@ -47,10 +47,6 @@ bool TransformChain::covers_time(double t_s) const {
     });
 }
 
-bool TransformChain::is_moving() const {
-    return std::ranges::any_of(links_, [](const PoseTrack& link) { return link.pose.size() > 1; });
-}
-
 void FrameTree::add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static) {
     if (transform.child.empty() || transform.child == transform.header.frame) return;
     FrameTreeEdge& link = parents_[transform.child][transform.header.frame];
@@ -63,7 +59,7 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t ti
         link.changes = link.changes || glm::distance(first.translation, current.translation) > 1e-6 ||
                        std::abs(glm::dot(first.rotation, current.rotation)) < 1.0 - 1e-12;
     }
-    link.samples.push_back({transform.header.stamp_ns, time_ns, transform.parent_from_child});
+    link.samples.push_back({{transform.header.stamp_ns, time_ns}, transform.parent_from_child});
 }
 
 const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent(

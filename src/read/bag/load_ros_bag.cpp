@@ -2,7 +2,7 @@
 // Loads a recording in two passes. The first pass finds the topics, clouds and poses,
 // with limited memory. The second pass reads only the clouds of the requested frames.
 // These clouds become scans in the same way as the scan files of a plain folder.
-#include "read/bag/load_ros_bag.hpp"
+#include "read/readers.hpp"
 
 #include <algorithm>
 #include <optional>

@@ -47,22 +47,13 @@ MessageReader open_message(const BagTopic& topic, std::string_view message_bytes
 
 /// Reads the description of a field of a point cloud (sensor_msgs/PointField).
 CloudMessage::CloudField read_ros_field(MessageReader& reader) {
-    struct Type {
-        char kind;
-        std::size_t size;
-    };
-    static constexpr Type kRosTypes[] = {{'I', 1}, {'U', 1}, {'I', 2}, {'U', 2},
-                                         {'I', 4}, {'U', 4}, {'F', 4}, {'F', 8}};
-    CloudMessage::CloudField field{std::string(reader.read_string())};
+    CloudMessage::CloudField field;
+    field.name = reader.read_string();
     field.offset = reader.read_number<std::uint32_t>();
     const auto type = reader.read_number<std::uint8_t>();
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
-    if (type < 1 || type > std::size(kRosTypes))
-        fail("the field '{}' of the cloud has the data type {}, expected 1 to {} (sensor_msgs/PointField)",
-             quote(field.name), type, std::size(kRosTypes));
-    field.kind = kRosTypes[type - 1].kind;
-    field.size = kRosTypes[type - 1].size;
+    field.set_type(type, {"I1", "U1", "I2", "U2", "I4", "U4", "F4", "F8"});
     return field;
 }
 
@@ -103,14 +94,66 @@ CloudMessage read_livox(MessageReader& reader) {
     cloud.is_big_endian = reader.is_swapped();
     cloud.point_step = reader.is_ros1() ? kLivoxPointBytes : kLivoxPointBytes + 1;
     cloud.row_step = n * cloud.point_step;
-    cloud.fields = {{"offset_time", 0, 'U', 4},   {"x", 4, 'F', 4},    {"y", 8, 'F', 4},    {"z", 12, 'F', 4},
-                    {"reflectivity", 16, 'U', 1}, {"tag", 17, 'U', 1}, {"line", 18, 'U', 1}};
+    cloud.fields = {
+        {{"offset_time", 'U', 4}, 0},   {{"x", 'F', 4}, 4},    {{"y", 'F', 4}, 8},    {{"z", 'F', 4}, 12},
+        {{"reflectivity", 'U', 1}, 16}, {{"tag", 'U', 1}, 17}, {{"line", 'U', 1}, 18}};
     cloud.data =
         n == 0 ? std::string_view() : reader.read_bytes((n - 1) * cloud.point_step + kLivoxPointBytes);
     return cloud;
 }
 
+/// Returns the memory layout of a point: its known fields, sorted by offset. Unused
+/// fields fill the gaps between the known fields.
+std::vector<read::PointField> make_layout(const CloudMessage& cloud,
+                                          const std::vector<CloudMessage::CloudField>& sorted_fields) {
+    std::vector<read::PointField> layout;
+    std::size_t at = 0;
+    const auto skip_to = [&](std::size_t offset) {
+        if (offset > at) layout.push_back({std::string(read::kPaddingName), 'U', 1, offset - at});
+        at = offset;
+    };
+    for (const CloudMessage::CloudField& field : sorted_fields) {
+        if (field.offset < at)
+            fail(
+                "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} or "
+                "more",
+                quote(field.name), field.offset, at);
+        skip_to(field.offset);
+        layout.push_back(field);
+        at += field.size * field.count;
+    }
+    skip_to(cloud.point_step);
+    return layout;
+}
+
+/// Copies all points of a cloud. Removes the padding between rows, and converts the
+/// values to the byte order of this computer.
+std::string pack_points(const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& fields) {
+    const std::size_t row = cloud.width * cloud.point_step;
+    std::string points;
+    points.reserve(cloud.height * row);
+    for (std::size_t r = 0; r < cloud.height; ++r)
+        points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
+    // The last point may be truncated. Its missing bytes become 0.
+    points.resize(cloud.height * row, '\0');
+    if (!cloud.is_big_endian) return points;
+    for (std::size_t i = 0; i < cloud.size(); ++i)
+        for (const CloudMessage::CloudField& field : fields)
+            std::reverse(points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset),
+                         points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset + field.size));
+    return points;
+}
+
 }  // namespace
+
+void CloudMessage::CloudField::set_type(std::int64_t type, const std::vector<std::string>& types) {
+    if (type < 1 || type > std::ssize(types))
+        fail("the field '{}' of the cloud has the data type {}, expected 1 to {}", quote(name), type,
+             types.size());
+    const std::string& name_of_type = types[std::size_t(type - 1)];
+    kind = name_of_type[0];
+    size = std::size_t(name_of_type[1] - '0');
+}
 
 std::int64_t read_time_ns(MessageReader& reader) {
     const std::int64_t seconds = reader.is_ros1() ? std::int64_t(reader.read_number<std::uint32_t>())
@@ -187,6 +230,26 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
     // LiDARs that share a topic differ in their frame.
     cloud.lidar = cloud.header.frame;
     return cloud;
+}
+
+read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes) {
+    if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
+    std::vector<CloudMessage::CloudField> point_fields;
+    std::ranges::copy_if(cloud.fields, std::back_inserter(point_fields),
+                         [](const CloudMessage::CloudField& f) { return read::is_known_field(f.name); });
+    std::ranges::sort(point_fields, {}, &CloudMessage::CloudField::offset);
+    const std::size_t n_bytes = cloud.size() * cloud.point_step;
+    // Points without gaps between rows, in our byte order, are not copied.
+    const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
+                           (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
+    const std::vector<read::PointField> layout = make_layout(cloud, point_fields);
+    const SharedBytes points = is_packed ? message_bytes.share_part(cloud.data.substr(0, n_bytes))
+                                         : share_bytes(pack_points(cloud, point_fields));
+    read::PointTable table =
+        read::table_of_records(points, layout, cloud.size(), read::PointMemoryLayout::by_point, "points");
+    for (const CloudMessage::CloudField& field : cloud.fields)
+        if (!read::is_known_field(field.name)) table.unread.push_back(field.name);
+    return table;
 }
 
 void TransformListMessage::add_if_valid(TransformMessage transform, const PoseComponents& pose) {

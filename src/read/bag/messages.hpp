@@ -33,11 +33,12 @@ struct CloudMessage {
     /// otherwise the frame.
     std::string lidar;
     std::uint32_t height = 0, width = 0;
-    struct CloudField {
-        std::string name;
+    struct CloudField : read::PointField {
         std::size_t offset = 0;  ///< byte offset in a point
-        char kind = 'F';         ///< 'F' means float, 'I' signed integer, 'U' unsigned integer
-        std::size_t size = 4, count = 1;
+
+        /// @param type  number type, as a position in `types`, starting at 1
+        /// @param types  kind and size of each type, for example "F4"
+        void set_type(std::int64_t type, const std::vector<std::string>& types);
     };
     std::vector<CloudField> fields;
     bool is_big_endian = false;

@@ -2,8 +2,10 @@
 #include "read/bag/part_file.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <climits>
+#include <cstdio>
 #include <cstdlib>
 #include <memory>
 #include <system_error>
@@ -46,31 +48,27 @@ struct CloseFile {
 };
 using File = std::unique_ptr<std::FILE, CloseFile>;
 
-/// Creates an empty file without a name, for reading and writing.
-File open_temporary() {
-    std::error_code failed;
-    std::string name = (std::filesystem::temp_directory_path(failed) / "relidar-XXXXXX").string();
-    const int descriptor = failed ? -1 : mkstemp(name.data());
-    File file(descriptor < 0 ? nullptr : fdopen(descriptor, "w+b"));
-    if (!file) fail("cannot create a temporary file to unpack a recording");
-    unlink(name.c_str());
-    return file;
+constexpr std::string_view kGzipMagic("\x1f\x8b", 2);  // first bytes of a gzip file
+
+/// Decompresses a gzip file, like stream_zstd().
+/// @return false if the file is damaged or truncated
+bool unpack_gzip(const std::filesystem::path& file,
+                 const std::function<void(std::string_view)>& write_block) {
+    const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(file.c_str(), "rb"), gzclose);
+    if (!reader) fail("the file cannot be read");
+    std::vector<char> block(1 << 20);
+    int n = 0, code = Z_OK;
+    while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0)
+        write_block({block.data(), std::size_t(n)});
+    gzerror(reader.get(), &code);
+    return n == 0 && (code == Z_OK || code == Z_STREAM_END);
 }
 
-/// Writes bytes of an unpacked file. Flushes the file if there are no bytes.
-void write_block(const File& unpacked, std::string_view bytes, const std::filesystem::path& packed) {
-    if (std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) != bytes.size() ||
-        (bytes.empty() && std::fflush(unpacked.get()) != 0))
-        fail("cannot unpack {}: no space is left in {}", packed.string(),
-             std::filesystem::temp_directory_path().string());
-}
-
-/// Throws if an unpacked file is so much larger than the file that the file is damaged.
-void check_size(const std::filesystem::path& packed, std::uint64_t n_unpacked) {
-    constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
-    if (n_unpacked > kSmall && n_unpacked / kMostGrowth > std::filesystem::file_size(packed))
-        fail("cannot unpack {}: found more than {} bytes, expected at most {} times the size of the file",
-             packed.string(), n_unpacked, kMostGrowth);
+bool unpack_zstd(std::FILE* file, const std::function<void(std::string_view)>& write_block) {
+    std::vector<char> block(1 << 20);
+    return stream_zstd(
+        [&] { return std::string_view(block.data(), std::fread(block.data(), 1, block.size(), file)); },
+        write_block);
 }
 
 }  // namespace
@@ -145,35 +143,46 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
     });
 }
 
-std::filesystem::path strip_zstd(const std::filesystem::path& file) {
-    return file.extension() == ".zstd" || file.extension() == ".zst"
+std::filesystem::path strip_packed(const std::filesystem::path& file) {
+    const std::string ending = file.extension().string();
+    return ending == ".gz" || ending == ".zst" || ending == ".zstd"
                ? std::filesystem::path(file).replace_extension()
                : file;
 }
 
-UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(file) {
+UnpackedFile::UnpackedFile(const std::filesystem::path& file) : path_(file) {
     const File packed(std::fopen(file.c_str(), "rb"));
-    std::vector<char> block(1 << 20);
-    const auto read_block = [&] {
-        return std::string_view(block.data(), std::fread(block.data(), 1, block.size(), packed.get()));
-    };
-    // The callers report a file that cannot be read.
-    if (!packed || !read_block().starts_with(kZstdMagic)) return;
+    if (!packed) return;  // The callers report a file that cannot be read.
+    std::array<char, kZstdMagic.size()> first{};
+    const std::string_view begin(first.data(), std::fread(first.data(), 1, first.size(), packed.get()));
+    const bool is_gzip = begin.starts_with(kGzipMagic);
+    if (!is_gzip && !begin.starts_with(kZstdMagic)) return;
     std::rewind(packed.get());
     std::string folder = (std::filesystem::temp_directory_path() / "relidar-XXXXXX").string();
     if (!mkdtemp(folder.data())) fail("cannot create a temporary folder to unpack a recording");
     temporary_folder_ = folder;
-    path_ = temporary_folder_ / strip_zstd(file).filename();
+    path_ = temporary_folder_ / strip_packed(file).filename();
     try {
         const File unpacked(std::fopen(path_.c_str(), "wb"));
         if (!unpacked) fail("cannot write {}", path_.string());
+        const auto require_space = [&](bool has_space) {
+            if (!has_space)
+                fail("no space is left in {} for the unpacked file",
+                     std::filesystem::temp_directory_path().string());
+        };
+        const std::uint64_t n_packed = std::filesystem::file_size(file);
         std::uint64_t n_unpacked = 0;
-        is_truncated_ = !stream_zstd(read_block, [&](std::string_view bytes) {
-            check_size(file, n_unpacked += bytes.size());
-            write_block(unpacked, bytes, file);
-        });
-        // No bytes: flushes the file.
-        write_block(unpacked, {}, file);
+        const auto write_block = [&](std::string_view bytes) {
+            // A file that grows more is damaged.
+            constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+            n_unpacked += bytes.size();
+            if (n_unpacked > kSmall && n_unpacked / kMostGrowth > n_packed)
+                fail("found more than {} unpacked bytes, expected at most {} times the size of the file",
+                     n_unpacked, kMostGrowth);
+            require_space(std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) == bytes.size());
+        };
+        is_truncated_ = !(is_gzip ? unpack_gzip(file, write_block) : unpack_zstd(packed.get(), write_block));
+        require_space(std::fflush(unpacked.get()) == 0);
     } catch (const DataError& error) {
         // A constructor that throws has no destructor call, so it cleans up here.
         std::error_code ignored;
@@ -182,39 +191,9 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
     }
 }
 
-UnpackedZstdFile::~UnpackedZstdFile() {
+UnpackedFile::~UnpackedFile() {
     std::error_code ignored;
     if (!temporary_folder_.empty()) std::filesystem::remove_all(temporary_folder_, ignored);
-}
-
-std::filesystem::path strip_gz(const std::filesystem::path& file) {
-    return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
-}
-
-DecompressedFile open_unpacked(const std::filesystem::path& path) {
-    File packed(std::fopen(path.c_str(), "rb"));
-    if (!packed) fail("cannot read {}", path.string());
-    // Every gzip file begins with the bytes 1f 8b.
-    const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());
-    std::rewind(packed.get());
-    if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
-    const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
-    if (!reader) fail("cannot read {}", path.string());
-    File unpacked = open_temporary();
-    std::uint64_t n_unpacked = 0;
-    std::vector<char> block(1 << 20);
-    int n = 0;
-    while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0) {
-        check_size(path, n_unpacked += std::uint64_t(n));
-        write_block(unpacked, {block.data(), std::size_t(n)}, path);
-    }
-    // No bytes: flushes the file.
-    write_block(unpacked, {}, path);
-    int code = Z_OK;
-    gzerror(reader.get(), &code);
-    const bool is_cut = n < 0 || (code != Z_OK && code != Z_STREAM_END);
-    std::rewind(unpacked.get());
-    return {unpacked.release(), is_cut ? "the gzip file is damaged or truncated" : ""};
 }
 
 }  // namespace relidar::bag

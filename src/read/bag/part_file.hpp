@@ -4,7 +4,6 @@
 #pragma once
 
 #include <cstdint>
-#include <cstdio>
 #include <deque>
 #include <filesystem>
 #include <functional>
@@ -57,33 +56,20 @@ private:
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t size);
 
-/// Removes the extension ".gz", if the path has it.
-std::filesystem::path strip_gz(const std::filesystem::path& file);
+/// Removes the extension ".gz", ".zst" or ".zstd", if the path has it.
+std::filesystem::path strip_packed(const std::filesystem::path& file);
 
-/// A file that is open for reading. If it was compressed with gzip, this is the unpacked
-/// file. The caller must close it.
-struct DecompressedFile {
-    std::FILE* file = nullptr;
-    std::string problem;  ///< text about a truncated gzip file; empty if the file is complete
-};
-/// Opens a file. Unpacks a gzip file to a temporary file first, which the system deletes
-/// when it is closed.
-/// @throws DataError if the file cannot be read or unpacked
-DecompressedFile open_unpacked(const std::filesystem::path& file);
-
-/// Removes the extension ".zstd" or ".zst", if the path has it.
-std::filesystem::path strip_zstd(const std::filesystem::path& file);
-
-/// A temporary unpacked copy of a file that was compressed with zstd. The destructor
-/// deletes the copy. On Linux, programs that opened it before can still read it.
-class UnpackedZstdFile {
+/// A temporary unpacked copy of a file that was compressed with gzip or zstd. The
+/// destructor deletes the copy. On Linux, programs that opened it before can still read
+/// it.
+class UnpackedFile {
 public:
-    /// Unpacks a file. Makes no copy of a file that does not begin like zstd data.
-    /// @throws DataError if the file cannot be read or unpacked
-    explicit UnpackedZstdFile(const std::filesystem::path& file);
-    ~UnpackedZstdFile();
-    UnpackedZstdFile(const UnpackedZstdFile&) = delete;
-    UnpackedZstdFile& operator=(const UnpackedZstdFile&) = delete;
+    /// Unpacks a file. Makes no copy of a file that does not begin like compressed data.
+    /// @throws DataError if the file cannot be unpacked
+    explicit UnpackedFile(const std::filesystem::path& file);
+    ~UnpackedFile();
+    UnpackedFile(const UnpackedFile&) = delete;
+    UnpackedFile& operator=(const UnpackedFile&) = delete;
 
     /// Returns the path of the copy, or of the file itself if it is not compressed.
     const std::filesystem::path& path() const { return path_; }

@@ -176,16 +176,10 @@ class PcapFile : public BagFile {
 public:
     explicit PcapFile(const std::filesystem::path& path) : path_(path) {
         char why[PCAP_ERRBUF_SIZE] = "";
-        const DecompressedFile unpacked = open_unpacked(path);
-        fseeko(unpacked.file, 0, SEEK_END);
-        bytes_ = std::uint64_t(std::max<off_t>(ftello(unpacked.file), 0));
-        std::rewind(unpacked.file);
-        pcap_.reset(pcap_fopen_offline_with_tstamp_precision(unpacked.file, PCAP_TSTAMP_PRECISION_NANO, why));
-        // libpcap closes the file only if it could open the capture.
-        if (!pcap_) std::fclose(unpacked.file);
-        if (!unpacked.problem.empty())
-            problem_ = fmt::format("{}: {}; the packets after the damaged part are missing", path.string(),
-                                   unpacked.problem);
+        const UnpackedFile unpacked(path);
+        is_truncated_ = unpacked.is_truncated();
+        pcap_.reset(pcap_open_offline_with_tstamp_precision(unpacked.path().c_str(),
+                                                            PCAP_TSTAMP_PRECISION_NANO, why));
         if (!pcap_)
             fail("{}: cannot read the capture ({}), expected packets in the format pcap or pcapng",
                  path.string(), quote(why));
@@ -194,13 +188,17 @@ public:
             fail("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
                  path.string(), link_);
         begin_ = tell();
+        bytes_ = std::filesystem::file_size(unpacked.path());
     }
 
     void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::read_metadata_files(strip_gz(path_), broken);
-        if (!problem_.empty()) callbacks.note(problem_);
+        ousters_ = packets::read_metadata_files(strip_packed(path_), broken);
+        if (is_truncated_)
+            callbacks.note(fmt::format(
+                "{}: the compressed data (gzip or zstd) are damaged or truncated; later packets are missing",
+                path_.string()));
         for (const std::string& text : broken) callbacks.note(text);
         streams_.clear();
         seek_to_byte(begin_);
@@ -283,7 +281,7 @@ private:
     packets::MetadataList ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
     std::uint64_t bytes_ = 0;
-    std::string problem_;  ///< note about a truncated gzip file; may be empty
+    bool is_truncated_ = false;  ///< true if the capture was compressed and its end is missing
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
     int link_ = 0;
     std::uint64_t begin_ = 0;

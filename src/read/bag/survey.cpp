@@ -34,14 +34,17 @@ public:
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
         count_broken(message.topic, [&] {
             const BagTopic& topic = bag_.topics()[message.topic];
-            const MessagePurpose use = find_purpose(topic);
-            if (use == MessagePurpose::cloud) index_cloud(topic, message);
-            if (use == MessagePurpose::packets) index_packets(topic, message);
-            if (use == MessagePurpose::metadata) index_metadata(topic, message);
-            if (use == MessagePurpose::transforms) index_transforms(topic, message);
-            if (use == MessagePurpose::pose) index_poses(topic, message);
-            if (use == MessagePurpose::boxes) index_boxes(topic, message);
-            if (use == MessagePurpose::fix) index_fix(topic, message);
+            switch (find_purpose(topic)) {
+                case MessagePurpose::cloud: return index_cloud(topic, message);
+                case MessagePurpose::packets: return index_packets(topic, message);
+                case MessagePurpose::metadata: return index_metadata(topic, message);
+                case MessagePurpose::transforms: return index_transforms(topic, message);
+                case MessagePurpose::pose: return index_poses(topic, message);
+                case MessagePurpose::boxes: return index_boxes(topic, message);
+                case MessagePurpose::fix: return index_fix(topic, message);
+                case MessagePurpose::nameless_boxes:
+                case MessagePurpose::nothing: return;
+            }
         });
     }
 
@@ -59,7 +62,7 @@ public:
         has_read_metadata_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.file_paths())
-            for (const auto& format : packets::read_metadata_files(strip_gz(file), broken))
+            for (const auto& format : packets::read_metadata_files(strip_packed(file), broken))
                 ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
@@ -111,9 +114,10 @@ private:
         if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
             clouds.other_frame = cloud.header.frame;
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
-        clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.message_position});
-        if (const std::optional<AzimuthArc> arc = azimuth_arc(cloud))
-            clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.message_position, n, *arc});
+        const MessageTimes times{cloud.header.stamp_ns, message.log_ns};
+        clouds.clouds.push_back({times, n, message.message_position});
+        if (const auto arc = azimuth_arc(to_point_table(cloud, {nullptr, message.bytes})))
+            clouds.arcs.push_back({times, message.message_position, n, *arc});
     }
 
     /// Adds the packets of a message. Postpones Ouster packets without known metadata to
@@ -126,7 +130,7 @@ private:
         if (!corrections_) {
             corrections_.emplace();  // a file with an error is read only once
             std::vector<std::filesystem::path> names;
-            for (const std::filesystem::path& file : bag_.file_paths()) names.push_back(strip_gz(file));
+            for (const std::filesystem::path& file : bag_.file_paths()) names.push_back(strip_packed(file));
             corrections_ = packets::find_angle_files(names);
         }
         packets::DecoderCalibration calibration{*corrections_};
@@ -176,7 +180,8 @@ private:
                 poses.parent = transform.header.frame;
                 poses.child = transform.child;
             }
-            poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
+            poses.samples.push_back(
+                {{transform.header.stamp_ns, message.log_ns}, transform.parent_from_child});
         }
     }
 
@@ -185,7 +190,7 @@ private:
         if (!fix.is_valid()) return;
         FixTopic& fixes = find_entry(survey_.fixes, message.topic);
         fixes.frame = fix.header.frame;
-        fixes.samples.push_back({fix.header.stamp_ns, message.log_ns, fix.position});
+        fixes.samples.push_back({{fix.header.stamp_ns, message.log_ns}, fix.position});
     }
 
     void index_boxes(const BagTopic& topic, const BagMessage& message) {
@@ -197,7 +202,8 @@ private:
         boxes.n_boxes += list.boxes.size();
         boxes.n_named += std::size_t(
             std::ranges::count_if(list.boxes, [](const BoxMessage& box) { return !box.id.empty(); }));
-        boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.message_position});
+        boxes.lists.push_back(
+            {{list.boxes.front().header.stamp_ns, message.log_ns}, message.message_position});
     }
 
     template <class Entry>
@@ -280,8 +286,8 @@ void join_parts(CloudTopic& cloud_topic) {
     cloud_topic.clouds.clear();
     for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
         const RevolutionPart& middle = revolution[revolution.size() / 2];
-        CloudEntry& entry = cloud_topic.clouds.emplace_back(
-            CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.message_position, 0, revolution});
+        CloudEntry& entry =
+            cloud_topic.clouds.emplace_back(CloudEntry{middle, 0, middle.message_position, 0, revolution});
         for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
     }
     cloud_topic.parts_about = fmt::format(
@@ -337,8 +343,10 @@ BagIndex index_bag(BagRecording& bag, const Progress& progress) {
         // Each revolution of packets is a cloud. Its number of points (0) is unknown.
         for (std::size_t t = 0; t < clouds.revolutions.size(); ++t) {
             const packets::PacketRevolution& revolution = clouds.revolutions[t];
-            clouds.clouds.push_back({revolution.forward_ns, revolution.log_ns, 0,
-                                     clouds.packets.messages_of(revolution).front().message_position, t});
+            clouds.clouds.push_back({{revolution.forward_ns, revolution.log_ns},
+                                     0,
+                                     clouds.packets.messages_of(revolution).front().message_position,
+                                     t});
         }
     }
     for (CloudTopic& clouds : survey.clouds) join_parts(clouds);

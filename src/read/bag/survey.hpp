@@ -26,11 +26,15 @@ enum class LogClock {
     recorder
 };
 
-struct StampedPose {
+/// Time stamp and recording time of a message.
+struct MessageTimes {
     std::int64_t stamp_ns = 0, log_ns = 0;
-    Pose pose;
 
     std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+};
+
+struct StampedPose : MessageTimes {
+    Pose pose;
 };
 
 /// Pose of a frame in one of its ancestor frames as a function of time: the product of
@@ -45,7 +49,6 @@ public:
     /// Returns true if every transform is known at `t_s`: a moving one from 0.1 s before
     /// its first sample to 0.1 s after its last.
     bool covers_time(double t_s) const;
-    bool is_moving() const;
 
 private:
     /// From the ancestor down to the child. A constant transform has a single sample.
@@ -68,7 +71,6 @@ struct FramePose {
 class FrameTree {
 public:
     void add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static);
-    bool empty() const { return parents_.empty(); }
     /// Returns a frame and all its ancestors, up to the root of the tree.
     std::vector<std::string> path_to_root(const std::string& start_frame) const;
     bool is_frame_moving(const std::string& frame) const;
@@ -108,10 +110,9 @@ struct AzimuthArc {
 };
 /// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
 /// points. Returns nothing if the cloud has no field x or y.
-std::optional<AzimuthArc> azimuth_arc(const CloudMessage& cloud);
+std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud);
 
-struct RevolutionPart {
-    std::int64_t stamp_ns = 0, log_ns = 0;
+struct RevolutionPart : MessageTimes {
     MessagePosition message_position;
     std::uint32_t n_points = 0;
     AzimuthArc arc;
@@ -141,8 +142,7 @@ struct TopicStatistics {
     }
 };
 
-struct CloudEntry {
-    std::int64_t stamp_ns = 0, log_ns = 0;
+struct CloudEntry : MessageTimes {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
     std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
@@ -151,8 +151,6 @@ struct CloudEntry {
     /// Time stamp in the message minus `stamp_ns`, if the clock of the LiDAR was set
     /// during the recording.
     std::int64_t correction_ns = 0;
-
-    std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
 /// The clouds of a LiDAR on a topic.
@@ -190,8 +188,7 @@ struct PoseTopic {
 };
 
 /// A message that contains at least one box.
-struct BoxIndexEntry {
-    std::int64_t stamp_ns = 0, log_ns = 0;
+struct BoxIndexEntry : MessageTimes {
     MessagePosition message_position;
 };
 
@@ -206,11 +203,8 @@ struct BoxTopic {
 
 /// Positions on the earth of an antenna.
 struct FixTopic {
-    struct Sample {
-        std::int64_t stamp_ns = 0, log_ns = 0;
+    struct Sample : MessageTimes {
         GeodeticPosition position;
-
-        std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
     };
     std::size_t topic = 0;
     std::string frame;  ///< frame of the antenna

@@ -5,7 +5,6 @@
 #include <array>
 #include <cmath>
 #include <complex>
-#include <cstring>
 
 #include <fmt/format.h>
 
@@ -29,25 +28,6 @@ constexpr double kMaxOverlap = 0.8, kMaxAbutGap = 0.4;
 // step.
 constexpr double kMinPauseSteps = 1.6;
 constexpr double kDegreesPerRad = 180.0 / kPi;
-
-/// @param field  float or double
-double read_float(const CloudMessage& cloud, const CloudMessage::CloudField& field, std::size_t point_index) {
-    const std::size_t row = point_index / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
-    char raw[8] = {};
-    std::memcpy(raw, cloud.data.data() + row + point_index % cloud.width * cloud.point_step + field.offset,
-                field.size);
-    if (cloud.is_big_endian) std::reverse(raw, raw + field.size);
-    float narrow;
-    double wide;
-    std::memcpy(&narrow, raw, sizeof narrow);
-    std::memcpy(&wide, raw, sizeof wide);
-    return field.size == sizeof narrow ? double(narrow) : wide;
-}
-
-const CloudMessage::CloudField* find_float(const CloudMessage& cloud, const char* field_name) {
-    const auto field = std::ranges::find(cloud.fields, field_name, &CloudMessage::CloudField::name);
-    return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
-}
 
 /// Returns the azimuth range that contains all points: the full circle except its widest
 /// gap. Returns nothing if no bin has a point.
@@ -127,15 +107,16 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPa
 
 }  // namespace
 
-std::optional<AzimuthArc> azimuth_arc(const CloudMessage& cloud) {
-    const CloudMessage::CloudField *x = find_float(cloud, "x"), *y = find_float(cloud, "y");
+std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud) {
+    const read::PointFieldView *x = cloud.find_field(read::PointAttribute::x),
+                               *y = cloud.find_field(read::PointAttribute::y);
     if (!x || !y) return std::nullopt;
     std::array<bool, kAzimuthBins> is_bin_occupied{};
-    const std::size_t n = std::min(kAzimuthSamples, cloud.size());
+    const std::size_t n = std::min(kAzimuthSamples, cloud.n);
     for (std::size_t k = 0; k < n; ++k) {
         // Samples are evenly spread over the cloud.
-        const std::size_t point = k * cloud.size() / n;
-        const double px = read_float(cloud, *x, point), py = read_float(cloud, *y, point);
+        const std::size_t point = k * cloud.n / n;
+        const double px = (*x)[point], py = (*y)[point];
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
         // Bin 0 begins at azimuth -pi. The modulo moves +pi to bin 0.
         is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] =

@@ -337,7 +337,7 @@ MetadataList read_metadata_files(const fs::path& recording, std::vector<std::str
     std::ranges::sort(files);
     std::set<std::string> recorded;  // names of the recordings in the folder
     for (const fs::path& file : files) {
-        const fs::path unpacked = bag::strip_gz(file);
+        const fs::path unpacked = bag::strip_packed(file);
         const std::string ending = unpacked.extension().string();
         if (ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
             ending == ".db3")
