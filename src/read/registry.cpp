@@ -20,7 +20,7 @@
 #include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
-#include "read/scans/far_marker.hpp"
+#include "read/scans/dropped_ray.hpp"
 #include "read/scans/pose_conventions.hpp"
 
 namespace relidar {

@@ -10,7 +10,7 @@
 #include "base/fail.hpp"
 #include "log/sensor/beam_geometry.hpp"
 #include "read/packets/packet_log.hpp"
-#include "read/scans/arrange_firings.hpp"
+#include "read/scans/sweep_firings.hpp"
 
 namespace relidar::packets {
 struct TurnPoints {

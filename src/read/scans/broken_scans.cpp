@@ -30,21 +30,13 @@ void ScanErrorCollector::report_broken(Log& sequence, std::size_t n_scans) const
 void ScanErrorCollector::remove_broken(Log& sequence) const {
     report_broken(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
-    std::vector<Frame> remaining_frames;
-    // times of the remaining frames; poses at other times are removed
-    std::set<double> times_s;
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        if (reasons_.contains(i)) continue;
-        times_s.insert(sequence.frames[i].time_s);
-        remaining_frames.push_back(std::move(sequence.frames[i]));
-    }
-    sequence.frames = std::move(remaining_frames);
+    std::size_t i = 0;
+    std::erase_if(sequence.frames, [&](const Frame&) { return reasons_.contains(i++); });
+    std::set<double> times_s;  // poses at other times are removed
+    for (const Frame& frame : sequence.frames) times_s.insert(frame.time_s);
     const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});
-    for (std::size_t i = 0; i < all.time_s.size(); ++i) {
-        if (!times_s.contains(all.time_s[i])) continue;
-        sequence.world_from_vehicle.time_s.push_back(all.time_s[i]);
-        sequence.world_from_vehicle.pose.push_back(all.pose[i]);
-    }
+    for (std::size_t k = 0; k < all.time_s.size(); ++k)
+        if (times_s.contains(all.time_s[k])) sequence.world_from_vehicle.append(all.time_s[k], all.pose[k]);
 }
 
 }  // namespace relidar

@@ -19,14 +19,11 @@ class ScanErrorCollector {
 public:
     explicit ScanErrorCollector(bool skip) : skip_(skip) {}
 
-    /// Calls `read_scan_part` unless an earlier part of the scan was broken. Stores its
-    /// error. Several threads can call this function at the same time.
-    /// @throws DataError from `read_scan_part`, unless the user allows broken scans
-    template <class Step>
     /// Calls `read_scan_part`, which reads a part of a scan. If it throws, stores the
     /// error and skips this scan in later calls. Several threads can call this function
     /// simultaneously.
     /// @throws DataError from `read_scan_part`, unless the user allows broken scans
+    template <class Step>
     void guard(std::size_t scan_index, const Step& read_scan_part) {
         if (is_scan_broken(scan_index)) return;
         try {

@@ -7,7 +7,11 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/arrays.hpp>
+
 #include "base/median.hpp"
+#include "read/files/scan_npz.hpp"
+#include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
 
 namespace relidar::read {
@@ -40,12 +44,12 @@ struct TimeRange {
     double resolution = 0.0;  ///< see time_resolution()
 };
 
-std::vector<TimeRange> list_time_ranges(const std::vector<read::PointTable>& clouds,
+std::vector<TimeRange> list_time_ranges(const std::vector<PointTable>& clouds,
                                         const std::vector<double>& cloud_stamps_s) {
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c)
-        if (const auto range = read::find_time_range(clouds[c]))
-            ranges.push_back({(*range)[0], (*range)[1], cloud_stamps_s[c], read::time_resolution(clouds[c])});
+        if (const auto range = find_time_range(clouds[c]))
+            ranges.push_back({(*range)[0], (*range)[1], cloud_stamps_s[c], time_resolution(clouds[c])});
     return ranges;
 }
 
@@ -96,10 +100,10 @@ PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, dou
 /// are precise if they are close to the stamps, or if they are small.
 bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
-    if (span > 0.0) return read::is_coarse_time(cloud.resolution, span);
+    if (span > 0.0) return is_coarse_time(cloud.resolution, span);
     const bool has_coarse_stamps = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
         const double resolution_s = cloud.resolution * unit.seconds;
-        return read::is_coarse_time(resolution_s, cloud_interval_s) &&
+        return is_coarse_time(resolution_s, cloud_interval_s) &&
                std::abs(cloud.first * unit.seconds - cloud.stamp_s) < kBesideStamp_s + resolution_s;
     });
     const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
@@ -109,7 +113,7 @@ bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double 
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
     return has_coarse_stamps ||
            (!is_clock && (cloud.resolution > kLargestStep ||
-                          (!is_constant && read::is_coarse_time(cloud.resolution, cloud_interval_s))));
+                          (!is_constant && is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
 /// Sets the unit and the reference of the point times. Uses the first unit with which the
@@ -124,7 +128,7 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
     const double span = spans[spans.size() / 2];
     if (are_times_coarse(time_ranges, span, cloud_interval_s)) {
         const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
-        units.about = read::describe_coarse(cloud.last, cloud.resolution);
+        units.about = describe_coarse(cloud.last, cloud.resolution);
         return;
     }
     units.is_deskewed = spans.back() == 0.0;
@@ -150,21 +154,90 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
                             span, cloud_interval_s);
 }
 
+namespace fs = std::filesystem;
+
+/// Reads the points of a few scans. Files of rays have no points and are left out.
+std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
+                                      const std::vector<std::string>& column_names) {
+    std::vector<fs::path> with_points = scan_files;
+    if (!has_npz_points(scan_files))
+        std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
+    std::vector<PointTable> samples;
+    read_samples(with_points.size(),
+                 [&](std::size_t i) { samples.push_back(read_point_file(with_points[i], column_names)); });
+    return samples;
+}
+
+/// Reads the arrays "intensity" and "time" of a few .npz files with rays.
+std::vector<PointTable> sample_images(std::vector<fs::path> files) {
+    std::erase_if(files, [](const fs::path& file) { return file.extension() != ".npz"; });
+    std::vector<PointTable> samples;
+    read_samples(files.size(), [&](std::size_t i) {
+        const std::vector<NamedArray> arrays = read_npz(files[i]);
+        PointTable& table = samples.emplace_back(arrays.empty() ? 0 : arrays[0].element_count());
+        for (const char* name : {"intensity", "time"})
+            if (const NamedArray* array = find_array(arrays, name);
+                array && array->element_count() == table.n)
+                table.add_value_field(name, ScalarType::f8, array->to_doubles(), "");
+    });
+    return samples;
+}
+
+/// Ignores times that have lost their precision, with a note.
+void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
+    constexpr double kTypicalSweep_s = 0.1;
+    for (const PointTable& cloud : samples) {
+        const auto range = find_time_range(cloud);
+        if (!range || units.ignore_times) continue;
+        const auto [first, last] = *range;
+        const double resolution = time_resolution(cloud),
+                     span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
+        units.ignore_times = is_coarse_time(resolution, span);
+        if (units.ignore_times) notes.push_back(describe_coarse(last, resolution));
+    }
+}
+
 }  // namespace
 
-PointCloudUnits estimate_cloud_units(const std::vector<read::PointTable>& clouds,
+PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
                                      const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
     PointCloudUnits units;
-    std::vector<read::PointTable> continuous_clouds = clouds;
-    for (read::PointTable& cloud : continuous_clouds) read::unwrap_times(cloud, false);
+    std::vector<PointTable> continuous_clouds = clouds;
+    for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, false);
     // Large unsigned times may be negative offsets, so both are compared.
-    std::vector<read::PointTable> signed_clouds = continuous_clouds;
-    std::ranges::for_each(signed_clouds, read::restore_signs);
+    std::vector<PointTable> signed_clouds = continuous_clouds;
+    std::ranges::for_each(signed_clouds, restore_signs);
     set_time_unit(units, list_time_ranges(continuous_clouds, cloud_stamps_s),
                   list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
-    units.meaning = read::interpret_fields(continuous_clouds);
+    units.meaning = interpret_fields(continuous_clouds);
     if (!units.meaning.scale.about.empty()) units.meaning.notes.push_back(units.meaning.scale.about);
     return units;
+}
+
+void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
+    std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
+    for (PointTable& cloud : samples) unwrap_times(cloud, !units.absolute_times);
+    PointFieldSemantics meaning = interpret_fields(samples);
+    drop_coarse_times(units, samples, notes);
+    if (samples.empty()) {
+        // No file of points was read, so units are estimated from range images.
+        const std::vector<PointTable> images = sample_images(scan_files);
+        drop_coarse_times(units, images, notes);
+        std::vector<double> intensities;
+        for (const PointTable& image : images)
+            if (const PointFieldView* field = image.find_field("intensity"))
+                for (std::size_t i = 0; i < image.n; ++i) intensities.push_back((*field)[i]);
+        if (!units.intensity_max) meaning.scale = estimate_scale(intensities);
+    }
+    units.intensity_field = meaning.intensity_field;
+    units.no_return = meaning.no_return;
+    units.returns = meaning.returns;
+    if (!units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
+        units.intensity_max = meaning.scale.max;
+        notes.push_back(meaning.scale.about +
+                        "; set the key \"intensity_max\" in sequence.json to use another scale");
+    }
+    notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
 }
 
 }  // namespace relidar::read

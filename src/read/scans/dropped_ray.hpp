@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Defines which stored points and ranges mean "ray without a return". All readers of
-// points use this definition, because programs store such rays in different ways.
+// points use this definition, because programs store such rays in different ways. Some
+// drivers and simulators store them as points at the maximum range of the sensor.
 #pragma once
 
 #include <cmath>
 
 #include <glm/glm.hpp>
+
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 
@@ -22,5 +25,11 @@ bool is_return_point(const Vector& point_m) {
     return std::isfinite(point_m.x) && std::isfinite(point_m.y) && std::isfinite(point_m.z) &&
            glm::length(glm::dvec3(point_m)) >= double(kNearestReturn_m);
 }
+
+/// Turns returns at the maximum range of a LiDAR into dropped rays and adds a note. Real
+/// ranges have noise. The largest range of the log stands for dropped rays if many
+/// returns have exactly this range, it is a multiple of half a metre, and other returns
+/// are nearer.
+void remove_drop_markers(Log& sequence);
 
 }  // namespace relidar

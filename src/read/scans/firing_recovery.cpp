@@ -54,9 +54,18 @@ HeadTurn move_seam(HeadTurn turn, double share) {
     return turn;
 }
 
-HeadTurn move_reference(HeadTurn turn, double share) {
-    turn.reference += share;
-    return turn;
+std::size_t count_rings(const std::vector<CompensatedSweep>& sweeps) {
+    std::size_t n_rings = 0;
+    for (const CompensatedSweep& sweep : sweeps)
+        for (const std::uint16_t ring : sweep.points.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
+    return n_rings;
+}
+
+/// Returns the spread if the points were not moved.
+double spread_without_motion(const LatticeFitter& fitter, std::size_t n_sweeps) {
+    LatticeFit still{{}, {}, std::vector<SweepMotion>(n_sweeps), 0.0};
+    fitter.improve(still, 6, FreeValues::cones);
+    return still.spread_rad;
 }
 
 /// Fits all hypotheses of seam and reference. The head turns clockwise, because the other
@@ -68,7 +77,7 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_swe
         fit.turn = {true, kFullTurn_rad * (index % kSeams) / kSeams - kPi,
                     double(index / kSeams) / (kReferences - 1)};
         fit.motions.resize(n_sweeps);
-        fitter.improve(fit, 4, true, true);
+        fitter.improve(fit, 4, FreeValues::all);
     });
     return fits;
 }
@@ -77,17 +86,19 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_swe
 void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
     // Smaller gains are noise, with which the search could go back and forth.
     constexpr double kMinGain = 1e-3;
-    fitter.improve(best, 8, true, true);
+    fitter.improve(best, 8, FreeValues::all);
     double scale_rad = 2.0 * best.spread_rad;
     for (double step = 1.0 / 64.0; step >= kFinestStep;) {
         const double best_cost = fitter.cost(best, scale_rad);
         std::array<LatticeFit, 4> near;
         std::array<double, 4> costs{};
+        near.fill(best);
         parallel_for(4, [&](int index) {
             const double share = index % 2 == 0 ? step : -step;
-            LatticeFit& fit = near[std::size_t(index)] = best;
-            fit.turn = index < 2 ? move_seam(best.turn, share) : move_reference(best.turn, share);
-            fitter.improve(fit, 2, true, true);
+            LatticeFit& fit = near[std::size_t(index)];
+            if (index < 2) fit.turn = move_seam(fit.turn, share);
+            else fit.turn.reference += share;
+            fitter.improve(fit, 2, FreeValues::all);
             costs[std::size_t(index)] = fitter.cost(fit, scale_rad);
         });
         const auto least = std::ranges::min_element(costs);
@@ -98,7 +109,7 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
             scale_rad = 2.0 * best.spread_rad;
         }
     }
-    fitter.improve(best, 5, true, true);
+    fitter.improve(best, 5, FreeValues::all);
 }
 
 /// Returns the same turn in the opposite direction of rotation. The motions are then
@@ -112,6 +123,13 @@ HeadTurn reverse_turn(HeadTurn turn) {
 glm::dvec3 velocity_of(const SweepMotion& motion) {
     return {0.5 * (motion[0][0] + motion[1][0]), 0.5 * (motion[0][1] + motion[1][1]),
             0.5 * (motion[0][2] + motion[1][2])};
+}
+
+/// Returns the sum over the sweeps of the motion in a direction.
+double motion_along(const std::vector<SweepMotion>& motions, const glm::dvec3& direction) {
+    double sum = 0.0;
+    for (const SweepMotion& motion : motions) sum += glm::dot(velocity_of(motion), direction);
+    return sum;
 }
 
 /// Sum over the sweeps of the products of both motions, relative to the squared length of
@@ -134,9 +152,7 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
     recovery.rings = best.rings;
     recovery.spread_rad = best.spread_rad;
     if (!sensor.world_from_sensor) {
-        double forward = 0.0;
-        for (const SweepMotion& motion : best.motions)
-            forward += glm::dot(velocity_of(motion), sensor.forward);
+        const double forward = motion_along(best.motions, sensor.forward);
         if (forward < 0.0) recovery.turn = reverse_turn(best.turn);
         return std::abs(forward) > kMinForward_m * double(best.motions.size());
     }
@@ -146,11 +162,11 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
     const double share = motion_share(best.motions, of_poses);
     if (share < 0.0) recovery.turn = reverse_turn(best.turn);
     // Inverse poses look as if the vehicle drives backward. They would reverse the turn.
-    double forward = 0.0;
-    for (const SweepMotion& motion : of_poses) forward += glm::dot(velocity_of(motion), sensor.forward);
-    if (forward < 0.0 || std::abs(share) < kMinMotion || std::abs(share) > kMaxMotion) return false;
+    if (motion_along(of_poses, sensor.forward) < 0.0 || std::abs(share) < kMinMotion ||
+        std::abs(share) > kMaxMotion)
+        return false;
     LatticeFit fit{recovery.turn, {}, of_poses, 0.0};
-    fitter.improve(fit, 5, true, false);
+    fitter.improve(fit, 5, FreeValues::cones);
     recovery.uses_poses = fit.spread_rad <= kMaxPoseSpread * best.spread_rad;
     if (recovery.uses_poses) {
         recovery.rings = fit.rings;
@@ -218,7 +234,7 @@ SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery
     const std::size_t n_rings = recovery.rings.size();
     const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     LatticeFit fit{recovery.turn, recovery.rings, {SweepMotion{}}, 0.0};
-    fitter.improve(fit, 8, false, true);
+    fitter.improve(fit, 8, FreeValues::motions);
     if (recovery.sensor.n_ticks == 0) return fit.motions[0];
     // The rotation changes the firing times a little, so the fit is repeated.
     for (int pass = 0; pass < 2; ++pass) {
@@ -228,7 +244,7 @@ SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery
         const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks);
         if (yaw.coherence < kMinCoherence) break;
         for (std::size_t half = 0; half < 2; ++half) fit.motions[0][half][5] += yaw.turned_rad[half];
-        fitter.improve(fit, 3, false, true);
+        fitter.improve(fit, 3, FreeValues::motions);
     }
     return fit.motions[0];
 }
@@ -247,26 +263,27 @@ std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn
 /// @param restored  [sweeps] points at their firing times, without correction of the yaw
 int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<LidarPoints>& restored,
                const FiringRecovery& recovery) {
-    const auto is_coherent = [&](int n_ticks) {
-        return fit_yaw(list_firings(restored[0], recovery.turn), restored[0].ring, recovery.turn, n_ticks)
-                   .coherence >= kMinCoherence;
+    const CompensatedSensor& sensor = recovery.sensor;
+    const auto fit_sweep_yaw = [&](std::size_t sweep, int n_ticks) {
+        const LidarPoints& points = restored[sweep];
+        return fit_yaw(list_firings(points, recovery.turn), points.ring, recovery.turn, n_ticks);
     };
-    if (recovery.sensor.n_ticks > 0 && is_coherent(recovery.sensor.n_ticks)) return recovery.sensor.n_ticks;
+    if (sensor.n_ticks > 0 && fit_sweep_yaw(0, sensor.n_ticks).coherence >= kMinCoherence)
+        return sensor.n_ticks;
     int n_ticks = 0;
     try {
-        n_ticks = fit_spinning_sensor(restored, recovery.sensor.period_s).sensor.columns;
+        n_ticks = fit_spinning_sensor(restored, sensor.period_s).sensor.columns;
     } catch (const DataError&) {
         return 0;
     }
     std::vector<double> counts;
     for (std::size_t s = 0; s < sweeps.size(); ++s) {
-        const YawFit yaw =
-            fit_yaw(list_firings(restored[s], recovery.turn), restored[s].ring, recovery.turn, n_ticks);
+        const YawFit yaw = fit_sweep_yaw(s, n_ticks);
         if (yaw.coherence < kMinCoherence) continue;
         double turned_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
-        if (recovery.sensor.world_from_sensor) {
-            const SweepMotion motion = twists_of(
-                make_track(*recovery.sensor.world_from_sensor, sweeps[s].time_s, recovery.sensor.period_s));
+        if (sensor.world_from_sensor) {
+            const SweepMotion motion =
+                twists_of(make_track(*sensor.world_from_sensor, sweeps[s].time_s, sensor.period_s));
             turned_rad -= 0.5 * (motion[0][5] + motion[1][5]);
         }
         const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
@@ -276,7 +293,7 @@ int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<Li
     const double count = compute_median(std::move(counts));
     // A turn of 0.25 rad/s at 10 Hz changes the number of ticks by 0.4 %.
     constexpr double kMaxYaw = 0.007;
-    if (!recovery.sensor.world_from_sensor)
+    if (!sensor.world_from_sensor)
         for (const double round : {128.0, 100.0})
             if (const double near = std::round(count / round) * round;
                 near > 0.0 && std::abs(near - count) < kMaxYaw * count)
@@ -294,12 +311,12 @@ FiredPoint find_seam_firing(const glm::dvec3& point_m, const PoseTrack& track, c
     for (const double end : {-turn.reference, 1.0 - turn.reference}) {
         FiredPoint fired{point_m, end};
         for (int pass = 0; pass < 3; ++pass) {
-            fired.position_m = inverse(track.pose_at(fired.turn)) * point_m;
-            const double at = turn.turn_at(azimuth_rad_of(fired.position_m));
+            const glm::dvec3 moved_m = undo_motion(point_m, track, fired.turn);
+            const double at = turn.turn_at(azimuth_rad_of(moved_m));
             // the same azimuth, near this end of the sweep
             fired.turn = at + std::round(end - at);
         }
-        fired.position_m = inverse(track.pose_at(fired.turn)) * point_m;
+        fired.position_m = undo_motion(point_m, track, fired.turn);
         const bool is_inside = fired.turn >= -turn.reference && fired.turn <= 1.0 - turn.reference;
         const glm::dvec3& p = fired.position_m;
         const double error = std::abs((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
@@ -339,31 +356,25 @@ double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<
 
 std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& sweeps,
                                            const CompensatedSensor& sensor) {
-    std::size_t n_rings = 0;
-    std::vector<SweepPoints> coarse, fine;
-    for (const CompensatedSweep& sweep : sweeps)
-        for (const std::uint16_t ring : sweep.points.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
+    const std::size_t n_rings = count_rings(sweeps);
     if (n_rings == 0 || n_rings > kMaxRecoveredRings) return std::nullopt;
+    std::vector<SweepPoints> coarse, fine;
     for (const CompensatedSweep& sweep : sweeps) {
         coarse.push_back(pick_points(sweep.points, kCoarsePoints, n_rings));
         fine.push_back(pick_points(sweep.points, kFinePoints, n_rings));
     }
     const LatticeFitter coarse_fitter(std::move(coarse), n_rings), fitter(std::move(fine), n_rings);
-    LatticeFit still{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
-    fitter.improve(still, 6, true, false);
-    if (!(still.spread_rad > kMinSpread_rad)) return std::nullopt;
+    const double still_rad = spread_without_motion(fitter, sweeps.size());
+    if (!(still_rad > kMinSpread_rad)) return std::nullopt;
     const std::vector<LatticeFit> fits = try_turns(coarse_fitter, sweeps.size());
     LatticeFit best = *std::ranges::min_element(fits, {}, &LatticeFit::spread_rad);
-    if (best.spread_rad > kPromisingRatio * still.spread_rad) return std::nullopt;
+    if (best.spread_rad > kPromisingRatio * still_rad) return std::nullopt;
     refine_turn(fitter, best);
-    FiringRecovery recovery{sensor,
-                            best.turn,
-                            best.rings,
-                            false,
-                            best.spread_rad,
-                            still.spread_rad,
-                            other_seam_spread(fits, sweeps, best.turn.seam_rad)};
-    if (best.spread_rad > kMaxSpreadRatio * still.spread_rad ||
+    FiringRecovery recovery;
+    recovery.sensor = sensor;
+    recovery.compensated_spread_rad = still_rad;
+    recovery.other_seam_rad = other_seam_spread(fits, sweeps, best.turn.seam_rad);
+    if (best.spread_rad > kMaxSpreadRatio * still_rad ||
         recovery.other_seam_rad < kMinOtherSeam * best.spread_rad ||
         !choose_direction(recovery, best, fitter, sweeps))
         return std::nullopt;
@@ -383,15 +394,14 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
 std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweeps,
                                       const PoseTrack& world_from_sensor) {
     std::vector<double> first_s, last_s;
-    std::size_t n_rings = 0;
     for (const CompensatedSweep& sweep : sweeps) {
         const LidarPoints& points = sweep.points;
         if (points.ring.empty() || points.time_offset_s.empty()) return std::nullopt;
         const auto [first, last] = std::ranges::minmax(points.time_offset_s);
         first_s.push_back(double(first));
         last_s.push_back(double(last));
-        n_rings = std::max(n_rings, std::size_t(std::ranges::max(points.ring)) + 1);
     }
+    const std::size_t n_rings = count_rings(sweeps);
     if (sweeps.empty() || n_rings > kMaxRecoveredRings) return std::nullopt;
     const auto spread_after = [&](std::optional<double> moved_to_s) {
         std::vector<SweepPoints> picked;
@@ -400,9 +410,7 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
             if (moved_to_s) undo_deskew_to(points, world_from_sensor, sweep.time_s, *moved_to_s);
             picked.push_back(pick_points(points, kFinePoints, n_rings));
         }
-        LatticeFit fit{{}, {}, std::vector<SweepMotion>(sweeps.size()), 0.0};
-        LatticeFitter(std::move(picked), n_rings).improve(fit, 6, true, false);
-        return fit.spread_rad;
+        return spread_without_motion(LatticeFitter(std::move(picked), n_rings), sweeps.size());
     };
     const double as_is_rad = spread_after(std::nullopt);
     if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;

@@ -4,15 +4,21 @@
 // steps. The azimuth offsets of the rings are computed from the phases of
 //   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
 // If N is the number of columns, |S_r| is the number of points, and the phase of S_r is N
-// times the azimuth offset of the ring.
+// times the azimuth offset of the ring. Also checks whether points come from a spinning
+// LiDAR. Other LiDARs scan a window or a rosette pattern.
 #include <relidar/read/clouds.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <complex>
+#include <functional>
 #include <numeric>
+#include <span>
 
 #include "base/fail.hpp"
+#include "base/median.hpp"
+#include "read/scans/scan_plan.hpp"
 
 namespace relidar {
 namespace {
@@ -28,6 +34,14 @@ constexpr double kMinCoherence = 0.5;
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
+// Maximum difference between the 90th and the 10th percentile of the elevations of a
+// ring, for the farther half of its points.
+constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
+// In a narrower range without points, the vehicle may block the view.
+constexpr double kLeastGap_rad = kPi / 3.0;
+// Relative difference between the period of rotation and the time between scans.
+constexpr double kOtherPeriod = 0.2;
+constexpr std::size_t kMinFarPoints = 25;  // of a ring
 
 double find_quantile(std::vector<double>& values, double fraction) {
     const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
@@ -53,10 +67,9 @@ RingPointLists group_rings(const LidarPoints& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Returns the median elevation of each ring, or nothing for a ring without points. Uses
-/// only the farther half of the points, because beams start beside the sensor origin.
-std::vector<std::optional<double>> fit_elevations(const std::vector<LidarPoints>& scans,
-                                                  std::size_t n_rings) {
+/// Returns the elevations of each ring. Uses only the farther half of the points, because
+/// beams start beside the sensor origin.
+std::vector<std::vector<double>> far_elevations(std::span<const LidarPoints> scans, std::size_t n_rings) {
     struct RangeElevation {
         double range_m, elevation_rad;
     };
@@ -66,19 +79,45 @@ std::vector<std::optional<double>> fit_elevations(const std::vector<LidarPoints>
             const glm::dvec3 p(scan.position_m[i]);
             samples_by_ring[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
         }
-    std::vector<std::optional<double>> elevations(n_rings);
-    for (std::size_t r = 0; r < n_rings; ++r) {
-        if (samples_by_ring[r].empty()) continue;
-        const auto half = samples_by_ring[r].begin() + std::ptrdiff_t(samples_by_ring[r].size() / 2);
-        std::nth_element(samples_by_ring[r].begin(), half, samples_by_ring[r].end(),
-                         [](const RangeElevation& first, const RangeElevation& second) {
-                             return first.range_m < second.range_m;
-                         });
-        std::vector<double> far;
-        for (auto s = half; s != samples_by_ring[r].end(); ++s) far.push_back(s->elevation_rad);
-        elevations[r] = find_quantile(far, 0.5);
+    std::vector<std::vector<double>> elevations;
+    for (std::vector<RangeElevation>& samples : samples_by_ring) {
+        const auto half = samples.begin() + std::ptrdiff_t(samples.size() / 2);
+        std::ranges::nth_element(samples, half, {}, &RangeElevation::range_m);
+        std::vector<double>& far = elevations.emplace_back();
+        for (auto s = half; s != samples.end(); ++s) far.push_back(s->elevation_rad);
     }
     return elevations;
+}
+
+/// Returns the median over all rings of the spread of elevations (10th to 90th
+/// percentile).
+double ring_spread(const LidarPoints& scan) {
+    const std::size_t n_rings = scan.size() == 0 ? 0 : std::size_t(std::ranges::max(scan.ring)) + 1;
+    std::vector<double> spreads;
+    for (std::vector<double>& far : far_elevations({&scan, 1}, n_rings)) {
+        if (far.size() < kMinFarPoints) continue;
+        std::ranges::sort(far);
+        spreads.push_back(far[far.size() * 9 / 10] - far[far.size() / 10]);
+    }
+    return spreads.empty() ? 0.0 : compute_median(std::move(spreads));
+}
+
+/// Returns the widest azimuth range in which no scan has a point.
+double widest_gap_rad(const std::vector<LidarPoints>& scans) {
+    constexpr std::size_t kAzimuthBins = 360;
+    std::array<bool, kAzimuthBins> is_bin_occupied{};
+    for (const LidarPoints& scan : scans)
+        for (const glm::vec3& p : scan.position_m)
+            is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) *
+                                        kAzimuthBins) %
+                            kAzimuthBins] = true;
+    std::size_t widest = 0, run = 0;
+    // Counts every bin twice, because a gap may contain the start of the circle.
+    for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
+        run = is_bin_occupied[b % kAzimuthBins] ? 0 : run + 1;
+        widest = std::max(widest, std::min(run, kAzimuthBins));
+    }
+    return 2.0 * kPi * double(widest) / double(kAzimuthBins);
 }
 
 /// Estimates the number of columns per revolution from the lower quartile of the azimuth
@@ -212,20 +251,20 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     // Columns are fitted to the scan with the most points, elevations to all scans.
     const RingPointLists rings = group_rings(*fullest, n_rings);
     const FiringColumnGrid lattice = fit_firing_grid(*fullest, rings);
-    const std::vector<std::optional<double>> elevations = fit_elevations(scans, n_rings);
-
-    std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
+    std::vector<std::vector<double>> far = far_elevations(scans, n_rings);
+    std::vector<double> elevations(n_rings);
+    std::vector<std::size_t> order;  // rings with points, sorted from the highest to the lowest
     for (std::size_t r = 0; r < n_rings; ++r)
-        if (elevations[r]) order.push_back(r);
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
-        return *elevations[first] > *elevations[second];
-    });
+        if (!far[r].empty()) {
+            elevations[r] = find_quantile(far[r], 0.5);
+            order.push_back(r);
+        }
+    std::ranges::stable_sort(order, std::greater(), [&](std::size_t r) { return elevations[r]; });
     FittedSensor fitted{{}, std::vector<std::uint16_t>(n_rings, kNoBeam)};
     SpinningSensor& sensor = fitted.sensor;
     for (const std::size_t r : order) {
         fitted.beam_of_ring[r] = std::uint16_t(sensor.beams.size());
-        sensor.beams.push_back(
-            {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
+        sensor.beams.push_back({.elevation_rad = elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
     }
     const std::optional<double> rate = fit_rotation_rate(*fullest, rings);
     sensor.columns = lattice.columns;
@@ -234,6 +273,27 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;
     sensor.clockwise = !rate || *rate < 0.0;
     return fitted;
+}
+
+std::string why_not_spinning(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor,
+                             double frame_interval_s) {
+    const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
+    if (fullest == scans.end()) return "";
+    if (const double spread = ring_spread(*fullest); spread > kMostSpread_rad)
+        return fmt::format(
+            "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
+            "clouds of several LiDARs, wrong rings, or another frame",
+            spread * 180.0 / kPi);
+    const double gap = widest_gap_rad(scans);
+    // A gap alone can be a limited field of view. It is an error only if the point
+    // times also show another period than one revolution per scan.
+    if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||
+        std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s)
+        return "";
+    return fmt::format(
+        "all points are within a sector of {:.0f} degrees of azimuth, and the times of the points show a "
+        "revolution of {:.3f} s, but a revolution should take {:.3f} s",
+        360.0 - gap * 180.0 / kPi, fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar

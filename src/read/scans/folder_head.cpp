@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
-#include <limits>
 #include <map>
 
 #include <fmt/ranges.h>
@@ -202,7 +201,6 @@ std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<Heade
                                          const fs::path& folder) {
     std::vector<LogFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
-        int number = 0;
         std::map<std::string, fs::path> scan_of_stem;
         const std::vector<fs::path> files = list_folder((folder / lidars[l].scans).lexically_normal());
         // Text files next to other scans may contain time stamps.
@@ -212,63 +210,69 @@ std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<Heade
         for (const fs::path& file : files) {
             // A CSV file directly in the folder of the log may be a table of beams.
             const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == folder;
-            if ((is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_file(file))) ||
-                is_image_file(file)) {
-                if (is_hidden_file(file)) continue;
-                if (const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
-                    !is_new)
-                    fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
-                         other->second.filename().string());
-                frames.push_back({number, number / rate_hz, int(l), file});
-                ++number;
-            }
+            const bool has_points =
+                is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_file(file));
+            if (is_hidden_file(file) || !(has_points || is_image_file(file))) continue;
+            const int number = int(scan_of_stem.size());
+            const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
+            if (!is_new)
+                fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
+                     other->second.filename().string());
+            frames.push_back({number, number / rate_hz, int(l), file});
         }
-        const std::string other = number == 0 ? find_unsupported(folder / lidars[l].scans) : "";
-        if (number == 0)
-            fail(
-                "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
-                ".csv, .xyz or .las",
-                (folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other);
+        if (!scan_of_stem.empty()) continue;
+        const std::string other = find_unsupported(folder / lidars[l].scans);
+        fail(
+            "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
+            ".csv, .xyz or .las",
+            (folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other);
     }
     return frames;
 }
 
-/// Returns notes about scans that are probably missing in the folders of the LiDARs.
+/// Returns a note about the first scan that is probably missing, or an empty text.
 /// Accepts scans with regular gaps, such as every fifth scan.
+/// @param stems  file names without extension
+std::string note_missing_scan(const std::vector<std::string>& stems) {
+    std::vector<int> steps;
+    for (std::size_t i = 0; i < stems.size(); ++i) {
+        const std::optional<int> number = parse_stem(stems[i]);
+        if (!number) return "";
+        if (i > 0) steps.push_back(*number - *parse_stem(stems[i - 1]));
+    }
+    if (steps.empty()) return "";
+    const int smallest = std::ranges::min(steps);
+    const auto is_gap = [&](int step) {
+        return smallest > 0 ? double(step) >= kMissingScan * double(smallest) : step <= 0;
+    };
+    const auto gap = std::ranges::find_if(steps, is_gap);
+    if (gap == steps.end()) return "";
+    const std::string *before = &stems[std::size_t(gap - steps.begin())], *after = before + 1;
+    return smallest > 0 ? fmt::format("no scan was found between {} and {}", *before, *after)
+                        : fmt::format(
+                              "the scans are sorted by name, so {} is before {}, because the numbers "
+                              "have no leading zeros",
+                              *before, *after);
+}
+
+/// Returns notes about scans that are probably missing in the folders of the LiDARs.
 std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
                                             const std::vector<HeaderLidar>& lidars) {
-    const char* consequence =
-        "with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use the "
-        "key \"frames\" in sequence.json if scans are missing";
     std::vector<std::string> notes;
     std::vector<std::vector<std::string>> stems(lidars.size());
     for (const LogFrame& frame : frames)
         stems[std::size_t(frame.lidar)].push_back(frame.scan.stem().string());
     for (std::size_t l = 0; l < lidars.size(); ++l) {
-        std::vector<int> numbers;
-        for (const std::string& stem : stems[l])
-            if (const std::optional<int> number = parse_stem(stem)) numbers.push_back(*number);
-        if (numbers.size() != stems[l].size()) numbers.clear();  // some names are no numbers
-        int smallest_step = std::numeric_limits<int>::max();
-        for (std::size_t i = 1; i < numbers.size(); ++i)
-            smallest_step = std::min(smallest_step, numbers[i] - numbers[i - 1]);
-        const bool is_sorted = smallest_step > 0;
-        for (std::size_t i = 1; i < numbers.size(); ++i) {
-            const int step = numbers[i] - numbers[i - 1];
-            if (is_sorted ? double(step) < kMissingScan * double(smallest_step) : step > 0) continue;
-            const std::string &before = stems[l][i - 1], &after = stems[l][i];
-            notes.push_back(
-                is_sorted ? fmt::format("no scan was found between {} and {}; {}", before, after, consequence)
-                          : fmt::format("the scans are sorted by name, so {} is before {}, because the "
-                                        "numbers have no leading zeros; {}",
-                                        before, after, consequence));
-            break;
-        }
+        if (std::string note = note_missing_scan(stems[l]); !note.empty()) notes.push_back(std::move(note));
         if (stems[l].size() != stems[0].size())
-            notes.push_back(fmt::format("LiDAR '{}' has {} scans, but LiDAR '{}' has {}; {}",
+            notes.push_back(fmt::format("LiDAR '{}' has {} scans, but LiDAR '{}' has {}",
                                         lidars[l].lidar.name, stems[l].size(), lidars[0].lidar.name,
-                                        stems[0].size(), consequence));
+                                        stems[0].size()));
     }
+    for (std::string& note : notes)
+        note +=
+            "; with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use "
+            "the key \"frames\" in sequence.json if scans are missing";
     return notes;
 }
 

@@ -11,8 +11,8 @@
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 
+#include "read/scans/point_meaning.hpp"
 #include "read/scans/pose_conventions.hpp"
-#include "read/scans/return_pairs.hpp"
 #include "read/scans/scan_plan.hpp"
 
 namespace relidar::read {

@@ -134,15 +134,6 @@ double first_return_number(const PointFieldView& return_numbers, std::size_t n_p
     return least == 1.0 ? 1.0 : 0.0;
 }
 
-template <class T>
-void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& order) {
-    if (values.empty()) return;
-    std::vector<T> arranged;
-    arranged.reserve(values.size());
-    for (const std::size_t i : order) arranged.push_back(values[i]);
-    values = std::move(arranged);
-}
-
 /// Sets the return number of each point and sorts the points by ray. Points with the same
 /// ring, time and direction are returns of one ray; the strongest becomes the first
 /// return.
@@ -172,11 +163,7 @@ void set_return_numbers(LidarPoints& points, const std::vector<double>& return_t
         if (ray(i) == ray(before) && 1.0f - glm::dot(a, b) < kOneRay)
             points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 8));
     }
-    reorder_values(points.position_m, order);
-    reorder_values(points.intensity, order);
-    reorder_values(points.ring, order);
-    reorder_values(points.time_offset_s, order);
-    reorder_values(points.return_number, order);
+    select_points(points, order);
 }
 
 }  // namespace

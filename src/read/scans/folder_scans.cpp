@@ -130,7 +130,7 @@ public:
             return;
         }
         if (plan.order) plan.order->number_rings(points);
-        if (plan.has_rings || plan.order) points = map_rings(points, plan, frame_index);
+        if (plan.has_rings || plan.order) map_rings(points, plan, frame_index);
         else assign_rings(points, plan.sensor.beams);
         frame.scan = spinning_scan(points, plan.sensor, fit_even_sweep(points, plan.sensor));
         PointCounts& counts = counts_[frame_index];
@@ -293,25 +293,19 @@ private:
 
     /// Replaces ring numbers of the file by beam numbers. Removes points of rings without
     /// a beam.
-    LidarPoints map_rings(const LidarPoints& points, const ScanPlan& plan, std::size_t frame_index) {
-        LidarPoints renumbered;
+    void map_rings(LidarPoints& points, const ScanPlan& plan, std::size_t frame_index) {
+        std::vector<std::size_t> kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && !plan.is_fitted)
                 fail("{}: a point has the ring number {}, expected the number of one of {} beams",
                      source_.frame_name(frame_index), ring, plan.beam_of_ring.size());
-            if (beam == kNoBeam) {
-                ++counts_[frame_index].without_beam;
-                continue;
-            }
-            renumbered.position_m.push_back(points.position_m[p]);
-            renumbered.intensity.push_back(points.intensity[p]);
-            renumbered.ring.push_back(beam);
-            if (!points.time_offset_s.empty()) renumbered.time_offset_s.push_back(points.time_offset_s[p]);
-            if (!points.return_number.empty()) renumbered.return_number.push_back(points.return_number[p]);
+            points.ring[p] = beam;
+            if (beam != kNoBeam) kept.push_back(p);
         }
-        return renumbered;
+        counts_[frame_index].without_beam += points.size() - kept.size();
+        select_points(points, kept);
     }
 };
 

@@ -14,15 +14,13 @@ Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const 
     // R^T R - I is zero for a rotation. A reflection has a negative determinant.
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
-    for (int c = 0; c < 3; ++c) {
+    for (int c = 0; c < 3; ++c)
         for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
-    }
-    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
+    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0)
         fail(
             "{}: R^T R differs from the identity by {:.3g}, the determinant is {:.3g}, expected a rotation "
             "(orthonormal)",
             where, worst, glm::determinant(rotation));
-    }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
 
@@ -33,10 +31,7 @@ Pose make_pose(std::span<const double> matrix, const std::string& place) {
 
 Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_from_vehicle, int lidar) {
     PoseTrack& track = sequence.world_from_vehicle;
-    if (track.time_s.empty() || track.time_s.back() != time_s) {
-        track.time_s.push_back(time_s);
-        track.pose.push_back(world_from_vehicle);
-    }
+    if (track.time_s.empty() || track.time_s.back() != time_s) track.append(time_s, world_from_vehicle);
     return sequence.frames.emplace_back(Frame{number, time_s, {}, lidar});
 }
 

@@ -89,24 +89,22 @@ SweepPoints pick_points(const LidarPoints& points, std::size_t n_points, std::si
     return picked;
 }
 
-void LatticeFitter::improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const {
+void LatticeFitter::improve(LatticeFit& fit, int n_steps, FreeValues free_values) const {
     for (int step = 0; step < n_steps; ++step) {
         const Firings firings = compute_firings(fit);
         if (fit.rings.empty()) set_median_slopes(fit, firings);
         fit.spread_rad = spread_of(fit, firings);
-        const Eigen::VectorXd change = solve_step(fit, firings, has_free_rings, has_free_motion);
-        apply_change(fit, change, has_free_rings, has_free_motion);
+        apply_change(fit, solve_step(fit, firings, free_values));
     }
     fit.spread_rad = spread_of(fit, compute_firings(fit));
 }
 
 double LatticeFitter::cost(const LatticeFit& fit, double scale_rad) const {
     double sum = 0.0, n = 0.0;
-    for (const std::vector<double>& errors : errors_of(fit, compute_firings(fit)))
-        for (const double e : errors) {
-            sum += e * e / (e * e + scale_rad * scale_rad);
-            n += 1.0;
-        }
+    visit_errors(fit, compute_firings(fit), [&](std::size_t, std::size_t, double e) {
+        sum += e * e / (e * e + scale_rad * scale_rad);
+        n += 1.0;
+    });
     return sum / std::max(n, 1.0);
 }
 
@@ -130,59 +128,59 @@ void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) c
         if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
 }
 
-std::vector<std::vector<double>> LatticeFitter::errors_of(const LatticeFit& fit,
-                                                          const Firings& firings) const {
-    std::vector<std::vector<double>> errors(sweeps_.size());
+template <class Visit>
+void LatticeFitter::visit_errors(const LatticeFit& fit, const Firings& firings, const Visit& visit) const {
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t i = 0; i < firings[s].size(); ++i) {
             const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
             const glm::dvec3& p = firings[s][i].position_m;
-            errors[s].push_back((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+            visit(s, i, (p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
         }
-    return errors;
 }
 
 double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) const {
     std::vector<double> all;
-    for (const std::vector<double>& errors : errors_of(fit, firings))
-        for (const double e : errors)
-            if (std::isfinite(e)) all.push_back(std::abs(e));
+    visit_errors(fit, firings, [&](std::size_t, std::size_t, double e) {
+        if (std::isfinite(e)) all.push_back(std::abs(e));
+    });
     return all.empty() ? INFINITY : kMadToSigma * compute_median(std::move(all));
 }
 
-Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
-                                          bool has_free_motion) const {
+Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings,
+                                          FreeValues free_values) const {
     constexpr std::size_t kValues = 2 + kMotionParameters;
+    const std::size_t first = free_values == FreeValues::motions ? 2 : 0,
+                      end = free_values == FreeValues::cones ? 2 : kValues;
     const std::size_t n = motion_index(sweeps_.size(), 0);
+    // Rows of values that stay the same are zero, so their change is zero, too.
     Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(Eigen::Index(n), Eigen::Index(n));
     Eigen::VectorXd gradient = Eigen::VectorXd::Zero(Eigen::Index(n));
     const double scale = 2.0 * std::max(fit.spread_rad, 1e-9);
-    const auto errors = errors_of(fit, firings);
-    for (std::size_t s = 0; s < sweeps_.size(); ++s)
-        for (std::size_t i = 0; i < firings[s].size(); ++i) {
-            const std::size_t ring = sweeps_[s].ring[i];
-            const auto& [p, u] = firings[s][i];
-            const double rho = std::hypot(p.x, p.y), e = errors[s][i], slope = fit.rings[ring].slope;
-            if (!(rho > 0.0) || !std::isfinite(e)) continue;
-            const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
-            const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
-            // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
-            const std::array<double, kValues> j = {-1.0 / rho,
-                                                   -1.0,
-                                                   scaled * slope * c,
-                                                   scaled * slope * d,
-                                                   -scaled,
-                                                   -scaled * (p.y + slope * p.z * d),
-                                                   scaled * (p.x + slope * p.z * c)};
-            const std::size_t motion = motion_index(s, u < 0.0 ? 0 : 1);
-            for (std::size_t a = has_free_rings ? 0 : 2; a < (has_free_motion ? kValues : 2); ++a) {
-                const auto row = Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
-                gradient[row] += weight * j[a] * e;
-                for (std::size_t b = has_free_rings ? 0 : 2; b <= a; ++b)
-                    normal(row, Eigen::Index(b < 2 ? 2 * ring + b : motion + b - 2)) += weight * j[a] * j[b];
-            }
+    visit_errors(fit, firings, [&](std::size_t sweep, std::size_t i, double e) {
+        const std::size_t ring = sweeps_[sweep].ring[i];
+        const auto& [p, u] = firings[sweep][i];
+        const double rho = std::hypot(p.x, p.y), slope = fit.rings[ring].slope;
+        if (!(rho > 0.0) || !std::isfinite(e)) return;
+        const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
+        const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
+        // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
+        const std::array<double, kValues> j = {-1.0 / rho,
+                                               -1.0,
+                                               scaled * slope * c,
+                                               scaled * slope * d,
+                                               -scaled,
+                                               -scaled * (p.y + slope * p.z * d),
+                                               scaled * (p.x + slope * p.z * c)};
+        const std::size_t motion = motion_index(sweep, u < 0.0 ? 0 : 1);
+        const auto row_of = [&](std::size_t a) {
+            return Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
+        };
+        for (std::size_t a = first; a < end; ++a) {
+            gradient[row_of(a)] += weight * j[a] * e;
+            for (std::size_t b = first; b <= a; ++b) normal(row_of(a), row_of(b)) += weight * j[a] * j[b];
         }
-    if (has_free_motion) join_halves(fit, normal, gradient);
+    });
+    if (free_values != FreeValues::cones) join_halves(fit, normal, gradient);
     for (Eigen::Index i = 0; i < normal.rows(); ++i) normal(i, i) += 1e-8 * normal(i, i) + 1e-12;
     return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
 }
@@ -204,13 +202,12 @@ void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal,
         }
 }
 
-void LatticeFitter::apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
-                                 bool has_free_motion) const {
-    for (std::size_t r = 0; has_free_rings && r < n_rings_; ++r) {
+void LatticeFitter::apply_change(LatticeFit& fit, const Eigen::VectorXd& change) const {
+    for (std::size_t r = 0; r < n_rings_; ++r) {
         fit.rings[r].z0_m += change[Eigen::Index(2 * r)];
         fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];
     }
-    for (std::size_t s = 0; has_free_motion && s < sweeps_.size(); ++s)
+    for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t half = 0; half < 2; ++half)
             for (std::size_t k = 0; k < kMotionParameters; ++k)
                 fit.motions[s][half][k] += change[Eigen::Index(motion_index(s, half) + k)];

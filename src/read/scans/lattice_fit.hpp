@@ -68,14 +68,16 @@ struct LatticeFit {
     double spread_rad = INFINITY;
 };
 
+/// The values of a fit that may change.
+enum class FreeValues { cones, motions, all };
+
 class LatticeFitter {
 public:
     LatticeFitter(std::vector<SweepPoints> sweeps, std::size_t n_rings)
         : sweeps_(std::move(sweeps)), n_rings_(n_rings) {}
 
     /// Improves a fit. Starts with the median slopes if the fit has no cones.
-    /// @param has_free_rings,has_free_motion  which values change
-    void improve(LatticeFit& fit, int n_steps, bool has_free_rings, bool has_free_motion) const;
+    void improve(LatticeFit& fit, int n_steps, FreeValues free_values) const;
     /// Returns the mean robust error of all points, from 0 to 1.
     double cost(const LatticeFit& fit, double scale_rad) const;
 
@@ -87,8 +89,9 @@ private:
 
     Firings compute_firings(const LatticeFit& fit) const;
     void set_median_slopes(LatticeFit& fit, const Firings& firings) const;
-    /// Returns the elevation error of each point, in radians at a slope of 0.
-    std::vector<std::vector<double>> errors_of(const LatticeFit& fit, const Firings& firings) const;
+    /// Calls visit(sweep, point, elevation error), in radians at a slope of 0.
+    template <class Visit>
+    void visit_errors(const LatticeFit& fit, const Firings& firings, const Visit& visit) const;
     double spread_of(const LatticeFit& fit, const Firings& firings) const;
     /// Returns the index of a twist in the equations, after the cones.
     std::size_t motion_index(std::size_t sweep, std::size_t half) const {
@@ -97,13 +100,11 @@ private:
 
     /// Returns the Gauss-Newton step: z0 and slope of each ring, then the twists
     /// (v, w.x, w.y) of each sweep before and after the frame.
-    Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, bool has_free_rings,
-                               bool has_free_motion) const;
+    Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, FreeValues free_values) const;
     /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
     /// without points equals the other one.
     void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const;
-    void apply_change(LatticeFit& fit, const Eigen::VectorXd& change, bool has_free_rings,
-                      bool has_free_motion) const;
+    void apply_change(LatticeFit& fit, const Eigen::VectorXd& change) const;
 };
 
 }  // namespace relidar::read

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds the meaning of a LiDAR's point values from some clouds: which field holds the
-// intensities, their scale, and the position that marks dropped rays.
+// intensities, their scale, and the position that marks dropped rays. Also finds the two
+// returns of a ray without return numbers. Sensors in dual-return mode repeat the only
+// return of most rays, so many points occur twice.
 #pragma once
 
 #include <optional>
@@ -10,7 +12,6 @@
 #include <glm/glm.hpp>
 
 #include "read/files/point_table.hpp"
-#include "read/scans/return_pairs.hpp"
 
 namespace relidar::read {
 
@@ -22,6 +23,29 @@ struct IntensityScale {
 /// Estimates which intensity becomes 1: 1, or 255, or a value that only a few intensities
 /// exceed. Reorders the values.
 IntensityScale estimate_scale(std::vector<double>& intensities);
+
+/// How a cloud stores two returns of each ray without numbers.
+struct UnnumberedReturns {
+    bool exist = false;
+    /// Difference between the indices of both returns. Blocks of `distance` points are
+    /// alternately first and second returns. 0: the returns have equal rings and times.
+    std::size_t distance = 0;
+    bool are_halves = false;  ///< true if the distance is half of the points of each cloud
+    std::string about;        ///< note for the user
+};
+
+/// Finds out whether clouds have two returns of each ray without return numbers.
+UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds);
+
+/// Returns the number of each selected point: 1 for the stronger return of a ray, 2 for
+/// the other. Sorts the points so that a second return follows its first return. Removes
+/// a return that is equal to the other return of its ray.
+/// @param selected  indices of points in the table
+/// @param points  [selected] positions
+std::vector<std::uint8_t> number_returns(const PointTable& table, const UnnumberedReturns& layout,
+                                         const std::string& intensity_field,
+                                         std::vector<std::uint32_t>& selected,
+                                         std::vector<glm::vec3>& points);
 
 struct PointFieldSemantics {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty

@@ -194,26 +194,30 @@ std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, doubl
     return double(n) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
 }
 
+void select_points(LidarPoints& points, const std::vector<std::size_t>& indices) {
+    const auto select = [&](auto& values) {
+        if (values.empty()) return;
+        std::remove_cvref_t<decltype(values)> selected;
+        selected.reserve(indices.size());
+        for (const std::size_t i : indices) selected.push_back(values[i]);
+        values = std::move(selected);
+    };
+    select(points.position_m);
+    select(points.intensity);
+    select(points.ring);
+    select(points.return_number);
+    select(points.time_offset_s);
+}
+
 std::size_t remove_mistimed(LidarPoints& points, double limit_s, std::optional<double> middle_s) {
     const std::size_t n = points.time_offset_s.size();
     if (n == 0) return 0;
     if (!middle_s) middle_s = double(compute_median(points.time_offset_s));
-    const auto is_right = [&](float t_s) { return std::abs(double(t_s) - *middle_s) <= limit_s; };
-    if (std::ranges::all_of(points.time_offset_s, is_right)) return 0;
-    std::vector<bool> is_kept;
-    std::ranges::transform(points.time_offset_s, std::back_inserter(is_kept), is_right);
-    const auto keep = [&](auto& values) {
-        std::size_t kept = 0;
-        for (std::size_t i = 0; i < values.size(); ++i)
-            if (is_kept[i]) values[kept++] = values[i];
-        values.resize(kept);
-    };
-    keep(points.position_m);
-    keep(points.intensity);
-    keep(points.ring);
-    keep(points.return_number);
-    keep(points.time_offset_s);
-    return n - points.size();
+    std::vector<std::size_t> right;
+    for (std::size_t i = 0; i < n; ++i)
+        if (std::abs(double(points.time_offset_s[i]) - *middle_s) <= limit_s) right.push_back(i);
+    if (right.size() < n) select_points(points, right);
+    return n - right.size();
 }
 
 }  // namespace relidar::read

@@ -53,6 +53,9 @@ inline constexpr double kMostScans = 0.8;
 /// Returns the median of the median times of scans, if most of them are within `limit_s`.
 std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
 
+/// Keeps only the points with the given indices, in this order.
+void select_points(LidarPoints& points, const std::vector<std::size_t>& indices);
+
 /// Removes points farther than `limit_s` from `middle_s`, or from the median time.
 /// @return number of removed points
 std::size_t remove_mistimed(LidarPoints& points, double limit_s,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "read/scans/return_pairs.hpp"
+#include "read/scans/point_meaning.hpp"
 
 #include <algorithm>
 #include <array>

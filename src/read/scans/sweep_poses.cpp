@@ -31,9 +31,8 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
         const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
         const std::optional<Pose> vehicle_pose = find_vehicle_pose(t_s);
         if (!vehicle_pose || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
-        track.time_s.push_back(offset_s);
-        track.pose.push_back(inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, mounted)) *
-                             (*vehicle_pose * mounted));
+        track.append(offset_s, inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, mounted)) *
+                                   (*vehicle_pose * mounted));
     }
     return track;
 }

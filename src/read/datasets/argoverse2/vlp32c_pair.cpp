@@ -12,7 +12,7 @@
 
 #include <relidar/log/sensor_pattern.hpp>
 
-#include "read/scans/arrange_firings.hpp"
+#include "read/scans/sweep_firings.hpp"
 
 namespace relidar::argoverse2 {
 namespace {

@@ -14,8 +14,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/scans/arrange_firings.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/sweep_firings.hpp"
 
 namespace relidar::nuscenes {
 namespace {
