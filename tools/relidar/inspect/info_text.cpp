@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -34,6 +35,8 @@ std::optional<double> return_share(const Log& sequence) {
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
+double duration_s(const Log& log) { return log.frames.back().time_s - log.frames.front().time_s; }
+
 std::string format_line(const std::string& value_name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
@@ -43,9 +46,9 @@ std::string format_line(const std::string& value_name, const std::string& value)
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
-        if (!b.size_guess.empty()) guesses.push_back(b.id);
-        if (b.n_unlabelled_frames > 0)
-            continued.push_back(fmt::format("{} ({} frames)", b.id, b.n_unlabelled_frames));
+        if (!b.box.size_guess.empty()) guesses.push_back(b.box.id);
+        if (const std::size_t n = b.box.n_before + b.box.n_after; n > 0)
+            continued.push_back(fmt::format("{} ({} frames)", b.box.id, n));
     }
     std::string text;
     if (!guesses.empty())
@@ -65,13 +68,14 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_c
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
+        const auto& [id, category, size_m] = std::tie(b.box.id, b.box.category, b.box.size_m);
         const std::string box_class =
-            b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
-        rows.push_back({b.id, box_class, fmt::format("{:.2f} m", b.size_m.x),
-                        fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
+            b.box.size_guess.empty() ? category : fmt::format("{}, {}?", category, b.box.size_guess);
+        rows.push_back({id, box_class, fmt::format("{:.2f} m", size_m.x), fmt::format("{:.2f} m", size_m.y),
+                        fmt::format("{:.2f} m", size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m),
-                        b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
+                        b.box.is_moving() ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
                         fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z,
                                     b.start_yaw_deg)});
         if (show_instance_columns)
@@ -81,23 +85,24 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_c
     return "\n" + format_table(rows) + box_notes(boxes);
 }
 
-Json summary_json(const BoxSummary& box) {
+Json summary_json(const BoxSummary& summary) {
+    const BoxTrack& box = summary.box;
     Json json = {{"id", box.id},
                  {"category", box.category},
                  {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
-                 {"frames", box.n_frames},
-                 {"first_frame", box.first_frame},
-                 {"last_frame", box.last_frame},
-                 {"path_m", box.path_m},
-                 {"mean_speed_mps", box.mean_speed_mps},
-                 {"moving", box.moves},
-                 {"start_m", {box.start_m.x, box.start_m.y, box.start_m.z}},
-                 {"start_yaw_deg", box.start_yaw_deg},
+                 {"frames", summary.n_frames},
+                 {"first_frame", summary.first_frame},
+                 {"last_frame", summary.last_frame},
+                 {"path_m", summary.path_m},
+                 {"mean_speed_mps", summary.mean_speed_mps},
+                 {"moving", box.is_moving()},
+                 {"start_m", {summary.start_m.x, summary.start_m.y, summary.start_m.z}},
+                 {"start_yaw_deg", summary.start_yaw_deg},
                  {"instance", nullptr},
-                 {"surfels", box.n_surfels}};
-    if (box.instance) json["instance"] = *box.instance;
+                 {"surfels", summary.n_surfels}};
+    if (summary.instance) json["instance"] = *summary.instance;
     if (!box.size_guess.empty()) json["size_guess"] = box.size_guess;
-    if (box.n_unlabelled_frames > 0) json["beside_labels"] = box.n_unlabelled_frames;
+    if (const std::size_t n = box.n_before + box.n_after; n > 0) json["beside_labels"] = n;
     return json;
 }
 
@@ -114,16 +119,17 @@ Json summary_json(const LogSummary& summary) {
     for (const BoxSummary& b : summary.boxes) boxes.push_back(summary_json(b));
     Json lidars = Json::array();
     for (const LidarSummary& l : summary.lidars) lidars.push_back(summary_json(l));
-    Json json = {{"name", summary.name},
-                 {"source", summary.source},
-                 {"conventions", summary.conventions},
+    const Log& log = summary.log;
+    Json json = {{"name", log.name},
+                 {"source", log.source},
+                 {"conventions", log.conventions},
                  {"notes", summary.notes},
                  {"lidars", lidars},
-                 {"rolling_shutter", summary.rolling_shutter},
-                 {"frames", summary.n_frames},
-                 {"first_frame", summary.first_frame},
-                 {"last_frame", summary.last_frame},
-                 {"seconds", summary.seconds},
+                 {"rolling_shutter", log.rolling_shutter},
+                 {"frames", log.frames.size()},
+                 {"first_frame", log.frames.front().index},
+                 {"last_frame", log.frames.back().index},
+                 {"seconds", duration_s(log)},
                  {"path_m", summary.path_m},
                  {"returns_share", nullptr},
                  {"boxes", boxes},
@@ -140,12 +146,7 @@ std::string dump_json(const Json& json) {
 }
 
 BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
-    BoxSummary summary;
-    summary.id = box.id;
-    summary.category = box.category;
-    summary.size_m = box.size_m;
-    summary.size_guess = box.size_guess;
-    summary.n_unlabelled_frames = box.n_before + box.n_after;
+    BoxSummary summary{box};
     for (const Frame& frame : sequence.frames) {
         if (!box.is_observed(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
@@ -156,7 +157,6 @@ BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
     if (track.pose.empty()) return summary;
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
-    summary.moves = box.is_moving();
     // The yaw angle is the direction of the x axis in the first pose.
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
@@ -220,15 +220,16 @@ std::string summary_text(const LidarSummary& summary) {
 }
 
 std::string summary_text(const LogSummary& summary, bool show_instance_columns) {
-    std::string text = format_line("log", summary.name) + format_line("source", summary.source) +
-                       format_line("conventions", summary.conventions);
+    const Log& log = summary.log;
+    std::string text = format_line("log", log.name) + format_line("source", log.source) +
+                       format_line("conventions", log.conventions);
     for (const std::string& note : summary.notes) text += format_line("note", note);
-    const char* shutter = summary.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
+    const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
     for (const LidarSummary& lidar : summary.lidars)
         text += format_line("sensor", summary_text(lidar) + shutter);
-    text += format_line(
-        "frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", summary.n_frames,
-                              summary.first_frame, summary.last_frame, summary.seconds, summary.path_m));
+    text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.frames.size(),
+                                              log.frames.front().index, log.frames.back().index,
+                                              duration_s(log), summary.path_m));
     if (summary.returns_share)
         text += format_line(
             "returns",
@@ -237,7 +238,7 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
                             ? fmt::format(" in a sample of {} scans of the log; --all reads all scans",
                                           summary.n_scans_read)
                             : ""));
-    const auto n_moving = std::ranges::count_if(summary.boxes, &BoxSummary::moves);
+    const auto n_moving = std::ranges::count_if(log.boxes, &BoxTrack::is_moving);
     text += format_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(), n_moving,
                                              std::ssize(summary.boxes) - n_moving));
     if (!summary.masked.empty())
@@ -248,32 +249,20 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
 }  // namespace
 
 LogSummary summarise(const Log& sequence, const InitOptions& options) {
-    LogSummary log;
-    log.name = sequence.name;
-    log.source = sequence.source;
-    log.conventions = sequence.conventions;
-    log.notes.assign(sequence.notes.begin(), sequence.notes.end());
+    LogSummary summary{sequence, {sequence.notes.begin(), sequence.notes.end()}};
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i)
-        log.lidars.push_back(summarise(sequence, int(i)));
-    log.rolling_shutter = sequence.rolling_shutter;
-    log.n_frames = sequence.frames.size();
-    if (!sequence.frames.empty()) {
-        log.first_frame = sequence.frames.front().index;
-        log.last_frame = sequence.frames.back().index;
-        log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
-    }
-    log.path_m = path_length_m(sequence.world_from_vehicle);
-    log.returns_share = return_share(sequence);
-    log.n_scans_read = std::size_t(
+        summary.lidars.push_back(summarise(sequence, int(i)));
+    summary.path_m = path_length_m(sequence.world_from_vehicle);
+    summary.returns_share = return_share(sequence);
+    summary.n_scans_read = std::size_t(
         std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
-    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = format_box_list(find_unselected(sequence, options));
-    return log;
+    for (const BoxTrack& box : sequence.boxes) summary.boxes.push_back(summarise(sequence, box));
+    summary.masked = format_box_list(find_unselected(sequence, options));
+    return summary;
 }
 
 RunSummary summarise(const Run& run) {
-    RunSummary summary;
-    summary.log = summarise(run.sequence, run.config.init);
+    RunSummary summary{run, summarise(run.sequence, run.config.init)};
     if (!run.refined_poses.empty() && run.refined_poses != "none")
         summary.log.notes.push_back(fmt::format(
             "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "
@@ -289,25 +278,14 @@ RunSummary summarise(const Run& run) {
                                             sensor.grid ? sensor.grid->columns : sensor.rays.columns,
                                             sensor.limits.max_m});
     }
-    summary.preset = run.config.preset;
-    summary.iterations = run.config.train.iterations;
-    summary.n_surfels = count_surfels(run.scene);
-    summary.n_drop_parameters = run.drop_network.parameters.size();
-    summary.drop_image = run.drop_network.image;
-    summary.primitive = run.scene.surfels.primitive;
-    summary.n_instances = run.scene.instances.size();
-    summary.edits = run.edits;
     for (BoxSummary& box : summary.log.boxes) {
-        for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
-            if (run.scene.instances[i].track != box.id) continue;
-            box.instance = i;
-            box.n_surfels = run.scene.models[run.scene.instances[i].model].count;
-        }
+        const auto instance = std::ranges::find(run.scene.instances, box.box.id, &ModelInstance::track);
+        if (instance == run.scene.instances.end()) continue;
+        box.instance = std::size_t(instance - run.scene.instances.begin());
+        box.n_surfels = run.scene.models[instance->model].count;
     }
     for (const SurfelModel& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
     for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
-    summary.n_blocks = run.scene.blocks.size();
-    summary.n_train = run.split.train.size();
     for (const int position : run.split.test)
         summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
     for (const auto& entry : std::filesystem::directory_iterator(run.folder)) {
@@ -320,31 +298,35 @@ RunSummary summarise(const Run& run) {
 
 std::string format_as_text(const LogSummary& log) { return summary_text(log, false); }
 
-std::string format_as_text(const RunSummary& run) {
+std::string format_as_text(const RunSummary& summary) {
+    const Run& run = summary.run;
+    const PrimitiveType primitive = run.scene.surfels.primitive;
     const std::string other =
-        run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", properties_of(run.primitive).label);
-    std::string text = format_line("surfels", fmt::format("{}{}", run.n_surfels, other));
-    if (run.n_blocks > 0)
+        primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", properties_of(primitive).label);
+    std::string text = format_line("surfels", fmt::format("{}{}", count_surfels(run.scene), other));
+    if (!run.scene.blocks.empty())
         text += format_line(
             "blocks", fmt::format("the background consists of {} blocks; each is loaded when a scan needs it",
-                                  run.n_blocks));
-    for (const auto& [name, count] : run.models)
+                                  run.scene.blocks.size()));
+    for (const auto& [name, count] : summary.models)
         text += format_line("  model", fmt::format("{}: {} surfels", name, count));
-    text += format_line(
-        "instances",
-        fmt::format("{}, of which number 0 is the background and all others are actors", run.n_instances));
-    if (run.n_drop_parameters > 0)
+    text += format_line("instances",
+                        fmt::format("{}, of which number 0 is the background and all others are actors",
+                                    run.scene.instances.size()));
+    if (!run.drop_network.empty())
         text += format_line(
             "ray drop",
             fmt::format(
                 "corrected by a network with {} parameters; the network reads range images of type {}",
-                run.n_drop_parameters, run.drop_image));
+                run.drop_network.parameters.size(), run.drop_network.image));
     for (const EditHistoryEntry& e : run.edits)
         text += format_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
-    text += format_line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += format_line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
-                                             run.test_frames.size(), fmt::join(run.test_frames, ", ")));
-    for (const RenderedSensorSummary& sensor : run.rendered_sensors)
+    text += format_line(
+        "settings", fmt::format("preset {}, {} iterations", run.config.preset, run.config.train.iterations));
+    text +=
+        format_line("split", fmt::format("{} training frames, {} test frames ({})", run.split.train.size(),
+                                         run.split.test.size(), fmt::join(summary.test_frames, ", ")));
+    for (const RenderedSensorSummary& sensor : summary.rendered_sensors)
         text += format_line(
             "renders",
             fmt::format(
@@ -352,34 +334,39 @@ std::string format_as_text(const RunSummary& run) {
                 sensor.rows == 0 ? "" : fmt::format("{} rows x {} columns, ", sensor.rows, sensor.columns),
                 sensor.max_range_m));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
-    for (const auto& [name, size] : run.files) rows.push_back({name, format_bytes(size)});
-    return text + summary_text(run.log, true) + "\n" + format_table(rows);
+    for (const auto& [name, size] : summary.files) rows.push_back({name, format_bytes(size)});
+    return text + summary_text(summary.log, true) + "\n" + format_table(rows);
 }
 
 std::string format_as_json(const LogSummary& log) { return dump_json(summary_json(log)); }
 
-std::string format_as_json(const RunSummary& run) {
-    Json json = {{"preset", run.preset},           {"iterations", run.iterations},
-                 {"surfels", run.n_surfels},       {"primitive", properties_of(run.primitive).name},
-                 {"models", Json::array()},        {"train_frames", run.n_train},
-                 {"test_frames", run.test_frames}, {"files", Json::object()},
-                 {"log", summary_json(run.log)}};
-    for (const auto& [name, count] : run.models)
+std::string format_as_json(const RunSummary& summary) {
+    const Run& run = summary.run;
+    Json json = {{"preset", run.config.preset},
+                 {"iterations", run.config.train.iterations},
+                 {"surfels", count_surfels(run.scene)},
+                 {"primitive", properties_of(run.scene.surfels.primitive).name},
+                 {"models", Json::array()},
+                 {"train_frames", run.split.train.size()},
+                 {"test_frames", summary.test_frames},
+                 {"files", Json::object()},
+                 {"log", summary_json(summary.log)}};
+    for (const auto& [name, count] : summary.models)
         json["models"].push_back({{"name", name}, {"surfels", count}});
-    json["instances"] = run.n_instances;
+    json["instances"] = run.scene.instances.size();
     json["renders"] = Json::array();
-    for (const RenderedSensorSummary& sensor : run.rendered_sensors)
+    for (const RenderedSensorSummary& sensor : summary.rendered_sensors)
         json["renders"].push_back({{"name", sensor.name},
                                    {"rows", sensor.rows},
                                    {"columns", sensor.columns},
                                    {"max_range_m", sensor.max_range_m}});
-    if (run.n_blocks > 0) json["blocks"] = run.n_blocks;
-    json["drop_network"] = run.n_drop_parameters > 0
-                               ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}}
-                               : Json();
+    if (!run.scene.blocks.empty()) json["blocks"] = run.scene.blocks.size();
+    const RayDropNetwork& network = run.drop_network;
+    json["drop_network"] =
+        network.empty() ? Json() : Json{{"parameters", network.parameters.size()}, {"image", network.image}};
     json["edits"] = Json::array();
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
-    for (const auto& [name, size] : run.files) json["files"][name] = size;
+    for (const auto& [name, size] : summary.files) json["files"][name] = size;
     return dump_json(json);
 }
 
