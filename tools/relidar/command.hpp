@@ -2,7 +2,7 @@
 // Interface between the command line parser and the commands. A command is a function
 // that adds a subcommand and its options to the parser. If the user chooses the command,
 // a callback stores the function to run in `call.run`. To add a command, write a new file
-// and add one line here and one line in commands.cpp.
+// and add one line here and one word in main.cpp.
 #pragma once
 
 #include <functional>
@@ -21,11 +21,8 @@ struct ParsedCommand {
     std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.
 };
 
-void add_commands(CLI::App& app, ParsedCommand& call);
-
 void add_list_devices(CLI::App& list_command, ParsedCommand& call);
 void add_list_sensors(CLI::App& list_command, ParsedCommand& call);
-void add_list_settings(CLI::App& list_command, ParsedCommand& call);
 void add_list(CLI::App& app, ParsedCommand& call);
 void add_convert(CLI::App& app, ParsedCommand& call);
 void add_info(CLI::App& app, ParsedCommand& call);

@@ -11,6 +11,8 @@
 
 #include <fmt/format.h>
 
+#include "interrupt.hpp"
+
 namespace relidar::cli {
 namespace {
 
@@ -99,6 +101,10 @@ std::string quote_for_shell(const std::string& word) {
     return quoted + "'";
 }
 
+double seconds_since(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
 void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
 
 namespace {
@@ -152,8 +158,7 @@ void TerminalProgress::show_text(const std::string& text, bool ignore_rate_limit
 }
 
 void TerminalProgress::show_step(const std::string& description, std::size_t n_done, std::size_t n_total) {
-    const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
-    const double rate = static_cast<double>(n_done) / std::max(seconds, 1e-9);
+    const double rate = static_cast<double>(n_done) / std::max(seconds_since(start_), 1e-9);
     show_text(fmt::format("{} {}/{}  {:.2f}/s  remaining {}", description, n_done, n_total, rate,
                           format_duration(static_cast<double>(n_total - n_done) / std::max(rate, 1e-9))),
               n_done == n_total);
@@ -162,6 +167,13 @@ void TerminalProgress::show_step(const std::string& description, std::size_t n_d
 relidar::Progress progress_callback(TerminalProgress& terminal_progress) {
     return [&terminal_progress](std::string_view description, double done) {
         terminal_progress.show_text(fmt::format("{} {:.0f} %", description, 100.0 * done));
+    };
+}
+
+relidar::Progress interruptible_progress(TerminalProgress& terminal_progress) {
+    return [show = progress_callback(terminal_progress)](std::string_view description, double done) {
+        check_interrupt();
+        show(description, done);
     };
 }
 

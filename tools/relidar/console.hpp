@@ -23,6 +23,10 @@ std::string format_number(double value);          ///< Formats a number with fou
 std::string make_one_line(std::string text);
 std::string quote_for_shell(const std::string& word);
 
+using Clock = std::chrono::steady_clock;
+double seconds_since(Clock::time_point start);
+inline double ms_since(Clock::time_point start) { return 1e3 * seconds_since(start); }
+
 void print(const std::string& text);
 
 /// One line on stderr. A warning says that a result is probably not what the user
@@ -48,7 +52,6 @@ public:
     void show_step(const std::string& description, std::size_t n_done, std::size_t n_total);
 
 private:
-    using Clock = std::chrono::steady_clock;
     bool quiet_;
     bool terminal_;
     Clock::time_point start_ = Clock::now();
@@ -56,5 +59,7 @@ private:
 };
 
 relidar::Progress progress_callback(TerminalProgress& terminal_progress);
+/// After Ctrl-C, the callback throws an Error with exit code 130.
+relidar::Progress interruptible_progress(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

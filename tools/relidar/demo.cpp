@@ -114,10 +114,8 @@ void write_demo_report(Device& device, const Run& run, const StreetOptions& exac
                        Report report, const fs::path& output_folder, bool quiet) {
     const Evaluation held_out = score_held_out(device, run, quiet);
     const Evaluation shifted = score_shifted(device, run, exact_street_options, quiet);
-    write_text_file(
-        run.folder / "metrics.json",
-        metrics_json(held_out, run.config,
-                     {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text_file(run.folder / "metrics.json",
+                    metrics_json(held_out, run.config, describe_source(run, device)));
     write_demo_scans(output_folder / "held_out", held_out, run, {});
     write_demo_scans(output_folder / "shifted", shifted, run, kSensorShift);
     report.title = "relidar demo: a synthetic street";
@@ -187,9 +185,9 @@ Example: relidar demo --out demo)";
 void add_demo(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
-    command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
-    command->add_option("--seed", options->seed, "seed of the synthetic street and of training (default: 1)")
-        ->type_name("S");
+    add_option(*command, "--out DIR", options->out, "folder for all results (default: demo)");
+    add_option(*command, "--seed S", options->seed,
+               "seed of the synthetic street and of training (default: 1)");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);

@@ -9,7 +9,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <CLI/CLI.hpp>
 
 #include <relidar/diff/first_use.hpp>
 #include <relidar/log/channels.hpp>
@@ -34,16 +33,12 @@ std::optional<T> parse_number(const std::string& text) {
 }  // namespace
 
 void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice) {
-    command
-        .add_option("--device", device_choice.index,
-                    "number of the Vulkan device in `relidar list devices` (default: a GPU with ray query, "
-                    "else any GPU, else a CPU device)")
-        ->type_name("N");
-    command
-        .add_option("--traversal", device_choice.traversal,
-                    "method to trace rays: auto, ray_query or software; auto uses ray_query if the GPU "
-                    "supports it, else software (default: auto)")
-        ->type_name("HOW");
+    add_option(command, "--device N", device_choice.index,
+               "number of the Vulkan device in `relidar list devices` (default: a GPU with ray query, else "
+               "any GPU, else a CPU device)");
+    add_option(command, "--traversal HOW", device_choice.traversal,
+               "method to trace rays: auto, ray_query or software; auto uses ray_query if the GPU supports "
+               "it, else software (default: auto)");
 }
 
 void add_quiet_option(CLI::App& command, bool& quiet) {
@@ -63,53 +58,46 @@ DeviceOptions to_device_options(const DeviceCommandOptions& device_choice) {
     return apply_environment(options);
 }
 
-std::vector<std::string> device_arguments(const DeviceCommandOptions& device_choice) {
-    std::vector<std::string> words;
-    if (device_choice.index >= 0)
-        words.insert(words.end(), {"--device", fmt::format("{}", device_choice.index)});
-    if (device_choice.traversal != "auto")
-        words.insert(words.end(), {"--traversal", device_choice.traversal});
-    return words;
+std::string resume_command(const std::string& command, const std::string& run,
+                           const DeviceCommandOptions& device_choice) {
+    std::string text = fmt::format("relidar {} --resume {}", command, quote_for_shell(run));
+    if (device_choice.index >= 0) text += fmt::format(" --device {}", device_choice.index);
+    if (device_choice.traversal != "auto") text += " --traversal " + device_choice.traversal;
+    return text;
 }
 
 void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list) {
-    command
-        .add_option(
-            "--channels", parsed_channel_list,
-            fmt::format(
-                "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
-                fmt::join(optional_names(), ", ")))
-        ->type_name("LIST");
+    add_option(
+        command, "--channels LIST", parsed_channel_list,
+        fmt::format(
+            "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
+            fmt::join(optional_names(), ", ")));
 }
 
 void add_weather_option(CLI::App& command, std::string& text, const std::string& scope) {
-    command
-        .add_option(
-            "--weather", text,
-            fmt::format(
-                "{}; applies to {} (default: clear); the channel `source` says what caused each point",
-                weather_help(), scope))
-        ->type_name("WEATHER");
+    add_option(
+        command, "--weather WEATHER", text,
+        fmt::format("{}; applies to {} (default: clear); the channel `source` says what caused each point",
+                    weather_help(), scope));
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts) {
-    command
-        .add_option("--set", parsed_setting_texts,
-                    "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` "
-                    "lists all keys")
-        ->type_name("KEY=VALUE")
-        ->type_size(1)
-        ->allow_extra_args(false);
+    add_list_option(
+        command, "--set KEY=VALUE", parsed_setting_texts,
+        "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` lists all keys");
+}
+
+void add_no_refine_option(CLI::App& command, bool& no_refine) {
+    command.add_flag("--no-refine", no_refine,
+                     "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
 }
 
 void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
-    command
-        .add_option("--preset", settings.preset,
-                    "settings to start from: default, quick (trains in minutes on a CPU), paper (as "
-                    "described in the paper) or released (as in the authors' code)")
-        ->type_name("NAME");
-    command.add_option("--config", settings.file, "TOML file with settings that replace those of the preset")
-        ->type_name("FILE");
+    add_option(command, "--preset NAME", settings.preset,
+               "settings to start from: default, quick (trains in minutes on a CPU), paper (as described in "
+               "the paper) or released (as in the authors' code)");
+    add_option(command, "--config FILE", settings.file,
+               "TOML file with settings that replace those of the preset");
     add_set_option(command, settings.sets);
 }
 
@@ -159,14 +147,10 @@ void check_settings_used(const std::vector<std::string>& setting_texts,
 }
 
 void add_log_options(CLI::App& command, LogSelection& log_selection) {
-    command
-        .add_option("--frames", log_selection.frames,
-                    "frames of the log to read, first:end, by the dataset's frame numbers (default: all)")
-        ->type_name("A:B");
-    command
-        .add_option("--sequence", log_selection.sequence,
-                    "name of the drive if the dataset contains several (default: the first)")
-        ->type_name("NAME");
+    add_option(command, "--frames A:B", log_selection.frames,
+               "frames of the log to read, first:end, by the dataset's frame numbers (default: all)");
+    add_option(command, "--sequence NAME", log_selection.sequence,
+               "name of the drive if the dataset contains several (default: the first)");
 }
 
 void apply_selection(Config& config, const LogSelection& log_selection) {

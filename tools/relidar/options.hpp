@@ -9,15 +9,25 @@
 #include <utility>
 #include <vector>
 
+#include <CLI/CLI.hpp>
+
 #include <relidar/gpu/device.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/config.hpp>
 
-namespace CLI {
-class App;
-}
-
 namespace relidar::cli {
+
+/// @param name with the word for the value in the help, for example "--out DIR"
+template <class T>
+CLI::Option* add_option(CLI::App& command, const std::string& name, T& value, const std::string& help) {
+    const std::size_t space = name.find(' ');
+    return command.add_option(name.substr(0, space), value, help)->type_name(name.substr(space + 1));
+}
+/// A list whose option is repeated for each value.
+inline void add_list_option(CLI::App& command, const std::string& name, std::vector<std::string>& values,
+                            const std::string& help) {
+    add_option(command, name, values, help)->type_size(1)->allow_extra_args(false);
+}
 
 struct DeviceCommandOptions {
     int index = -1;
@@ -26,8 +36,10 @@ struct DeviceCommandOptions {
 void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice);
 void add_quiet_option(CLI::App& command, bool& quiet);
 DeviceOptions to_device_options(const DeviceCommandOptions& device_choice);
-/// Words of a command line for another process, without default values.
-std::vector<std::string> device_arguments(const DeviceCommandOptions& device_choice);
+/// For example "relidar train --resume RUN --device 1", with the options that differ from
+/// their defaults.
+std::string resume_command(const std::string& command, const std::string& run,
+                           const DeviceCommandOptions& device_choice);
 
 /// A later option in this order overwrites an earlier one.
 struct SettingsCommandOptions {
@@ -41,6 +53,7 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_c
 /// @param scope says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& text, const std::string& scope);
 void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
+void add_no_refine_option(CLI::App& command, bool& no_refine);
 Config make_config(const SettingsCommandOptions& settings);
 void apply_settings(Config& config, const std::vector<std::string>& key_value_texts);
 /// A name that ends in a dot means all settings of that group.

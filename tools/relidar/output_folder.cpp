@@ -118,6 +118,8 @@ std::optional<OpenLockFile> lock_file(const fs::path& file) {
 
 }  // namespace
 
+fs::path folder_of(const fs::path& file) { return file.has_parent_path() ? file.parent_path() : "."; }
+
 OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
     std::error_code failed;
     was_there_ = fs::exists(path, failed);

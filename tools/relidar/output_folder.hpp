@@ -14,6 +14,8 @@ struct Run;
 
 namespace relidar::cli {
 
+std::filesystem::path folder_of(const std::filesystem::path& file);
+
 /// Creates a folder. The destructor removes it if it was created and is still empty.
 class OutputFolder {
 public:

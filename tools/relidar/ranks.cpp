@@ -14,7 +14,6 @@
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/sensor.hpp>
 #include "console.hpp"
-#include "launched_by_mpi.hpp"
 
 namespace relidar::cli {
 namespace {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdlib>
 #include <string>
 #include <vector>
 
@@ -10,6 +11,14 @@
 #include "options.hpp"
 
 namespace relidar::cli {
+
+/// A process that was started alone must not initialise MPI, which may not be set up.
+inline bool is_mpi_process() {
+    // Open MPI sets the first, MPICH and Intel MPI the second, Slurm either of them.
+    for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})
+        if (const char* size = std::getenv(name); size && std::atoi(size) > 1) return true;
+    return false;
+}
 
 /// With a single process, no function waits or communicates. If an exception destroys
 /// this object, mpirun terminates the other processes.

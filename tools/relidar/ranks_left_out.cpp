@@ -5,7 +5,6 @@
 #include "ranks.hpp"
 
 #include <relidar/base/error.hpp>
-#include "launched_by_mpi.hpp"
 
 namespace relidar::cli {
 

@@ -4,7 +4,6 @@
 #include "bench/bench.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <optional>
 #include <span>
 
@@ -19,13 +18,11 @@
 #include "bench/training_step.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include "render/target_sensors.hpp"
+#include "render/selection.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr int kMinRepeats = 3, kMaxRepeats = 10, kTimedScans = 30;
 constexpr double kEnoughTime_ms = 5000.0;
@@ -40,10 +37,6 @@ struct BenchTimes {
     std::optional<double> scans_per_s;
     std::optional<double> separate_scans_per_s = {};
 };
-
-double ms_since(Clock::time_point start) {
-    return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-}
 
 double median(std::vector<double> samples) {
     std::ranges::sort(samples);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command `relidar check` checks that a device gives right results. With --speed, it
 // measures how fast the device is.
-#include <chrono>
 #include <ctime>
 #include <filesystem>
 #include <memory>
@@ -27,12 +26,8 @@
 namespace relidar::cli {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-struct CheckOptions {
-    std::string json, run, sensor;
+struct CheckOptions : BenchOptions {
     bool speed = false;
-    DeviceCommandOptions device;
 };
 
 struct NamedCheckResult {
@@ -62,7 +57,7 @@ NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested, 
     } catch (const DeviceError& error) {
         row.finding = failed_check(make_one_line(error.what()));
     }
-    row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
+    row.seconds = seconds_since(start);
     return row;
 }
 
@@ -134,10 +129,9 @@ void run_check(const CheckOptions& options) {
             "--sensor requires both --speed and --run, because only both together measure scans");
     // Creates the folder of the report before the long work starts.
     std::optional<OutputFolder> folder;
-    if (const std::filesystem::path json = options.json; !json.empty())
-        folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
+    if (!options.json.empty()) folder.emplace(folder_of(options.json));
     install_handlers();
-    if (options.speed) run_bench({options.run, options.sensor, options.json, options.device});
+    if (options.speed) run_bench(options);
     else run_all_checks(options);
 }
 
@@ -162,17 +156,13 @@ void add_check(CLI::App& app, ParsedCommand& call) {
     const auto options = std::make_shared<CheckOptions>();
     command->add_flag("--speed", options->speed,
                       "measure the speed of the device instead of checking its results");
-    command
-        ->add_option("--run", options->run,
-                     "also check the rendered images of this run; with --speed: measure the speed with its "
-                     "scene and sensor")
-        ->type_name("RUN");
-    command
-        ->add_option("--sensor", options->sensor,
-                     "with --speed and --run: sensor or rig whose scans per second are measured (default: "
-                     "the log's sensor)")
-        ->type_name("NAME|FILE");
-    command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
+    add_option(*command, "--run RUN", options->run,
+               "also check the rendered images of this run; with --speed: measure the speed with its scene "
+               "and sensor");
+    add_option(*command, "--sensor NAME|FILE", options->sensor,
+               "with --speed and --run: sensor or rig whose scans per second are measured (default: the "
+               "log's sensor)");
+    add_option(*command, "--json FILE", options->json, "also write the results to this file");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
     command->callback([&call, options] { call.run = [options] { run_check(*options); }; });

@@ -282,11 +282,9 @@ void add_assets(CLI::App& app, ParsedCommand& call) {
         app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--out", options->out, "new folder; each asset becomes a subfolder")
-        ->required()
-        ->type_name("FOLDER");
-    command->add_option("--least", options->least, "minimum score of an actor, 0 to 1 (default: 0.5)")
-        ->type_name("SCORE");
+    add_option(*command, "--out FOLDER", options->out, "new folder; each asset becomes a subfolder")
+        ->required();
+    add_option(*command, "--least SCORE", options->least, "minimum score of an actor, 0 to 1 (default: 0.5)");
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kAssetsHelp);

@@ -131,7 +131,7 @@ void add_edit(CLI::App& app, ParsedCommand& call) {
         app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
+    add_option(*command, "--out DIR", options->out, "folder for the edited run")->required();
     for (const EditOption& edit : edit_options()) {
         // Each option appends an edit when it is parsed, so edits keep their order.
         const auto append_edit = [options, option = std::string(edit.option)](const std::string& value) {
@@ -143,12 +143,10 @@ void add_edit(CLI::App& app, ParsedCommand& call) {
             ->allow_extra_args(false)
             ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
     }
-    command
-        ->add_option("--from-ply", options->ply,
-                     "before all other edits, replace the surfels by those of a PLY file that `relidar "
-                     "export` wrote and that another program has changed; missing properties are taken from "
-                     "the surfels of RUN at the same positions")
-        ->type_name("FILE.ply");
+    add_option(*command, "--from-ply FILE.ply", options->ply,
+               "before all other edits, replace the surfels by those of a PLY file that `relidar export` "
+               "wrote and that another program has changed; missing properties are taken from the surfels of "
+               "RUN at the same positions");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     add_quiet_option(*command, options->quiet);
     command->footer(kEditHelp);

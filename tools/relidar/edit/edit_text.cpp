@@ -140,10 +140,10 @@ EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
     edited = classify_track(std::move(edited), track, name);
     const bool is_known = parse_kind(name) != ObjectKind::other;
     return {std::move(edited), fmt::format("set the class of {} to {}", track, name),
-            is_known ? ""
-                     : fmt::format("the class {} is no vehicle, cyclist or person, so labels have the kind "
-                                   "other",
-                                   name)};
+            is_known
+                ? ""
+                : fmt::format("the class {} is no vehicle, cyclist or person, so labels have the kind other",
+                              name)};
 }
 
 /// @param original track of the actor before the edit; null for a new actor

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <chrono>
 #include <memory>
 #include <optional>
 
@@ -41,8 +40,6 @@ struct EvalOptions {
     bool quiet = false;
 };
 
-void apply_overrides(Config& config, const EvalOptions& options) { apply_settings(config, options.sets); }
-
 void check_held_out(const Split& split, const std::string& run_or_log_path) {
     if (split.test.empty())
         fail("cannot evaluate {}: it has no held-out frames; expected at least one", run_or_log_path);
@@ -57,8 +54,7 @@ struct EvaluationOutputs {
     EvaluationOutputs(const std::filesystem::path& metrics_file, const std::string& picture_folder,
                       const MpiProcessGroup& ranks)
         : file(metrics_file), pictures(picture_folder) {
-        if (ranks.is_first() && !file.empty())
-            of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
+        if (ranks.is_first() && !file.empty()) of_file.emplace(folder_of(file));
         if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
         ranks.barrier();
     }
@@ -80,10 +76,6 @@ void write_metrics(const EvaluationOutputs& output, const Evaluation& result, co
                           result.trace_ms, result.mrays_per_s, format_bytes(provenance.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
-}
-
-double measure_seconds_since(std::chrono::steady_clock::time_point start) {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
 void write_page(const std::filesystem::path& page_file, const Report& report, bool quiet) {
@@ -110,7 +102,7 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     setting_names.push_back("dataset.");
     check_settings_used(options.sets, setting_names, "eval");
     Run run = load_run(options.target);
-    apply_overrides(run.config, options);
+    apply_settings(run.config, options.sets);
     run.config = with_max_range(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
     const EvaluationOutputs output(
@@ -125,7 +117,7 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     if (!options.baseline.empty()) copy_scans(run, run.split.train, log);
 
     install_handlers();
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     TerminalProgress progress(options.quiet);
     const auto callback = interruptible_progress(progress);
     std::optional<Evaluation> baseline;
@@ -141,10 +133,9 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
         print(
             "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
             "pixels do not measure the quality of the edit\n");
-    write_metrics(output, result, run.config,
-                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
-                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
-                  options.quiet);
+    EvaluationProvenance source = describe_source(run, device, seconds_since(start));
+    source.baseline = baseline ? &*baseline : nullptr;
+    write_metrics(output, result, run.config, source, options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
         if (ranks.size() > 1) copy_scans(run, run.split.test, log);
@@ -167,7 +158,7 @@ const std::vector<std::string> kBaselineSettings = {
 void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
     check_settings_used(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
-    apply_overrides(config, options);
+    apply_settings(config, options.sets);
     config.dataset.path = absolute_dataset(options.target);
     apply_selection(config, options.part);
     const EvaluationOutputs output(options.out, options.pictures, ranks);
@@ -180,7 +171,7 @@ void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
     select_local_frames(split.test, ranks);
 
     install_handlers();
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     TerminalProgress progress(options.quiet);
     const auto process_frame = [&](const ScoredFrame& frame) { output.write_pictures(frame, config); };
     const Evaluation result =
@@ -188,7 +179,7 @@ void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
                                             interruptible_progress(progress), process_frame),
                           ranks);
     if (ranks.is_first())
-        write_metrics(output, result, config, {"", "none", 0, measure_seconds_since(start)}, options.quiet);
+        write_metrics(output, result, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
 void run_eval(const EvalOptions& command_options, const std::string& command_line) {
@@ -269,37 +260,25 @@ void add_eval(CLI::App& app, ParsedCommand& call) {
         ->add_option("RUN", options->targets,
                      "run folder of `relidar train`; with --baseline also a log; with --table several runs")
         ->required();
-    command
-        ->add_option("--out", options->out,
-                     "JSON file for the scores (default: RUN/metrics.json for a run, no file for a log)")
-        ->type_name("FILE");
-    command
-        ->add_option(
-            "--baseline", options->baseline,
-            "also score a simple baseline for comparison: nearest uses the two neighbouring real scans, "
-            "moved to the held-out pose; nearest-actors also moves the points in boxes along their tracks")
-        ->type_name("NAME");
+    add_option(*command, "--out FILE", options->out,
+               "JSON file for the scores (default: RUN/metrics.json for a run, no file for a log)");
+    add_option(
+        *command, "--baseline NAME", options->baseline,
+        "also score a simple baseline for comparison: nearest uses the two neighbouring real scans, moved to "
+        "the held-out pose; nearest-actors also moves the points in boxes along their tracks");
     add_log_options(*command, options->part);
-    command
-        ->add_option(
-            "--pictures", options->pictures,
-            "folder for pictures of each held-out frame and of each moving box: real, rendered, error")
-        ->type_name("DIR");
+    add_option(*command, "--pictures DIR", options->pictures,
+               "folder for pictures of each held-out frame and of each moving box: real, rendered, error");
     command->add_flag("--open", options->open,
                       "write the scores to a page, evaluation.html in the folder of the JSON file, and open "
                       "it in a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine,
-                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
+    add_no_refine_option(*command, options->no_refine);
     add_quiet_option(*command, options->quiet);
-    command
-        ->add_option("--table", options->tables,
-                     "write a table of the existing scores of the runs, as .md, .csv or .html (chosen by the "
-                     "file extension); repeatable")
-        ->type_name("FILE")
-        ->type_size(1)
-        ->allow_extra_args(false);
+    add_list_option(*command, "--table FILE", options->tables,
+                    "write a table of the existing scores of the runs, as .md, .csv or .html (chosen by the "
+                    "file extension); repeatable");
     command->footer(kEvalHelp);
     command->callback([&call, options, command] {
         if (!options->tables.empty()) check_table_options(*command);

@@ -9,11 +9,7 @@
 
 namespace relidar::cli {
 
-class TerminalProgress;
 class MpiProcessGroup;
-
-/// After Ctrl-C, the callback throws an Error with exit code 130.
-relidar::Progress interruptible_progress(TerminalProgress& terminal_progress);
 
 /// The five most important scores, one per line. A missing score is left out.
 std::string format_scores(const Evaluation& result);
@@ -39,6 +35,7 @@ struct EvaluationProvenance {
     double seconds = 0.0;
     const Evaluation* baseline = nullptr;
 };
+EvaluationProvenance describe_source(const Run& run, const Device& device, double seconds = 0.0);
 std::string metrics_json(const Evaluation& result, const Config& config, const EvaluationProvenance& source);
 
 }  // namespace relidar::cli

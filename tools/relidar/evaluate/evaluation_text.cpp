@@ -10,7 +10,6 @@
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
-#include "interrupt.hpp"
 #include "ranks.hpp"
 
 namespace relidar::cli {
@@ -41,8 +40,7 @@ constexpr const char* kEdgesNote =
     "and 5 %; smooth: all other pixels; edges_repeat: the next real scan instead of the rendered scan, over "
     "the frames in which the sensor stands still; share: of the real returns; above_1m: share of the range "
     "errors above 1 m, over pixels that return in both scans; cd_* and f_*: like points/*, over the points "
-    "of "
-    "these pixels";
+    "of these pixels";
 constexpr const char* kActorsNote =
     "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
     "log; tail_share: share of the simulated points (drop_prob < 0.5) that are trail points; "
@@ -52,9 +50,8 @@ constexpr const char* kActorsNote =
     "errors, simulated minus real; cd_m: Chamfer distance, sum of both directions; 3cm: share of the "
     "simulated points with a real point within 3 cm; vehicles_points_error: |simulated / real - 1| of the "
     "numbers of points of a vehicle in all frames, median over the vehicles; f1: F1 score of the rays that "
-    "return from the box, "
-    "enlarged by 0.3 m; table of actors: one row for each labelled or discovered moving box; its numbers of "
-    "points are sums over the frames, its other values are means weighted by real points";
+    "return from the box, enlarged by 0.3 m; table of actors: one row for each labelled or discovered moving "
+    "box; its numbers of points are sums over the frames, its other values are means weighted by real points";
 constexpr const char* kClassesNote =
     "all real returns with a label, whether the rendered ray returns or drops; accuracy: share of these "
     "returns whose rendered class equals the label; mean_iou: intersection over union of a class, mean over "
@@ -203,13 +200,6 @@ std::vector<std::vector<std::string>> edge_rows(const Evaluation& result) {
     return rows;
 }
 
-relidar::Progress interruptible_progress(TerminalProgress& terminal_progress) {
-    return [show = progress_callback(terminal_progress)](std::string_view description, double done) {
-        check_interrupt();
-        show(description, done);
-    };
-}
-
 std::string format_scores(const Evaluation& result) {
     struct ScoreColumn {
         const char* name;
@@ -261,6 +251,10 @@ Json frames_json(const Evaluation& result) {
                           {"metrics", f.metrics},
                           {"actors", actor_scores_json(f.actors)}});
     return frames;
+}
+
+EvaluationProvenance describe_source(const Run& run, const Device& device, double seconds) {
+    return {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds};
 }
 
 std::string metrics_json(const Evaluation& result, const Config& config, const EvaluationProvenance& source) {

@@ -3,11 +3,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 
-#include <relidar/base/math.hpp>
 #include <relidar/log/sensor.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include "evaluate/evaluation.hpp"
@@ -85,50 +83,6 @@ void write_comparison(const std::filesystem::path& folder, const ScoredFrame& fr
 Image draw_ranges(const ScoredFrame& frame, double max_range_m) {
     return stack_images({draw_range(frame.real, max_range_m), draw_range(frame.rendered.image, max_range_m)},
                         stretch_factor(frame.real));
-}
-
-/// Draws each ray of a sensor as a dot whose colour shows its firing time. Azimuth
-/// increases to the right and elevation upwards.
-Image draw_ray_pattern(const RayTable& rays) {
-    constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
-    constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
-    std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.
-    for (const glm::vec3& d : rays.direction)
-        angle.emplace_back(std::atan2(double(d.y), double(d.x)),
-                           std::asin(std::clamp(double(d.z), -1.0, 1.0)));
-    glm::dvec2 low = angle.front(), high = angle.front();
-    for (const glm::dvec2& a : angle) {
-        low = glm::min(low, a);
-        high = glm::max(high, a);
-    }
-    // A sensor that covers a full turn would be too wide, so shows only the 40 degrees
-    // ahead.
-    if (high.x - low.x > 1.9 * kPi) {
-        low.x = -kViewSector_rad;
-        high.x = kViewSector_rad;
-    }
-    low -= kViewMargin_rad;
-    high += kViewMargin_rad;
-    const double pixels_per_rad = kPictureWidth_px / (high.x - low.x);
-    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kPictureWidth_px);
-    std::vector<float> seconds(std::size_t(rows) * kPictureWidth_px, std::numeric_limits<float>::quiet_NaN());
-    for (std::size_t i = 0; i < angle.size(); ++i) {
-        const int row = static_cast<int>((high.y - angle[i].y) * pixels_per_rad),
-                  column = static_cast<int>((high.x - angle[i].x) * pixels_per_rad);
-        for (int y = std::max(row, 0); y < std::min(row + kDotSize_px, rows); ++y)
-            for (int x = std::max(column, 0); x < std::min(column + kDotSize_px, kPictureWidth_px); ++x)
-                seconds[std::size_t(y) * kPictureWidth_px + std::size_t(x)] = rays.time_offset_s[i];
-    }
-    const auto drawn = [](float value) { return !std::isnan(value); };
-    const auto first = std::ranges::find_if(seconds, drawn);
-    float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
-    for (const float value : seconds)
-        if (drawn(value)) {
-            earliest = std::min(earliest, value);
-            latest = std::max(latest, value);
-        }
-    return apply_colour_map(seconds, rows, kPictureWidth_px, earliest,
-                            std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
 }
 
 }  // namespace relidar::cli

@@ -9,7 +9,6 @@
 
 namespace relidar {
 struct Evaluation;
-struct RayTable;
 struct ScoredFrame;
 }  // namespace relidar
 
@@ -24,8 +23,5 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
 Image draw_ranges(const ScoredFrame& frame, double max_range_m);
-
-/// The colour of a dot shows the firing time. Only 40 degrees ahead of a full turn.
-Image draw_ray_pattern(const RayTable& rays);
 
 }  // namespace relidar::cli

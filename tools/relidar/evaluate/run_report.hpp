@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include <relidar/score/report.hpp>
 
@@ -13,6 +14,8 @@ struct Evaluation;
 }  // namespace relidar
 
 namespace relidar::cli {
+
+std::vector<ReportKeyMetric> key_metrics();
 
 Report training_report(const Run& run, const TrainResult& trained, const Device& device,
                        const std::string& args);

@@ -13,7 +13,7 @@
 #include <relidar/score/report.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"
-#include "evaluate/report_parts.hpp"
+#include "evaluate/run_report.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
 

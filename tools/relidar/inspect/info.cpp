@@ -30,6 +30,11 @@ void print_summary(const Summary& summary, bool json) {
     print(json ? format_as_json(summary) : format_as_text(summary));
 }
 
+void print_run_info(const InfoOptions& options) {
+    const Run run = load_run(options.path);
+    print_summary(summarise(run), options.json);
+}
+
 void print_unfinished(const std::filesystem::path& folder) {
     const Config config = load_settings(folder / "config.toml");
     print(fmt::format("{}: {}, at iteration {} of {}; it has no saved scene yet; its log is {}\n",
@@ -47,12 +52,12 @@ void print_log_info(const InfoOptions& options) {
     Config config = make_config(options.settings);
     config.dataset.path = options.path;
     apply_selection(config, options.part);
-    LogSummary summary =
-        summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
+    const Log log = load_dataset(config, false, options.all ? 0 : int(kMostScans));
+    LogSummary summary = summarise(log, config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
     // Some readers read all scans even if fewer are requested.
-    summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
+    summary.is_look = !options.all && is_long && summary.n_scans_read < log.frames.size();
     print_summary(summary, options.json);
 }
 
@@ -85,8 +90,7 @@ void add_info(CLI::App& app, ParsedCommand& call) {
                 (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
                 fail<UsageError>("--frames, --sequence and --all can only be used with a log; {} is a run",
                                  options->path);
-            if (is_run_folder(options->path))
-                print_summary(summarise(load_run(options->path)), options->json);
+            if (is_run_folder(options->path)) print_run_info(*options);
             else if (contains_run(options->path)) print_unfinished(options->path);
             else print_log_info(*options);
         };

@@ -3,6 +3,7 @@
 // come from. It can also draw the ray pattern of a sensor.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include <fmt/format.h>
@@ -13,7 +14,7 @@
 #include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
-#include "evaluate/pictures.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -74,6 +75,50 @@ void print_sensors() {
           "unknown.\n");
 }
 
+/// Draws each ray of a sensor as a dot whose colour shows its firing time. Azimuth
+/// increases to the right and elevation upwards.
+Image draw_ray_pattern(const RayTable& rays) {
+    constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
+    constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
+    std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.
+    for (const glm::vec3& d : rays.direction)
+        angle.emplace_back(std::atan2(double(d.y), double(d.x)),
+                           std::asin(std::clamp(double(d.z), -1.0, 1.0)));
+    glm::dvec2 low = angle.front(), high = angle.front();
+    for (const glm::dvec2& a : angle) {
+        low = glm::min(low, a);
+        high = glm::max(high, a);
+    }
+    // A sensor that covers a full turn would be too wide, so shows only the 40 degrees
+    // ahead.
+    if (high.x - low.x > 1.9 * kPi) {
+        low.x = -kViewSector_rad;
+        high.x = kViewSector_rad;
+    }
+    low -= kViewMargin_rad;
+    high += kViewMargin_rad;
+    const double pixels_per_rad = kPictureWidth_px / (high.x - low.x);
+    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kPictureWidth_px);
+    std::vector<float> seconds(std::size_t(rows) * kPictureWidth_px, std::numeric_limits<float>::quiet_NaN());
+    for (std::size_t i = 0; i < angle.size(); ++i) {
+        const int row = static_cast<int>((high.y - angle[i].y) * pixels_per_rad),
+                  column = static_cast<int>((high.x - angle[i].x) * pixels_per_rad);
+        for (int y = std::max(row, 0); y < std::min(row + kDotSize_px, rows); ++y)
+            for (int x = std::max(column, 0); x < std::min(column + kDotSize_px, kPictureWidth_px); ++x)
+                seconds[std::size_t(y) * kPictureWidth_px + std::size_t(x)] = rays.time_offset_s[i];
+    }
+    const auto drawn = [](float value) { return !std::isnan(value); };
+    const auto first = std::ranges::find_if(seconds, drawn);
+    float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
+    for (const float value : seconds)
+        if (drawn(value)) {
+            earliest = std::min(earliest, value);
+            latest = std::max(latest, value);
+        }
+    return apply_colour_map(seconds, rows, kPictureWidth_px, earliest,
+                            std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
+}
+
 void print_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
@@ -129,15 +174,11 @@ void add_list_sensors(CLI::App& list_command, ParsedCommand& call) {
         "sensors", "list the sensors that can be simulated, or show the properties of one sensor");
     const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "name or file of a sensor (default: list all names)");
-    command
-        ->add_option("--out", options->out,
-                     "PNG file for a picture of the rays: x is the azimuth, y the elevation, the colour is "
-                     "the firing time")
-        ->type_name("FILE.png");
-    command
-        ->add_option("--time", options->time_s,
-                     "time of the scan, for a sensor whose rays differ between scans (default: 0)")
-        ->type_name("SECONDS");
+    add_option(*command, "--out FILE.png", options->out,
+               "PNG file for a picture of the rays: x is the azimuth, y the elevation, the colour is the "
+               "firing time");
+    add_option(*command, "--time SECONDS", options->time_s,
+               "time of the scan, for a sensor whose rays differ between scans (default: 0)");
     command->footer(
         sensor_file_help() +
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"

@@ -48,8 +48,8 @@ void check_capture(const std::filesystem::path& capture, const std::string& log_
     namespace fs = std::filesystem;
     std::error_code failed;
     const bool exists = fs::exists(capture, failed);
-    const fs::path folder = capture.has_parent_path() ? capture.parent_path() : fs::path(".");
-    if (exists && (fs::equivalent(capture, log_path, failed) || fs::equivalent(folder, log_path, failed)))
+    if (exists &&
+        (fs::equivalent(capture, log_path, failed) || fs::equivalent(folder_of(capture), log_path, failed)))
         fail<UsageError>("--out {}: this file is the log or a part of it; expected another name",
                          capture.string());
     if (exists && !overwrite)
@@ -70,13 +70,9 @@ void check_capture(const std::filesystem::path& capture, const std::string& log_
 void write_log_as_packets(const Log& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     check_capture(out, sequence.source, options.overwrite);
-    const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
+    const OutputFolder folder(folder_of(out));
     TerminalProgress progress(options.quiet);
-    const relidar::Progress shown = progress_callback(progress);
-    const std::size_t n = save_packets(sequence, out, [&](std::string_view text, double done) {
-        check_interrupt();
-        shown(text, done);
-    });
+    const std::size_t n = save_packets(sequence, out, interruptible_progress(progress));
     end_progress();
     note_time_shift(sequence, time_shift_of(sequence));
     if (!options.quiet)
@@ -98,13 +94,8 @@ void run_convert(const ConvertOptions& options) {
     install_handlers();
     if (writes_packets) return write_log_as_packets(sequence, options);
     TerminalProgress progress(options.quiet);
-    const relidar::Progress shown = progress_callback(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
-    save_folder(sequence, options.out,
-                {options.overwrite, has_poses, [&](std::string_view text, double done) {
-                     check_interrupt();
-                     shown(text, done);
-                 }});
+    save_folder(sequence, options.out, {options.overwrite, has_poses, interruptible_progress(progress)});
     end_progress();
     if (!options.quiet)
         print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
@@ -130,11 +121,8 @@ void add_convert(CLI::App& app, ParsedCommand& call) {
         app.add_subcommand("convert", "convert a log to npz, text and JSON files, or to sensor packets");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
-    command->add_option("--out", options->out, "folder or capture to create")
-        ->required()
-        ->type_name("FOLDER|FILE.pcap");
-    command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
-        ->type_name("A:B");
+    add_option(*command, "--out FOLDER|FILE.pcap", options->out, "folder or capture to create")->required();
+    add_option(*command, "--frames A:B", options->frames, "frames to convert, first:end (default: all)");
     add_set_option(*command, options->settings.sets);
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     add_quiet_option(*command, options->quiet);

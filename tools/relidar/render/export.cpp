@@ -2,6 +2,9 @@
 // The command `relidar export` writes the surfels of a run as a PLY file for tools of 3D
 // Gaussian splatting. It can also write one PLY file per frame, or the path of the
 // sensor. The command `relidar edit --from-ply` can read the PLY file.
+#include <array>
+#include <cmath>
+#include <map>
 #include <memory>
 #include <optional>
 
@@ -11,15 +14,18 @@
 
 #include <relidar/log/trajectory_csv.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
 #include <relidar/scene/surfel_ply.hpp>
+#include <relidar/simulate/place_points.hpp>
+#include <relidar/simulate/point_files.hpp>
+#include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include "render/choose_frames.hpp"
-#include "render/export_map.hpp"
+#include "render/selection.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -60,6 +66,100 @@ void export_frames(const ExportOptions& options) {
                           positions.size() == 1 ? "" : "s"));
 }
 
+struct MapCell {
+    glm::dvec3 sum_m{0.0};  ///< relative to the origin
+    double intensity = 0.0;
+    std::size_t n = 0;
+};
+
+/// Means of the points of each cell of a grid.
+class PointMap {
+public:
+    /// @param origin_m of the points in the dataset's world, in which the grid begins
+    PointMap(const glm::dvec3& origin_m, double spacing_m) : origin_m_(origin_m), spacing_m_(spacing_m) {}
+
+    void add_points(const LidarPoints& points) {
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            const glm::dvec3 p(points.position_m[i]), cell = glm::floor((origin_m_ + p) / spacing_m_);
+            MapCell& mean = cells_[{cell.x, cell.y, cell.z}];
+            mean.sum_m += p;
+            mean.intensity += double(points.intensity[i]);
+            ++mean.n;
+        }
+    }
+    LidarPoints mean_points() const {
+        LidarPoints map;
+        for (const auto& [key, cell] : cells_) {
+            map.position_m.emplace_back(cell.sum_m / double(cell.n));
+            map.intensity.push_back(float(cell.intensity / double(cell.n)));
+        }
+        return map;
+    }
+
+private:
+    glm::dvec3 origin_m_;
+    double spacing_m_;
+    std::map<std::array<double, 3>, MapCell> cells_;
+};
+
+/// Renders the background at the poses of the log's LiDARs and writes all points as one
+/// file: the mean point of each cell of a grid in the dataset's world.
+void export_map(const ExportOptions& options) {
+    constexpr double kMinSpacing_m = 1e-3, kMaxSpacing_m = 100.0;
+    const std::filesystem::path out = options.points;
+    const double spacing_m = options.spacing_m.value_or(0.05);
+    const std::string ending = out.extension().string();
+    if (ending != ".las" && ending != ".ply" && ending != ".pcd")
+        fail<UsageError>("--points {}: found the ending \"{}\"; expected .las, .ply or .pcd", options.points,
+                         ending);
+    if (!(spacing_m >= kMinSpacing_m && spacing_m <= kMaxSpacing_m))
+        fail<UsageError>("--spacing: found {}; expected metres from {} to {}", spacing_m, kMinSpacing_m,
+                         kMaxSpacing_m);
+    const OutputFolder folder(folder_of(out));
+    Run run = load_run(options.run);
+    run.config = with_max_range(std::move(run.config), run.sequence);
+    const Log& log = run.sequence;
+    std::vector<int> positions = select_frames(run, options.frames.value_or("all"), options.quiet);
+    std::vector<SimulatedSensor> sensors;
+    for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar)
+        sensors.push_back(list_sensors("", {}, run, int(lidar)).front().sensor);
+    for (const SimulatedSensor& sensor : sensors) {
+        if (sensor.rays.size() > 0 || sensor.pattern) continue;
+        print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
+        std::erase_if(positions,
+                      [&](int position) { return log.frames[std::size_t(position)].lidar == sensor.lidar; });
+    }
+    if (positions.empty())
+        fail<UsageError>("--points: found no scan with known rays, expected frames of a LiDAR that spins");
+    Device device(to_device_options(options.device));
+    ScanRenderer renderer(device, run);
+    renderer.show_instances(select_instances(run.scene, {"background"}));
+    install_handlers();
+    TerminalProgress progress(options.quiet);
+    PointMap map(log.world_offset_m, spacing_m);
+    for (std::size_t done = 0; done < positions.size(); ++done) {
+        check_interrupt();
+        progress.show_step("rendering the map", done, positions.size());
+        const Frame& frame = log.frames[std::size_t(positions[done])];
+        const RenderedScan scan = renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s, Pose{});
+        map.add_points(place_points(scan, run.config, Pose{{1, 0, 0, 0}, log.world_offset_m}));
+    }
+    end_progress();
+    const LidarPoints points = map.mean_points();
+    const FileMetadata notes{{"relidar", RELIDAR_VERSION},
+                             {"run", absolute_path(options.run)},
+                             {"spacing_m", fmt::format("{}", spacing_m)}};
+    const bool is_on_earth = log.georeference && has_proj();
+    if (ending == ".ply") write_ply(out, points, notes, log.world_offset_m);
+    else if (ending == ".pcd") write_pcd(out, points, notes, log.world_offset_m);
+    else
+        write_las(out, points, notes, log.world_offset_m,
+                  is_on_earth ? GeoConverter(*log.georeference).wkt() : "");
+    if (!options.quiet)
+        print(fmt::format("{}: {} points of {} scans\n", absolute_path(options.points), points.size(),
+                          positions.size()));
+}
+
 /// Returns the track of an actor, or the path of the sensor if no track is selected.
 const PoseTrack& path_of(const Log& log, const PoseTrack& sensor_path,
                          const std::optional<std::string>& track) {
@@ -75,8 +175,7 @@ void run_export(const ExportOptions& options) {
     if (options.points.empty() == options.out.empty()) throw UsageError("expected either --out or --points");
     if (!options.points.empty()) {
         if (options.track) throw UsageError("--points and --track cannot be used together");
-        return export_map({options.run, options.points, options.spacing_m.value_or(MapOptions{}.spacing_m),
-                           options.frames, options.device, options.quiet});
+        return export_map(options);
     }
     if (options.spacing_m) throw UsageError("--spacing needs --points");
     const std::filesystem::path out = options.out;
@@ -98,7 +197,7 @@ void run_export(const ExportOptions& options) {
             options.out, actual_ending);
     }
     const Run run = load_run(options.run);
-    const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
+    const OutputFolder folder(folder_of(out));
     std::string written;
     if (*format == ".ply") {
         const glm::dvec3& offset = run.sequence.world_offset_m;
@@ -141,24 +240,17 @@ void add_export(CLI::App& app, ParsedCommand& call) {
         app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command
-        ->add_option("--out", options->out,
-                     "output file: .ply for surfels or .csv for the sensor's path; with --frames a folder")
-        ->type_name("FILE.ply|FILE.csv|FOLDER");
-    command
-        ->add_option("--points", options->points,
-                     "write a map of the points of all scans (or of --frames) to a .las, .ply or .pcd file")
-        ->type_name("FILE");
-    command->add_option("--spacing", options->spacing_m, "size of the cells of --points (default: 0.05)")
-        ->type_name("METRES");
-    command
-        ->add_option("--frames", options->frames,
-                     "for each of these frames (FIRST:END, test, train or all), write one file with the "
-                     "background and all actors at their poses")
-        ->type_name("A:B");
-    command
-        ->add_option("--track", options->track, "write the path of this actor to the .csv, not the sensor's")
-        ->type_name("NAME");
+    add_option(*command, "--out FILE.ply|FILE.csv|FOLDER", options->out,
+               "output file: .ply for surfels or .csv for the sensor's path; with --frames a folder");
+    add_option(*command, "--points FILE", options->points,
+               "write a map of the points of all scans (or of --frames) to a .las, .ply or .pcd file");
+    add_option(*command, "--spacing METRES", options->spacing_m,
+               "size of the cells of --points (default: 0.05)");
+    add_option(*command, "--frames A:B", options->frames,
+               "for each of these frames (FIRST:END, test, train or all), write one file with the background "
+               "and all actors at their poses");
+    add_option(*command, "--track NAME", options->track,
+               "write the path of this actor to the .csv, not the sensor's");
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);

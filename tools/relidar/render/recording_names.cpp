@@ -46,17 +46,12 @@ PointCoordinateFrame parse_frame(const std::string& name) {
 }
 
 void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
-    command
-        .add_option(
-            "--topic", parsed_names.topic,
-            "topic of the point clouds in mcap and rosbag; {name} stands for the sensor's name in a rig or "
-            "the log (default: /lidar/points, or /lidar/{name}/points if the sensor has a name)")
-        ->type_name("NAME");
-    command
-        .add_option("--frame-id", parsed_names.frame_id,
-                    "frame id of the sensor in mcap and rosbag; {name} stands for the sensor's name as in "
-                    "--topic (default: lidar, or {name} if the sensor has a name)")
-        ->type_name("NAME");
+    add_option(command, "--topic NAME", parsed_names.topic,
+               "topic of the point clouds in mcap and rosbag; {name} stands for the sensor's name in a rig "
+               "or the log (default: /lidar/points, or /lidar/{name}/points if the sensor has a name)");
+    add_option(command, "--frame-id NAME", parsed_names.frame_id,
+               "frame id of the sensor in mcap and rosbag; {name} stands for the sensor's name as in --topic "
+               "(default: lidar, or {name} if the sensor has a name)");
 }
 
 void check_recording_names(const RecordingNames& name_templates,

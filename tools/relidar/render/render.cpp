@@ -26,10 +26,9 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "ranks.hpp"
-#include "render/choose_frames.hpp"
 #include "render/recording_names.hpp"
 #include "render/render_notes.hpp"
-#include "render/target_sensors.hpp"
+#include "render/selection.hpp"
 #include "render/trajectory.hpp"
 
 namespace relidar::cli {
@@ -404,47 +403,33 @@ void run_render(const RenderOptions& command_options) {
 }
 
 void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
-    command
-        .add_option("--trajectory", trajectory.file,
-                    "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
-                    "the dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in "
-                    "the run's georeference; `relidar export RUN --out FILE.csv` writes the "
-                    "path of the log; --offset shifts the sensor from the path; rays have the nominal angles "
-                    "of the sensor, unlike those of --frames, which repeat a recorded scan")
-        ->type_name("FILE.csv");
-    command
-        .add_option("--rate", trajectory.rate_hz,
-                    "scans per second on the trajectory (default: the rate of the log's sensor)")
-        ->type_name("HZ");
-    command
-        .add_option(
-            "--times", trajectory.times,
-            "times of the scans on the trajectory, instead of --rate: first, last and step in seconds")
-        ->type_name("FIRST:LAST:STEP");
+    add_option(command, "--trajectory FILE.csv", trajectory.file,
+               "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the "
+               "dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in the run's "
+               "georeference; `relidar export RUN --out FILE.csv` writes the path of the log; --offset "
+               "shifts the sensor from the path; rays have the nominal angles of the sensor, unlike those of "
+               "--frames, which repeat a recorded scan");
+    add_option(command, "--rate HZ", trajectory.rate_hz,
+               "scans per second on the trajectory (default: the rate of the log's sensor)");
+    add_option(command, "--times FIRST:LAST:STEP", trajectory.times,
+               "times of the scans on the trajectory, instead of --rate: first, last and step in seconds");
 }
 
 void add_file_options(CLI::App& command, RenderOptions& options) {
-    command
-        .add_option("--format", options.formats,
-                    fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")))
-        ->type_name("LIST");
-    command
-        .add_option(
-            "--layout", options.layout,
-            fmt::format("add the scans and the boxes of all visible objects as a sequence to the data "
-                        "set in DIR: {}; instead of --format",
-                        fmt::join(list_layouts(), ", ")))
-        ->type_name("NAME");
-    command
-        .add_option("--frame", options.point_frame,
-                    "frame of reference of points: sensor, each point at its own firing time; or world, the "
-                    "dataset's (default: sensor)")
-        ->type_name("WHAT");
+    add_option(command, "--format LIST", options.formats,
+               fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")));
+    add_option(command, "--layout NAME", options.layout,
+               fmt::format("add the scans and the boxes of all visible objects as a sequence to the data set "
+                           "in DIR: {}; instead of --format",
+                           fmt::join(list_layouts(), ", ")));
+    add_option(command, "--frame WHAT", options.point_frame,
+               "frame of reference of points: sensor, each point at its own firing time; or world, the "
+               "dataset's (default: sensor)");
     add_channels_option(command, options.channels);
-    command.add_flag("--boxes", options.boxes,
-                     "add the boxes of actors and of labelled standing objects to scans.json, with class, "
-                     "points and visible share (see below), also of hidden objects; traces the rays near "
-                     "each actor a second time");
+    command.add_flag(
+        "--boxes", options.boxes,
+        "add the boxes of actors and of labelled standing objects to scans.json, with class, points and "
+        "visible share (see below), also of hidden objects; traces the rays near each actor a second time");
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
@@ -489,49 +474,34 @@ void add_render(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
     const auto options = std::make_shared<RenderOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
-    command
-        ->add_option("--frames", options->frames,
-                     "first:end by the dataset's frame numbers, or test, train or all (default: test, or all "
-                     "if none is held out)")
-        ->type_name("WHICH");
-    command
-        ->add_option("--offset", options->offset,
-                     "shift the sensor in its own frame: forward, left, up in metres, turn left in degrees")
-        ->type_name("X,Y,Z,YAW_DEG");
+    add_option(*command, "--out DIR", options->out, "folder for the scans")->required();
+    add_option(*command, "--frames WHICH", options->frames,
+               "first:end by the dataset's frame numbers, or test, train or all (default: test, or all if "
+               "none is held out)");
+    add_option(*command, "--offset X,Y,Z,YAW_DEG", options->offset,
+               "shift the sensor in its own frame: forward, left, up in metres, turn left in degrees");
     add_path_options(*command, options->trajectory);
-    command
-        ->add_option("--lidar", options->lidar,
-                     "LiDAR of the log whose frames and mounting are used, by its name in `relidar info` "
-                     "(default: the first)")
-        ->type_name("NAME");
-    command
-        ->add_option("--sensor", options->sensor,
-                     "another sensor: native (the log's), one of `relidar list sensors`, or the file of a "
-                     "sensor or rig (see below)")
-        ->type_name("NAME|FILE");
-    command
-        ->add_option("--only", options->only,
-                     "render only this part: background, actors, or a track; repeatable")
-        ->type_name("WHAT")
-        ->type_size(1)
-        ->allow_extra_args(false);
-    command
-        ->add_option("--sample", options->sample,
-                     "draw random scans with this seed: drops by their probability, ranges and intensities "
-                     "with the noise of the log (default: the most likely scan, without noise)")
+    add_option(*command, "--lidar NAME", options->lidar,
+               "LiDAR of the log whose frames and mounting are used, by its name in `relidar info` (default: "
+               "the first)");
+    add_option(*command, "--sensor NAME|FILE", options->sensor,
+               "another sensor: native (the log's), one of `relidar list sensors`, or the file of a sensor "
+               "or rig (see below)");
+    add_list_option(*command, "--only WHAT", options->only,
+                    "render only this part: background, actors, or a track; repeatable");
+    add_option(*command, "--sample SEED", options->sample,
+               "draw random scans with this seed: drops by their probability, ranges and intensities with "
+               "the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
             return text.starts_with('-') ? fmt::format("found {}, expected an integer of at least 0", text)
                                          : std::string();
-        })
-        ->type_name("SEED");
+        });
     add_weather_option(*command, options->weather,
                        "all scans; the random seed is the value of --sample, or 0 without it");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine,
-                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
+    add_no_refine_option(*command, options->no_refine);
     add_quiet_option(*command, options->quiet);
     command->footer(output_help() + channels_help() + sensor_file_help() +
                     "\n"

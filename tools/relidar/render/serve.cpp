@@ -24,7 +24,6 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "render/render_notes.hpp"
-#include "render/target_sensors.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -141,45 +140,28 @@ void add_serve(CLI::App& app, ParsedCommand& call) {
                      "run folders of `relidar train`; clients select a run by its folder's name, or by NAME")
         ->required()
         ->type_name("[NAME=]RUN");
-    command
-        ->add_option("--listen", options->server.listen,
-                     "address and port; port 0 selects a free port (default: 127.0.0.1:50051)")
-        ->type_name("HOST:PORT");
-    command
-        ->add_option("--memory-mib", options->memory_mib,
-                     "device memory for all scenes together; above the limit the least recently used scene "
-                     "is unloaded (default: half of the device memory)")
-        ->type_name("N");
-    command
-        ->add_option("--assets", options->server.assets,
-                     "folder of `relidar assets`; clients can insert its assets into any scene (repeatable)")
-        ->type_name("FOLDER")
-        ->allow_extra_args(false);
-    command
-        ->add_option("--api", options->api,
-                     "sensorsim: also answer, at the same port, the LiDAR calls of SensorsimService, which "
-                     "AlpaSim and CARLA use to call NVIDIA's renderer")
-        ->type_name("NAME");
-    command
-        ->add_option("--sensorsim-poses", options->pose_order,
-                     "order in which a pose of SensorsimService transforms a point: rotation-first (R p + t, "
-                     "the default) or translation-first (R (p + t))")
-        ->type_name("ORDER");
+    add_option(*command, "--listen HOST:PORT", options->server.listen,
+               "address and port; port 0 selects a free port (default: 127.0.0.1:50051)");
+    add_option(*command, "--memory-mib N", options->memory_mib,
+               "device memory for all scenes together; above the limit the least recently used scene is "
+               "unloaded (default: half of the device memory)");
+    add_list_option(*command, "--assets FOLDER", options->server.assets,
+                    "folder of `relidar assets`; clients can insert its assets into any scene (repeatable)");
+    add_option(*command, "--api NAME", options->api,
+               "sensorsim: also answer, at the same port, the LiDAR calls of SensorsimService, which AlpaSim "
+               "and CARLA use to call NVIDIA's renderer");
+    add_option(*command, "--sensorsim-poses ORDER", options->pose_order,
+               "order in which a pose of SensorsimService transforms a point: rotation-first (R p + t, the "
+               "default) or translation-first (R (p + t))");
     add_channels_option(*command, options->server.channels);
     add_weather_option(*command, options->weather,
                        "scans whose request sets no weather; the random seed of the weather is the request's "
                        "sample_seed, or 0 if the request has no sample_seed");
-    command
-        ->add_option(
-            "--queue", options->queue,
-            "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)")
-        ->type_name("N");
-    command
-        ->add_option("--tls-cert", options->server.tls_cert,
-                     "certificate chain in PEM; turns on encryption, together with --tls-key")
-        ->type_name("FILE");
-    command->add_option("--tls-key", options->server.tls_key, "private key of the certificate in PEM")
-        ->type_name("FILE");
+    add_option(*command, "--queue N", options->queue,
+               "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)");
+    add_option(*command, "--tls-cert FILE", options->server.tls_cert,
+               "certificate chain in PEM; turns on encryption, together with --tls-key");
+    add_option(*command, "--tls-key FILE", options->server.tls_key, "private key of the certificate in PEM");
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kServeHelp);

@@ -137,29 +137,20 @@ void add_view(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser and move the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: a free port)")
-        ->type_name("N");
-    command
-        ->add_option("--bind", options->address,
-                     "address to listen on (default: 127.0.0.1, only this machine; for any other address, "
-                     "the printed URL contains an access token that every client must present)")
-        ->type_name("ADDRESS");
-    command
-        ->add_option("--save-to", options->save_to,
-                     "folder for edited runs that the page saves, created if missing (default: the parent "
-                     "folder of RUN)")
-        ->type_name("DIR");
-    command
-        ->add_option("--insert", options->inserts,
-                     "another run whose actors can be inserted from the page; repeatable")
-        ->type_name("RUN")
-        ->allow_extra_args(false);
+    add_option(*command, "--port N", options->port, "port to listen on (default: 8080; 0: a free port)");
+    add_option(*command, "--bind ADDRESS", options->address,
+               "address to listen on (default: 127.0.0.1, only this machine; for any other address, the "
+               "printed URL contains an access token that every client must present)");
+    add_option(
+        *command, "--save-to DIR", options->save_to,
+        "folder for edited runs that the page saves, created if missing (default: the parent folder of RUN)");
+    add_list_option(*command, "--insert RUN", options->inserts,
+                    "another run whose actors can be inserted from the page; repeatable");
     command->add_flag("--open", options->open, "open a browser");
     add_channels_option(*command, options->channels);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine,
-                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
+    add_no_refine_option(*command, options->no_refine);
     add_quiet_option(*command, options->quiet);
     command->footer(kViewHelp);
     command->callback([&call, options] { call.run = [options] { run_view(*options); }; });

@@ -57,8 +57,7 @@ void train_network(Device& device, Run& run, const RefineCommandOptions& options
     if (train_network_with_bar(device, run, options.quiet, {.checkpoints = checkpoints, .start = from}) ==
         TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        std::string command = "relidar refine --resume " + quote_for_shell(options.run);
-        for (const std::string& word : device_arguments(options.device)) command += " " + word;
+        const std::string command = resume_command("refine", options.run, options.device);
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the ray-drop network of run {} is unchanged{}",
                                 run.folder.string(), can_go_on ? "; continue with: " + command : ""));
@@ -79,10 +78,8 @@ void compare_scores(Device& device, const Run& run, const RefineCommandOptions& 
     const Evaluation before = score_held_out(device, run, false, options.quiet),
                      after = score_held_out(device, run, true, options.quiet);
     end_progress();
-    write_text_file(
-        run.folder / "metrics.json",
-        metrics_json(after, run.config,
-                     {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text_file(run.folder / "metrics.json",
+                    metrics_json(after, run.config, describe_source(run, device)));
     if (!options.quiet)
         print(format_metrics(after, &before) +
               "\nThe column \"baseline\" has the scores without the ray-drop network.\n");

@@ -166,12 +166,6 @@ void print_start(const Log& sequence, const Split& split, const Device& device, 
     std::fflush(stdout);
 }
 
-std::string resume_command(const TrainOptions& options) {
-    std::string command = "relidar train --resume " + quote_for_shell(options.out);
-    for (const std::string& word : device_arguments(options.device)) command += " " + word;
-    return command;
-}
-
 /// Trains the scene. If the training fails, throws an error that names the last
 /// checkpoint and the command that resumes the training.
 TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
@@ -190,15 +184,16 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
                                               has_checkpoint ? "the last checkpoint is saved; continue with"
                                                              : "start again with",
-                                              resume_command(options)));
+                                              resume_command("train", options.out, options.device)));
     }
 }
 
 /// For a user who interrupts a step after the scene was saved.
 Error resume_error(const char* interrupted_step, const Run& run, const TrainOptions& options) {
-    return Error(ExitCode::interrupted,
-                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}",
-                             interrupted_step, run.folder.string(), resume_command(options)));
+    return Error(
+        ExitCode::interrupted,
+        fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", interrupted_step,
+                    run.folder.string(), resume_command("train", options.out, options.device)));
 }
 
 /// The steps between the training of the scene and of the network.
@@ -213,14 +208,11 @@ Evaluation score_run(Device& device, const Run& run, const TrainOptions& options
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
     TerminalProgress progress(options.quiet);
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     Evaluation evaluation =
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, interruptible_progress(progress));
-    const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text_file(
-        run.folder / "metrics.json",
-        metrics_json(evaluation, run.config,
-                     {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+    write_text_file(run.folder / "metrics.json",
+                    metrics_json(evaluation, run.config, describe_source(run, device, seconds_since(start))));
     return evaluation;
 }
 
@@ -238,7 +230,7 @@ void write_train_report(Device& device, const Run& run, const TrainResult& resul
             fmt::format(
                 "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: {}",
                 result.iterations, run.config.train.iterations, run.folder.string(),
-                resume_command(options)));
+                resume_command("train", options.out, options.device)));
     }
     Evaluation evaluation;
     try {
@@ -403,9 +395,10 @@ void run_train(const TrainOptions& command_options, const std::string& command_l
     ranks.barrier();
     Run run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.start_stage("train");
-    TrainResult result = in_blocks
-                             ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
-                             : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
+    TrainResult result =
+        in_blocks ? train_blocks(device, run,
+                                 {ranks, options.quiet, resume_command("train", options.out, options.device)})
+                  : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress();
     start.reset();
@@ -436,22 +429,17 @@ void add_train(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
-    command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
+    add_option(*command, "--out RUN", options->out, "run folder to create");
     add_log_options(*command, options->part);
     add_settings_options(*command, options->settings);
-    command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
-        ->type_name("S");
-    command
-        ->add_option("--blocks", options->blocks,
-                     "train a long log in blocks of at most this length of its trajectory, for example 60m, "
-                     "so that memory does not grow with the log (blocks.length_m)")
-        ->type_name("LENGTH");
+    add_option(*command, "--seed S", options->seed, "seed of initialisation and training (default: 1)");
+    add_option(*command, "--blocks LENGTH", options->blocks,
+               "train a long log in blocks of at most this length of its trajectory, for example 60m, so "
+               "that memory does not grow with the log (blocks.length_m)");
     add_device_options(*command, options->device);
-    command
-        ->add_option("--resume", options->resume_folder,
-                     "continue the training of the run in --out, or in RUN, from its newest checkpoint; log "
-                     "and settings are those of the run, unless the command line replaces them")
-        ->type_name("[RUN]")
+    add_option(*command, "--resume [RUN]", options->resume_folder,
+               "continue the training of the run in --out, or in RUN, from its newest checkpoint; log and "
+               "settings are those of the run, unless the command line replaces them")
         ->expected(0, 1);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <utility>
 
 #include <relidar/run/blocks.hpp>
@@ -20,7 +19,6 @@ namespace relidar::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;
 
 /// Returns true if a setting may differ between the separately trained blocks of a scene.
 bool may_differ(const std::string& setting_key) {
@@ -173,7 +171,7 @@ private:
             throw Error(error.code(), with_resume_hint(fmt::format("block {} of {}: {}", block_index + 1,
                                                                    blocks_.size(), error.what())));
         }
-        seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
+        seconds_ += seconds_since(start);
         ++trained_;
         return true;
     }
@@ -182,7 +180,7 @@ private:
         TerminalProgress progress(how_.quiet);
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
-            const double elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
+            const double elapsed_s = seconds_since(start);
             progress.show_text(
                 fmt::format("training the actors of all blocks, step {}/{}  {:.2f} steps/s  remaining {}",
                             step, n_steps, step / elapsed_s,

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Selects what is rendered: frames, sensors and visible actors.
 #pragma once
 
 #include <optional>
@@ -12,6 +13,12 @@
 
 namespace relidar::cli {
 
+/// "first:end" (frame numbers of the dataset), "test", "train" or "all"; by default the
+/// held-out frames, or all if none is held out.
+/// @return positions in the list of frames
+/// @throws UsageError if no frame is selected
+std::vector<int> select_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet);
+
 struct MountedSimulatedSensor {
     /// Subfolder for the files of this sensor; empty: the output folder itself.
     std::string folder;
@@ -23,9 +30,8 @@ struct MountedSimulatedSensor {
 
 using SensorRig = std::optional<std::vector<MountedSensor>>;
 
-/// No value for the log's sensor, a grid of rays, and sensors that do not spin.
-std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const SimulatedSensor& simulated);
-
+/// Returns the sensors to simulate: all of a rig, or one. An empty name selects the
+/// sensor of the settings.
 std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar);
 
