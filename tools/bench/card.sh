@@ -185,7 +185,7 @@ if wants demo; then
         [[ -d $out/demo/run ]] || continue
         read -r -a words <<<"$part"
         name=run_${words[0]}
-        step "$name" 60 "$relidar_dev" bench --run "$out/demo/run" "${words[@]:1}" --json "$out/$name.json" "${options[@]}" &&
+        step "$name" 60 "$relidar_dev" bench --run "$out/demo/run" "${words[@]:1}" "${options[@]}" &&
             tail -n 40 "$out/$name.log" || true
     done
     rm -rf "$out/demo"   # Removes the scans and pictures. The table is in the log.

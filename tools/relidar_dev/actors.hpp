@@ -41,7 +41,5 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings);
 
 std::string format_actors(const std::vector<ActorBenchTimes>& times);
-std::string actors_json(const std::vector<ActorBenchTimes>& times, const Device& device,
-                        const std::string& args);
 
 }  // namespace relidar::cli

@@ -3,8 +3,6 @@
 // on a run. It reports kernel times, rays per second and memory.
 #include <memory>
 #include <optional>
-#include <tuple>
-#include <utility>
 
 #include <CLI/CLI.hpp>
 
@@ -20,10 +18,8 @@
 #include "measure.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include "scans.hpp"
+#include "run_times.hpp"
 #include "serve.hpp"
-#include "steps.hpp"
-#include "text.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -58,27 +54,23 @@ std::vector<int> parse_counts(const std::string& list) {
     return counts;
 }
 
-/// Measures actors, scans or training steps. Returns the results as text and as JSON.
-std::pair<std::string, std::string> run_other_benchmark(const BenchOptions& options, Device& device,
-                                                        const std::string& args) {
+/// Measures actors, scans or training steps. Returns the results as text.
+std::string run_other_benchmark(const BenchOptions& options, Device& device) {
     if (!options.actors.empty()) {
         std::vector<ActorBenchTimes> times;
         for (const int n : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
                 times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
         end_progress();
-        return {format_actors(times), actors_json(times, device, args)};
+        return format_actors(times);
     }
-    if (options.scans.n_scans != 0) {
-        ScanBenchOptions bench = options.scans;
-        bench.run = options.choice.run;
-        bench.sensor = options.service.sensor;
-        const ScanBenchTimes times = measure_scans(device, bench);
-        return {format_scans(times), scans_json(times, device, args)};
-    }
-    const TrainingStepTimes times =
-        measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    return {format_steps(times, device), steps_json(times, device, args)};
+    if (options.n_steps != 0)
+        return format_steps(
+            measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet), device);
+    ScanBenchOptions bench = options.scans;
+    bench.run = options.choice.run;
+    bench.sensor = options.service.sensor;
+    return format_scans(measure_scans(device, bench));
 }
 
 void run_bench(const BenchOptions& options, const std::string& args) {
@@ -91,8 +83,10 @@ void run_bench(const BenchOptions& options, const std::string& args) {
     settings.backward = !options.no_backward;
     if (settings.repeat < 1 || settings.repeat > kMaxRepeat)
         fail<UsageError>("--repeat: found {}, expected a number from 1 to {}", settings.repeat, kMaxRepeat);
-    const std::filesystem::path json = options.json;
-    if (std::error_code failed; std::filesystem::is_directory(json, failed))
+    const bool has_other = !options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0;
+    if (has_other && !options.json.empty())
+        throw UsageError("--json: found --actors, --scans or --steps, whose results are only printed");
+    if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         fail("--json {}: found a folder, expected the name of a file", options.json);
     if (!options.actors.empty()) parse_counts(options.actors);
     if (options.scans.n_scans != 0 && options.choice.run.empty())
@@ -105,24 +99,19 @@ void run_bench(const BenchOptions& options, const std::string& args) {
         fail<UsageError>("--steps: found {}, expected a number from 1 to {}", options.n_steps,
                          kMostTimedSteps);
     std::optional<OutputFolder> folder;
-    if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
+    if (!options.json.empty()) folder.emplace(folder_of(options.json));
     Device device(to_device_options(options.device));
 
     install_handlers();
-    std::string text, json_text;
-    if (!options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0) {
-        std::tie(text, json_text) = run_other_benchmark(options, device, args);
-    } else {
-        const DevCase bench = make_case(options.choice);
-        BenchResult result = run_benchmark(device, bench, settings);
-        // Measured last, when the memory of the scene is free again.
-        result.copy_bytes_per_s = measure_bandwidth(device);
-        end_progress();
-        text = format_result(bench, result, device);
-        json_text = result_json(bench, settings, result, device, args);
-    }
-    if (!json.empty()) write_text_file(json, json_text);
-    if (!settings.quiet) print(text);
+    if (has_other) return print(run_other_benchmark(options, device));
+    const DevCase bench = make_case(options.choice);
+    BenchResult result = run_benchmark(device, bench, settings);
+    // Measured last, when the memory of the scene is free again.
+    result.copy_bytes_per_s = measure_bandwidth(device);
+    end_progress();
+    if (!options.json.empty())
+        write_text_file(options.json, result_json(bench, settings, result, device, args));
+    if (!settings.quiet) print(format_result(bench, result, device));
 }
 
 constexpr const char* kBenchHelp =
@@ -150,71 +139,66 @@ void add_bench(CLI::App& app, ParsedCommand& selected_command) {
     const auto options = std::make_shared<BenchOptions>();
     BenchCaseOptions& choice = options->choice;
     ServeBenchOptions& service = options->service;
-    const auto add = [&](const char* name, auto& value, const char* type, const char* text) {
-        return command->add_option(name, value, text)->type_name(type);
+    const auto add = [&](const char* name, auto& value, const char* text) {
+        return add_option(*command, name, value, text);
     };
-    const CLI::Option* scene = add("--scene", choice.street, "A|B|C",
+    const CLI::Option* scene = add("--scene A|B|C", choice.street,
                                    "synthetic street; A: surfels of 0.1 to 0.3 m; B: the more surfels, the "
                                    "smaller they are; C: like B, but with opacity 0.1 (default: A)");
     const CLI::Option* surfels =
-        add("--surfels", choice.n_surfels, "N", "number of surfels of the street (default: 100000)");
-    const CLI::Option* rays = add("--rays", choice.rays, "NAME|ROWSxCOLUMNS",
+        add("--surfels N", choice.n_surfels, "number of surfels of the street (default: 100000)");
+    const CLI::Option* rays = add("--rays NAME|ROWSxCOLUMNS", choice.rays,
                                   "size of the image: waymo (64 x 2650), kitti (66 x 1030) or ROWSxCOLUMNS; "
                                   "+2.0 to -24.9 degrees (default: 64x1024)");
-    add("--run", choice.run, "RUN",
+    add("--run RUN", choice.run,
         "measure a run instead of a street: its scene, and the rays of its sensor at the first held-out "
         "frame");
-    add("--chunk", choice.chunk, "N",
+    add("--chunk N", choice.chunk,
         "number of hits of a ray that are sorted together, 1 to 64 (default: 16, or the value of the run)");
-    add("--proxy", choice.proxy, "WHAT",
+    add("--proxy WHAT", choice.proxy,
         "shape that represents a surfel in ray queries: auto, triangles or boxes (default: auto, or the "
         "value of the run)");
-    add("--walk", choice.traversal_mode, "HOW",
+    add("--walk HOW", choice.traversal_mode,
         "unit that searches the software tree for a ray: auto, lane or subgroup (default: auto, or the value "
         "of the run)");
-    add("--order", choice.order, "HOW",
+    add("--order HOW", choice.order,
         "how hits are sorted: chunks during the search, or complete lists after it (default: auto, which "
         "uses lists on a GPU)");
-    add("--sh", choice.sh, "ray|surfel",
+    add("--sh ray|surfel", choice.sh,
         "evaluate spherical harmonics for each ray or once per surfel (default: ray, or the value of the "
         "run)");
-    add("--keep-hits", choice.keep_hits, "N",
+    add("--keep-hits N", choice.keep_hits,
         "number of hits per ray that the forward pass stores for the backward pass; 0: the backward pass "
         "traces all rays again (default: at least 64, or the value of the run)");
-    add("--likelihood", choice.likelihood, "WEIGHT",
-        "weight of loss.likelihood (default: 0, or the value of the run)");
     command->add_flag("--deterministic", choice.deterministic,
                       "add gradients in a fixed order instead of with atomic operations");
-    add("--repeat", options->settings.repeat, "N",
+    add("--repeat N", options->settings.repeat,
         "number of measured repetitions, after a few that are not measured (default: 10)");
     command->add_flag(
         "--no-backward", options->no_backward,
         "measure only rendering: without loss, gradients and optimiser, and without their memory");
-    add("--actors", options->actors, "LIST",
+    add("--actors LIST", options->actors,
         "measure scans, training and moves with this number of copies of an actor of 1000 surfels; several "
         "numbers are separated by commas");
-    add("--scans", options->scans.n_scans, "N",
+    add("--scans N", options->scans.n_scans,
         "instead measure this number of complete scans along the path of --run");
-    add("--together", options->scans.together, "N",
+    add("--together N", options->scans.together,
         "number of scans of --scans that are submitted to the device together; a GPU renders them in "
         "parallel (default: all sensors of a rig, otherwise 1)");
-    add("--steps", options->n_steps, "N",
+    add("--steps N", options->n_steps,
         "instead measure this number of training steps that continue --run: the time of each kernel and the "
         "time between kernels");
-    command->add_flag("--sampled", options->scans.sampled,
-                      "with --scans: draw random drops and noise, like `relidar render --sample`");
-    add("--serve", service.address, "HOST:PORT",
+    add("--serve HOST:PORT", service.address,
         "instead measure calls of a running `relidar serve` at this address");
-    add("--serve-scene", service.scene, "NAME",
+    add("--serve-scene NAME", service.scene,
         "with --serve: name of the scene to render (default: the first)");
-    add("--sensor", service.sensor, "NAME|RIG.json",
+    add("--sensor NAME|RIG.json", service.sensor,
         "with --scans or --serve: sensor to render, from `relidar list sensors`, for example HDL-32E:512x10; "
         "with --scans also a rig (default: the sensor of the log)");
-    add("--clients", service.clients, "N",
+    add("--clients N", service.clients,
         "with --serve: number of clients that call at the same time (default: 1)");
-    add("--calls", service.calls, "N",
-        "with --serve: number of calls of all clients together (default: 100)");
-    add("--json", options->json, "FILE", "also write the results to this file");
+    add("--calls N", service.calls, "with --serve: number of calls of all clients together (default: 100)");
+    add("--json FILE", options->json, "also write the times of the kernels to this file");
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->settings.quiet);
     command->footer(kBenchHelp);

@@ -60,7 +60,6 @@ std::optional<ImageSize> parse_grid_size(const std::string& text) {
 void apply_options(const BenchCaseOptions& choice, Config& config) {
     if (!choice.chunk.empty()) set_value(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_value(config, "trace.keep_hits", choice.keep_hits);
-    if (!choice.likelihood.empty()) set_value(config, "loss.likelihood", choice.likelihood);
     if (choice.deterministic) config.train.deterministic = true;
     if (!choice.sh.empty()) set_value(config, "image.sh_direction", choice.sh);
 }
@@ -114,8 +113,6 @@ DevCase make_case(const BenchCaseOptions& choice) {
     apply_tracing_options(choice, bench);
     return bench;
 }
-
-AccelOptions accel_options(const DevCase& setup) { return {.proxy = setup.proxy}; }
 
 TraceOptions trace_options(const DevCase& setup) {
     TraceOptions options = common_options(setup.config);

@@ -22,7 +22,6 @@ struct BenchCaseOptions {
     /// values that override settings of the benchmark; an empty text leaves the setting
     /// unchanged
     std::string chunk, proxy, traversal_mode, order, sh, keep_hits;
-    std::string likelihood;  ///< Weight of the likelihood loss. An empty text leaves it unchanged.
     /// If true, gradients are summed in a fixed order instead of by atomic operations.
     /// Overrides the setting of the benchmark.
     bool deterministic = false;
@@ -38,7 +37,6 @@ struct DevCase : BenchCase {
     bool keeps_more_hits = true;
 };
 
-AccelOptions accel_options(const DevCase& setup);
 TraceOptions trace_options(const DevCase& setup);
 
 /// Checks all options before a scene is created.

@@ -18,9 +18,6 @@ constexpr double kBoxBytes = 24, kCornersBytes = 48, kSortKeyBytes = 8, kIndexBy
 // Minimum number of BVH nodes per surfel. Leaves have 4 surfels and nodes have 8
 // children, so n surfels need at least about n / 4 / 7 nodes.
 constexpr double kFewestNodes = 1.0 / 28.0;
-// Arithmetic operations for each tree node that a ray visits, and for each surfel that it
-// tests. Counted in shaders/diff/traversal/software_bvh.glsl.
-constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
 double sh_bytes(Sizes s) { return 4 * 3 * s.n_sh; }
 double ray_sh_bytes(Sizes s) { return s.sh_per_surfel ? 0.0 : sh_bytes(s); }
@@ -133,33 +130,6 @@ std::map<std::string, double> min_traffic_bytes(const MemoryTrafficSizes& s) {
     for (const KernelTraffic& row : kFloorRows)
         if (is_kernel_used(row, s)) bytes[row.kernel] = row.bytes(s);
     return bytes;
-}
-
-std::map<std::string, double> cache_load_bytes(const MemoryTrafficSizes& s) {
-    std::map<std::string, double> bytes;
-    if (s.nodes_opened <= 0.0) return bytes;
-    const double search = s.nodes_opened * kNodeBytes + s.surfels_tested * kSurfelRecordBytes;
-    const double shading = s.n_hits * (kSurfelRecordBytes + ray_sh_bytes(s));
-    if (s.lists) {
-        bytes["diff/forward/append"] = search + s.n_hits * kHitBytes;
-        bytes["diff/forward/blend"] = shading + s.n_hits * kHitBytes;
-    } else {
-        bytes["diff/forward/trace"] = search + shading;
-    }
-    if (!s.training) return bytes;
-    // share of the hits that are not stored, so that the backward pass must search them
-    // again
-    const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_stored_hits_read / s.n_hits : 0.0;
-    // Bytes that the kernel writes per hit. With `gather`, the kernel stores the
-    // gradients of the hit. Otherwise, it adds 16 floats with atomics. It also adds the
-    // gradients of spherical harmonics if they are evaluated per ray.
-    const double sums = s.gather ? kHitRecordBytes + kRowIndexBytes : kSurfelRecordBytes + ray_sh_bytes(s);
-    bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kSurfelRecordBytes + sums);
-    return bytes;
-}
-
-double traversal_operations(const MemoryTrafficSizes& s) {
-    return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations;
 }
 
 }  // namespace relidar::cli

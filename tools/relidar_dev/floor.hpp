@@ -34,22 +34,11 @@ struct MemoryTrafficSizes {
     /// True if kernels traverse the BVH instead of ray tracing hardware. The memory
     /// traffic of hardware traversal is unknown and not counted.
     bool software = true;
-    double nodes_opened = 0.0;
-    double surfels_tested = 0.0;
 };
 
 /// Returns the minimum memory traffic of each kernel in bytes. Counts only data that one
 /// kernel writes and another kernel reads. Leaves out kernels of the driver and very
 /// short kernels.
 std::map<std::string, double> min_traffic_bytes(const MemoryTrafficSizes& sizes);
-
-/// Returns the bytes that each tracing kernel loads from memory or cache, for all visited
-/// tree nodes and all hits. Returns an empty map if the number of visited nodes is
-/// unknown.
-std::map<std::string, double> cache_load_bytes(const MemoryTrafficSizes& sizes);
-
-/// Returns the number of arithmetic operations that the forward pass needs to find hits.
-/// Returns 0 if the number of visited tree nodes is unknown.
-double traversal_operations(const MemoryTrafficSizes& sizes);
 
 }  // namespace relidar::cli

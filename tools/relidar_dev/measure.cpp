@@ -2,7 +2,6 @@
 #include "measure.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -24,7 +23,6 @@
 namespace relidar::cli {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using TimesByKernel = std::map<std::string, std::vector<double>>;
 
 constexpr const char* kRowOrder[] = {"scene/activate",
@@ -56,7 +54,7 @@ std::string row_name(const std::string& kernel_name, const std::string& phase_na
 }
 
 RendererOptions forward_options(const DevCase& setup) {
-    return {.accel = accel_options(setup),
+    return {.accel = {.proxy = setup.proxy},
             .trace = trace_options(setup),
             .n_rays = std::uint32_t(setup.rays.size())};
 }
@@ -83,7 +81,7 @@ BenchMemory measure_memory(Device& device, const DevCase& setup, bool includes_t
     BenchMemory memory;
     const DeviceScene scene(device, setup.scene);
     memory.scene = since_last();
-    const AccelerationStructure accel(device, scene, accel_options(setup));
+    const AccelerationStructure accel(device, scene, {.proxy = setup.proxy});
     memory.accel = since_last();
     if (!includes_training) return memory;
     const DeviceGradients gradients(device, scene);
@@ -154,17 +152,6 @@ public:
         stream.submit_and_wait();
         append_times("move", rebuild_kernels_);
         r.scene().stage_poses(stream, before);  // The new pose takes effect in the next iteration.
-    }
-
-    /// Measures only the forward pass by wall time. Used for devices without timestamps.
-    void measure_forward() {
-        Renderer& r = get_renderer();
-        r.update(case_.placed, case_.view_origin_m);
-        r.stream().submit_and_wait();
-        const Clock::time_point start = Clock::now();
-        r.record_forward(make_ray_batch());
-        r.stream().submit_and_wait();
-        kernels_["diff/forward/trace"].push_back(ms_since(start));
     }
 
     void clear_samples() {
@@ -278,10 +265,6 @@ MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
     s.only_touched = case_.config.train.only_touched;
     s.boxes = get_renderer().accel().proxy_shape() == ProxyShape::boxes;
     s.software = device_.backend() == RayTracingBackend::software;
-    if (result.visits) {
-        s.nodes_opened = result.visits->nodes * s.n_rays;
-        s.surfels_tested = result.visits->surfels * s.n_rays;
-    }
     if (training_)
         for (const std::uint32_t touched :
              training_->differentiable.gradients().touched.download(get_renderer().scene().size()))
@@ -290,10 +273,6 @@ MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
 }
 
 }  // namespace
-
-double ms_since(Clock::time_point start) {
-    return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-}
 
 TimePercentiles percentiles_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
@@ -305,32 +284,30 @@ TimePercentiles percentiles_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-/// Warms up, then measures `settings.repeat` repetitions. Devices without timestamps
-/// measure only the forward pass by wall time.
 BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings) {
-    const bool device_clock = device.info().timestamps;
+    if (!device.info().timestamps)
+        throw DeviceError(
+            "cannot measure kernels: this GPU driver does not support timestamps; use `relidar check "
+            "--speed`");
     TerminalProgress(settings.quiet).show_text("running repetitions that are not measured");
     BenchRunner bench(device, setup);
-    const auto repeat = [&] { device_clock ? bench.run_repetition() : bench.measure_forward(); };
-    bench.create_renderers(settings.backward && device_clock);
+    bench.create_renderers(settings.backward);
     // Warms up, because the first launches compile kernels, and because a GPU raises its
     // clock rate only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     const Clock::time_point start = Clock::now();
     do {
         check_interrupt();
-        repeat();
+        bench.run_repetition();
     } while (ms_since(start) < warm_up_ms);
     bench.clear_samples();
     TerminalProgress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {
         check_interrupt();
-        repeat();
+        bench.run_repetition();
         progress.show_step("repetition", std::size_t(i) + 1, std::size_t(settings.repeat));
     }
-    BenchResult result = bench.bench_result();
-    result.device_clock = device_clock;
-    return result;
+    return bench.bench_result();
 }
 
 }  // namespace relidar::cli

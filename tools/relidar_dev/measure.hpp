@@ -4,7 +4,6 @@
 // library.
 #pragma once
 
-#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -27,8 +26,6 @@ struct TimePercentiles {
 };
 TimePercentiles percentiles_of(std::vector<double> samples);
 
-double ms_since(std::chrono::steady_clock::time_point start);
-
 struct KernelBenchTime {
     std::string name;
     TimePercentiles ms;
@@ -50,7 +47,6 @@ struct BenchVisits {
 };
 
 struct BenchResult {
-    bool device_clock = true;  ///< If false, only the wall time of the forward pass was measured.
     std::string proxy;
     std::vector<KernelBenchTime> kernels;  ///< Times of the kernels, in the order of a training iteration.
     std::vector<KernelBenchTime> phases;
@@ -78,7 +74,13 @@ struct BenchSettings {
 
 /// Warms up the device and then measures all kernels. The learning rates are 0, so that
 /// the scene is the same in every repetition.
-/// @throws DeviceError if a ray needs more search passes than allowed
+/// @throws DeviceError if a ray needs more search passes than allowed, or if the device
+/// has no timestamps
 BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings);
+
+std::string format_result(const DevCase& setup, const BenchResult& result, const Device& device);
+/// @param args command line
+std::string result_json(const DevCase& setup, const BenchSettings& settings, const BenchResult& result,
+                        const Device& device, const std::string& args);
 
 }  // namespace relidar::cli

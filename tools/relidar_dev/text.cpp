@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "text.hpp"
+#include "measure.hpp"
 
 #include <algorithm>
 #include <array>
@@ -11,7 +11,6 @@
 #include <relidar/gpu/device.hpp>
 #include "console.hpp"
 #include "dev_case.hpp"
-#include "measure.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -79,19 +78,10 @@ std::map<std::string, double> lower_bounds_ms(const BenchResult& result) {
 std::string format_bounds(const BenchResult& result) {
     if (!result.copy_bytes_per_s)
         return "floors    unknown, because too little device memory is free to measure a copy\n";
-    std::string text = fmt::format(
+    return fmt::format(
         "floors    minimum memory traffic at the speed of a copy ({:.1f} GB/s), without latency, divergence "
         "and arithmetic\n",
         *result.copy_bytes_per_s * 1e-9);
-    const std::map<std::string, double> cached = cache_load_bytes(result.sizes);
-    for (const auto& [kernel, bytes] : cached)
-        text += fmt::format("caches    {} loads {:.3f} GB, which takes {} ms at the speed of a copy\n",
-                            kernel, bytes * 1e-9, format_ms(bytes / *result.copy_bytes_per_s * 1000.0));
-    if (!cached.empty())
-        text += fmt::format("search    about {:.3f} G operations in {}\n",
-                            traversal_operations(result.sizes) * 1e-9,
-                            result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
-    return text;
 }
 
 Json percentiles_json(const std::vector<KernelBenchTime>& rows,
@@ -114,8 +104,6 @@ Json percentiles_json(const std::vector<KernelBenchTime>& rows,
 Json bounds_json(const BenchResult& result) {
     Json json = {{"copy_bytes_per_s", nullptr},
                  {"bytes", min_traffic_bytes(result.sizes)},
-                 {"cache_bytes", cache_load_bytes(result.sizes)},
-                 {"search_operations", traversal_operations(result.sizes)},
                  {"surfels_with_gradient", result.sizes.n_touched},
                  {"left_out", "latency, divergence, second loads of what a cache loses, arithmetic"}};
     if (result.copy_bytes_per_s) json["copy_bytes_per_s"] = *result.copy_bytes_per_s;
@@ -147,10 +135,6 @@ std::string format_result(const DevCase& setup, const BenchResult& result, const
     text += result.sizes.training ? fmt::format(", {} hits stored per ray, gradients by {}\n",
                                                 result.stored_hits_per_ray, summation_method(result))
                                   : "\n";
-    if (!result.device_clock)
-        text +=
-            "note      the device has no timestamps; times are wall times of the forward pass, including "
-            "waits\n";
     std::vector<std::vector<std::string>> rows{
         {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
     const std::map<std::string, double> floors = lower_bounds_ms(result);
@@ -204,8 +188,7 @@ std::string result_json(const DevCase& setup, const BenchSettings& settings, con
                    {"keep_hits", result.stored_hits_per_ray},
                    {"reduction", summation_method(result)}}},
                  {"repetitions", settings.repeat},
-                 {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
-                                               : "wall time of the forward pass, waits included"},
+                 {"clock", "device timestamps, all launches of a kernel in a repetition"},
                  {"kernels_ms", percentiles_json(result.kernels, lower_bounds_ms(result))},
                  {"phases_ms", percentiles_json(result.phases, lower_bounds_ms(result))},
                  {"floor", bounds_json(result)},

@@ -1,21 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "scans.hpp"
+#include "run_times.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <ctime>
 #include <vector>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
-#include <relidar/log/sensor_files.hpp>
-#include <relidar/run/run.hpp>
-#include <relidar/simulate/render.hpp>
+#include <relidar/score/evaluation.hpp>
 #include "base/fail.hpp"
+#include "console.hpp"
 #include "interrupt.hpp"
 #include "measure.hpp"
+#include "options.hpp"
+#include "render/selection.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -29,25 +27,19 @@ constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 /// If a rig has several sensors, consecutive requests use one sensor after the other.
 class LogPathRequests {
 public:
-    LogPathRequests(const Run& run, const ScanBenchOptions& bench) {
+    LogPathRequests(const Run& run, const ScanBenchOptions& bench)
+        : sensors_(list_sensors(bench.sensor.empty() ? "native" : bench.sensor, read_sensor_rig(bench.sensor),
+                                run, 0)),
+          n_moments_((bench.n_scans - 1) / n_sensors() + 1) {
         const PoseTrack log = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front();
         last_s_ = log.time_s.back();
-        if (const auto rig = read_sensor_rig(bench.sensor)) {
-            for (const MountedSensor& mounted : *rig) {
-                sensors_.push_back(simulate_sensor(mounted));
-                tracks_.push_back(mount_track(subdivide_turns(log), mounted.rig_from_sensor));
-            }
-        } else {
-            sensors_.push_back(
-                choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
-            tracks_.push_back(log);
-        }
-        n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;
+        for (const MountedSimulatedSensor& sensor : sensors_)
+            tracks_.push_back(mount_track(subdivide_turns(log), sensor.mounting));
     }
     int n_sensors() const { return int(sensors_.size()); }
     const SimulatedSensor& sensor_of(int scan_index) const {
-        return sensors_[std::size_t(scan_index % n_sensors())];
+        return sensors_[std::size_t(scan_index % n_sensors())].sensor;
     }
     ScanRequest make_request(int scan_index) const {
         const int moment = scan_index / n_sensors();
@@ -56,10 +48,10 @@ public:
     }
 
 private:
-    std::vector<SimulatedSensor> sensors_;
+    std::vector<MountedSimulatedSensor> sensors_;
+    int n_moments_;
     std::vector<PoseTrack> tracks_;
     double first_s_, last_s_;
-    int n_moments_;
 };
 
 double sum_kernel_ms(const KernelTimes& kernel_times) {
@@ -93,8 +85,7 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
         const int end = std::min(first + together, options.n_scans);
         for (int scan = first; scan < end; ++scan) {
             const ScanRequest request = drive.make_request(scan);
-            renderer.submit_points(drive.sensor_of(scan), request, request.time_s,
-                                   options.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
+            renderer.submit_points(drive.sensor_of(scan), request, request.time_s, std::nullopt,
                                    scan + 1 < end ? Send::with_next : Send::now);
         }
         return end - first;
@@ -107,12 +98,12 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
                           .side_by_side = std::min(together, renderer.max_parallel())};
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
     std::vector<double> scan_ms;
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     const double thread_begun_ms = thread_cpu_ms();
     RenderedPoints scan;
     for (int first = 0, n_requested = ask(0); n_requested > 0;) {
         check_interrupt();
-        const auto begun = std::chrono::steady_clock::now();
+        const auto begun = Clock::now();
         const int n_scans = n_requested;
         first += n_scans;
         // Submits the next scans before it reads the finished scans, so that the device
@@ -144,23 +135,34 @@ std::string format_scans(const ScanBenchTimes& times) {
         times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
 }
 
-std::string scans_json(const ScanBenchTimes& times, const Device& device, const std::string& args) {
-    const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"},
-                                         {"version", 1},
-                                         {"relidar", RELIDAR_VERSION},
-                                         {"command", args},
-                                         {"device", device.info().name},
-                                         {"sensor", times.sensor},
-                                         {"scans", times.n_scans},
-                                         {"together", times.together},
-                                         {"side_by_side", times.side_by_side},
-                                         {"rays", times.rays},
-                                         {"points", times.points},
-                                         {"scans_per_s", times.scans_per_s},
-                                         {"scan_ms", times.scan_ms},
-                                         {"kernels_ms", times.device_ms},
-                                         {"host_ms", times.host_ms}};
-    return json.dump(1) + "\n";
+TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
+    Run run = load_run(folder);
+    copy_scans(run, run.split.train, load_dataset(run.config, quiet));
+    TrainingStepTimes times = measure_steps(device, run, n_steps, is_interrupted);
+    check_interrupt();
+    return times;
+}
+
+std::string format_steps(const TrainingStepTimes& times, const Device& device) {
+    using KernelTimeRow = std::pair<std::string, TrainingStepTimes::StepKernelTime>;
+    std::vector<KernelTimeRow> rows(times.kernels.begin(), times.kernels.end());
+    std::sort(rows.begin(), rows.end(), [](const KernelTimeRow& first, const KernelTimeRow& second) {
+        return first.second.ms > second.second.ms;
+    });
+    std::string text = fmt::format(
+        "{}\n{} surfels, {} rays per step, {} hits stored per ray; means of {} "
+        "steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
+        device.info().name, times.surfels, times.rays, times.stored_hits_per_ray, times.n_steps, "kernel",
+        "launches", "ms", "share");
+    const auto row = [&](const std::string& name, const std::string& launches, double ms) {
+        text +=
+            fmt::format("{:<28}{:>9}{:>10.3f}{:>7.1f}%\n", name, launches, ms, 100.0 * ms / times.wall_ms);
+    };
+    for (const auto& [name, kernel] : rows) row(name, fmt::format("{:.3g}", kernel.launches), kernel.ms);
+    if (rows.empty()) text += "The times of the kernels are unknown, because the device has no timestamps.\n";
+    else row("between kernels", "", times.compute_idle_ms());
+    row("step, wall time", "", times.wall_ms);
+    return text + fmt::format("{:.2f} steps/s\n", 1e3 / times.wall_ms);
 }
 
 }  // namespace relidar::cli

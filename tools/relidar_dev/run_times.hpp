@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the command `relidar-dev bench --run RUN --scans N`. Measures how many scans
-// per second are simulated. The time includes all steps from the pose to the finished
-// scan.
+// Implements the command `relidar-dev bench --run RUN` with --scans and --steps. Measures
+// how many scans per second are simulated, from the pose to the finished scan, and the
+// time of training steps with the time between kernels.
 #pragma once
 
 #include <string>
 
-namespace relidar {
-class Device;
-}
+#include "train/time_steps.hpp"
 
 namespace relidar::cli {
 
@@ -20,9 +18,6 @@ struct ScanBenchOptions {
     /// Number of scans that are submitted to the device together. 0 selects the default:
     /// one scan, or for a rig, one scan of each of its sensors.
     int together = 0;
-    /// If true, ray drops and noise are random. If false, the most likely scan is
-    /// computed.
-    bool sampled = false;
 };
 
 struct ScanBenchTimes {
@@ -48,6 +43,8 @@ struct ScanBenchTimes {
 ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options);
 
 std::string format_scans(const ScanBenchTimes& times);
-std::string scans_json(const ScanBenchTimes& times, const Device& device, const std::string& args);
+
+TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet);
+std::string format_steps(const TrainingStepTimes& times, const Device& device);
 
 }  // namespace relidar::cli
