@@ -66,10 +66,6 @@ alone=".=/lidar/points=lidar"
 rig="front=/lidar/front/points=front 2nd-rear=/lidar/_2nd_rear/points=2nd-rear"
 
 compare own "$alone" --frames 0:4 --channels normal,spread   # frame 0 starts before second 0
-compare beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
-compare lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
-compare named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
-    -- --topic /sensing/front/pointcloud --frame-id front_lidar
 compare overlapping "$alone" --trajectory lane.csv --times 0.2:0.3:0.02 --sensor VLP-16:300x10
 compare at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16:300x10 --set sensor.rolling_shutter=false
 compare rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json --channels spread,normal
@@ -94,6 +90,8 @@ compare first .=/lidar/front/points=front --frames 1:4
 frames=("sensor")
 compare second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
 run=run
+compare named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
+    -- --topic /sensing/front/pointcloud --frame-id front_lidar
 compare rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
     -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 

@@ -113,18 +113,6 @@ B 1000000 waymo 12.4 21.4 25.1 64.2 3547
 B 1000000 kitti 12.3 15.6 18.3 51.9 3499
 C 400000 waymo 6.1 10.2 13.6 33.3 1965"
 
-# Prints every kernel and phase of a benchmark's JSON: median, lower bound and their
-# ratio.
-kernels() {
-    awk '/^ "(kernels|phases)_ms": [{]/ {inside = 1; next} /^ [}]/ {inside = 0}
-         inside && /": [{]$/ {gsub(/[":{ ]/, ""); name = $0}
-         inside && /"(median|floor|median_over_floor)":/ {gsub(/[",:]/, ""); value[$1] = $2}
-         inside && /^  [}]/ {
-             if (value["floor"] == "null") printf "%-22s %10.3f %10s %8s\n", name, value["median"], "-", "-"
-             else printf "%-22s %10.3f %10.4f %8.1f\n", name, value["median"], value["floor"], value["median_over_floor"]
-         }' "$1"
-}
-
 "$relidar" list devices | tee "$out/devices.txt"
 traversals=(software)
 if "$relidar" list devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
@@ -139,10 +127,10 @@ bench() {
     while read -r scene surfels rays build forward backward iteration memory; do
         [[ -n $scene && $surfels -le $surfels_max ]] || continue
         file=$out/${scene}_${surfels}_${rays}.json
-        step "bench_${scene}_${surfels}_$rays" 60 "$relidar_dev" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
+        step "bench_${scene}_${surfels}_$rays" 60 "$relidar_dev" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" "${options[@]}" \
             || { printf '%-5s %9s %-6s | failed\n' "$scene" "$surfels" "$rays"; continue; }
-        if [[ $rays == waymo && $scene == A ]]; then largest_A=$file; fi
-        if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
+        if [[ $rays == waymo && $scene == A ]]; then largest_A=$out/bench_${scene}_${surfels}_$rays.log; fi
+        if [[ $rays == waymo && $scene == B ]]; then largest_B=$out/bench_${scene}_${surfels}_$rays.log; fi
         peak=$(awk -v bytes="$(number "$file" peak_bytes)" 'BEGIN {printf "%.0f", bytes / 1048576}')
         printf '%-5s %9s %-6s | %6s %7s %9s | %6s %8s | %6s %8s | %6s %8s | %5s %7s | %6.1f\n' "$scene" "$surfels" "$rays" "$build" "$(median "$file" rebuild)" \
             "$(median "$file" 'accel/.*refit.*|diff/accel/bvh_refit|diff/accel/proxies')" "$forward" "$(median "$file" "diff/forward/.*")" "$backward" "$(median "$file" diff/backward/trace)" \
@@ -150,9 +138,7 @@ bench() {
     done <<<"$kPeer"
 
     for file in "$largest_B" "$largest_A"; do
-        [[ -n $file ]] || continue
-        printf '\n%-22s %10s %10s %8s   (%s; a copy moves %s GB/s)\n' kernel 'median ms' 'floor ms' ratio "$(basename "$file" .json)" "$(awk -v rate="$(number "$file" copy_bytes_per_s)" 'BEGIN {printf "%.1f", rate / 1e9}')"
-        kernels "$file"
+        [[ -z $file ]] || cat "$file"
     done
 
     # The complete training program at KITTI size: wall time of real steps, scaled to the
