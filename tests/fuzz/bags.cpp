@@ -6,6 +6,7 @@
 
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
+#include "base/list_text.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_log.hpp"
 #include "read/packets/packet_messages.hpp"
@@ -36,24 +37,15 @@ void read_turns(packets::PacketIndex& log, const std::vector<packets::ReceivedPa
 
 /// The first byte of an input is a flag for ROS 1 and the message type.
 void read_message(std::string_view input, const fs::path&) {
-    static constexpr const char* kMessages[] = {"sensor_msgs/PointCloud2",
-                                                "tf2_msgs/TFMessage",
-                                                "velodyne_msgs/VelodyneScan",
-                                                "livox_ros_driver2/CustomMsg",
-                                                "nav_msgs/Odometry",
-                                                "geometry_msgs/PoseStamped",
-                                                "foxglove.PointCloud",
-                                                "foxglove.FrameTransforms",
-                                                "foxglove.SceneUpdate",
-                                                "vision_msgs/Detection3DArray",
-                                                "autoware_perception_msgs/TrackedObjects",
-                                                "nebula_msgs/NebulaPackets",
-                                                "pandar_msgs/PandarScan",
-                                                "ouster_ros/PacketMsg",
-                                                "std_msgs/String"};
+    static const std::vector<std::string> kMessages = split_list(
+        "sensor_msgs/PointCloud2, tf2_msgs/TFMessage, velodyne_msgs/VelodyneScan, "
+        "livox_ros_driver2/CustomMsg, nav_msgs/Odometry, geometry_msgs/PoseStamped, foxglove.PointCloud, "
+        "foxglove.FrameTransforms, foxglove.SceneUpdate, vision_msgs/Detection3DArray, "
+        "autoware_perception_msgs/TrackedObjects, nebula_msgs/NebulaPackets, pandar_msgs/PandarScan, "
+        "ouster_ros/PacketMsg, std_msgs/String");
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
-    const std::size_t type = kind / 2 % std::size(kMessages);
+    const std::size_t type = kind / 2 % kMessages.size();
     const std::string topic_type = kMessages[type];
     const char* encoding = kind % 2 ? "ros1" : "cdr";
     if (topic_type.starts_with("foxglove.")) encoding = "protobuf";

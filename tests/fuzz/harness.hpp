@@ -22,7 +22,6 @@ struct Harness {
 
 std::vector<Harness> list_text_harnesses();
 std::vector<Harness> list_drive_harnesses();
-std::vector<Harness> list_folder_harnesses();
 std::vector<Harness> list_dataset_harnesses();
 std::vector<Harness> list_binary_harnesses();
 std::vector<Harness> list_request_harnesses();

@@ -38,7 +38,7 @@ void on_free(const volatile void* bytes) {
 std::vector<Harness> list_all_harnesses() {
     std::vector<Harness> all = list_binary_harnesses();
     for (const auto& more : {list_text_harnesses(), list_drive_harnesses(), list_dataset_harnesses(),
-                             list_folder_harnesses(), list_request_harnesses(), list_bag_harnesses()})
+                             list_request_harnesses(), list_bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }
