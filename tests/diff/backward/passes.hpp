@@ -12,8 +12,8 @@
 #include "../../support/device.hpp"
 #include "../../support/gradient_check.hpp"
 #include "../../support/pixel_gradients.hpp"
-#include "../../support/placed.hpp"
 #include "../../support/random_scene.hpp"
+#include "../../support/surfels.hpp"
 
 namespace relidar::test {
 

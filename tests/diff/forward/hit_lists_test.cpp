@@ -10,7 +10,7 @@
 #include "gpu/forced.hpp"
 
 #include "../../support/device.hpp"
-#include "../../support/placed.hpp"
+#include "../../support/surfels.hpp"
 #include "../traversal/cases.hpp"
 #include "diff/forward/hit_lists.hpp"
 

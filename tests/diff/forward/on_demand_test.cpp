@@ -9,8 +9,8 @@
 
 #include "../../support/device.hpp"
 #include "../../support/floats.hpp"
-#include "../../support/placed.hpp"
 #include "../../support/random_scene.hpp"
+#include "../../support/surfels.hpp"
 #include "../../support/tolerances.hpp"
 
 namespace relidar {

@@ -12,8 +12,8 @@
 #include "scene/benchmark_street.hpp"
 
 #include "../../support/device.hpp"
-#include "../../support/placed.hpp"
 #include "../../support/random_scene.hpp"
+#include "../../support/surfels.hpp"
 #include "../../support/tolerances.hpp"
 
 namespace relidar {

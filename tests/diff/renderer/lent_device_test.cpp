@@ -8,8 +8,8 @@
 #include <relidar/diff/forward.hpp>
 
 #include "../../support/device.hpp"
-#include "../../support/placed.hpp"
 #include "../../support/random_scene.hpp"
+#include "../../support/surfels.hpp"
 #include "gpu/vulkan.hpp"
 
 namespace relidar {

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "../../support/device.hpp"
-#include "../../support/placed.hpp"
+#include "../../support/surfels.hpp"
 #include "cases.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "hit_comparison.hpp"

@@ -13,8 +13,8 @@
 
 #include "../../../tests/support/gradient_check.hpp"
 #include "../../../tests/support/pixel_gradients.hpp"
-#include "../../../tests/support/placed.hpp"
 #include "../../../tests/support/random_scene.hpp"
+#include "../../../tests/support/surfels.hpp"
 
 namespace relidar::cli {
 namespace {
