@@ -4,6 +4,7 @@
 // bytes, little-endian) and bytes. The last section may be truncated.
 #pragma once
 
+#include <cstdlib>
 #include <filesystem>
 #include <functional>
 #include <string>
@@ -30,5 +31,13 @@ private:
     std::vector<std::filesystem::path> files_;
     std::vector<std::string> usual_;
 };
+
+/// Returns a small log, which is created in a folder when it is used for the first time.
+template <class Dataset>
+const Dataset& dataset_in(const std::filesystem::path& folder) {
+    ::setenv("TEST_TMPDIR", folder.c_str(), 1);
+    static const Dataset dataset;
+    return dataset;
+}
 
 }  // namespace relidar::fuzz

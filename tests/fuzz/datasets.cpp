@@ -147,13 +147,6 @@ void read_waymo(std::string_view input, const fs::path& folder) {
 }
 
 template <class Dataset>
-const Dataset& dataset_in(const fs::path& folder) {
-    ::setenv("TEST_TMPDIR", folder.c_str(), 1);
-    static const Dataset dataset;
-    return dataset;
-}
-
-template <class Dataset>
 Harness make_harness(const char* name) {
     return {name,
             [](const fs::path& folder) { return dataset_in<Dataset>(folder).files.make_seeds_of_one(); },

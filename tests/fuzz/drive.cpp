@@ -2,8 +2,6 @@
 // Fuzzes KITTI raw, odometry and KITTI-360 logs of the same scans.
 #include "harness.hpp"
 
-#include <cstdlib>
-
 #include <fmt/format.h>
 
 #include "changed_files.hpp"
@@ -32,6 +30,7 @@ struct Drive {
     fs::path odometry = log.file("odometry"), poses = log.file("poses.txt");
     ChangedFiles files{write_files()};
 
+    std::vector<std::string> seeds() const { return files.seeds({0u, kNone, kAllFrames}, {0u, kPosesFile}); }
     std::vector<fs::path> write_files() const {
         put(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
         fs::create_directories(odometry / "velodyne");
@@ -59,12 +58,6 @@ struct Drive {
     }
 };
 
-const Drive& make_drive_in(const fs::path& folder) {
-    ::setenv("TEST_TMPDIR", folder.c_str(), 1);
-    static const Drive drive;
-    return drive;
-}
-
 /// Runs all readers, and reports the last error.
 void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
@@ -78,7 +71,7 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
     if (failure) std::rethrow_exception(failure);
 }
 
-void read_texts(const Drive& drive, unsigned options) {
+void read_drive_texts(const Drive& drive, unsigned options) {
     const std::vector<int> frames = kitti::list_scans(drive.log.folder / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
     attempt_all({[&] { kitti::read_sweep_s(drive.log.folder); },
@@ -113,73 +106,52 @@ void read_odometry(const Drive& drive, unsigned options) {
     load_sequence("kitti_odometry:" + drive.odometry.string(), to_dataset(options));
 }
 
-template <auto Read>
-void read_changed(std::string_view input, const fs::path& folder) {
-    const Drive& drive = make_drive_in(folder);
-    drive.files.read(input, [&](unsigned options) { Read(drive, options); });
-}
-
-std::vector<std::string> make_drive_seeds(const fs::path& folder) {
-    return make_drive_in(folder).files.seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
-}
-
 struct Kitti360 {
-    test::Kitti360Folder folder;
-    ChangedFiles files;
+    test::Kitti360Folder log{"fuzz_360", 0};
+    ChangedFiles files{thin_scans()};
 
-    explicit Kitti360(const fs::path& at)
-        : folder((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz_360"), 0), files(thinned(folder)) {}
-
-    static std::vector<fs::path> thinned(const test::Kitti360Folder& folder) {
-        for (int frame = 0; frame < 3; ++frame) thin(folder.scan(frame));
-        return {folder.raw() / "timestamps.txt",
-                folder.poses(),
-                folder.boxes(),
-                folder.calibration("calib_cam_to_pose.txt"),
-                folder.calibration("calib_cam_to_velo.txt"),
-                folder.scan(0)};
+    std::vector<std::string> seeds() const { return files.seeds({0u, kAllFrames}, {kAllFrames, kNone}); }
+    std::vector<fs::path> thin_scans() const {
+        for (int frame = 0; frame < 3; ++frame) thin(log.scan(frame));
+        return {log.raw() / "timestamps.txt",
+                log.poses(),
+                log.boxes(),
+                log.calibration("calib_cam_to_pose.txt"),
+                log.calibration("calib_cam_to_velo.txt"),
+                log.scan(0)};
     }
 };
 
-const Kitti360& make_kitti_360_in(const fs::path& folder) {
-    static const Kitti360 kitti(folder);
-    return kitti;
+void read_kitti_360(const Kitti360& kitti, unsigned options) {
+    load_sequence("kitti360:" + kitti.log.folder.string(), to_dataset(options));
 }
 
-void read_kitti_360(std::string_view input, const fs::path& folder) {
-    const Kitti360& kitti = make_kitti_360_in(folder);
-    kitti.files.read(input, [&](unsigned options) {
-        load_sequence("kitti360:" + kitti.folder.folder.string(), to_dataset(options));
-    });
-}
-
-void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
-    const Kitti360& kitti = make_kitti_360_in(folder);
+void read_kitti_360_texts(const Kitti360& kitti, unsigned) {
     static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
-    kitti.files.read(input, [&](unsigned) {
-        attempt_all({[&] { kitti::read_time_step_s(kitti.folder.raw() / "timestamps.txt"); },
-                     [&] { kitti::read_numbered_poses(kitti.folder.poses()); },
-                     [&] { kitti::read_360_boxes(kitti.folder.boxes(), frames); }});
-    });
+    attempt_all({[&] { kitti::read_time_step_s(kitti.log.raw() / "timestamps.txt"); },
+                 [&] { kitti::read_numbered_poses(kitti.log.poses()); },
+                 [&] { kitti::read_360_boxes(kitti.log.boxes(), frames); }});
 }
 
-std::vector<std::string> make_kitti_360_seeds(const fs::path& folder) {
-    return make_kitti_360_in(folder).files.seeds({0u, kAllFrames}, {kAllFrames, kNone});
+/// The seeds are not valid logs, because a part of a scan cannot be read as a scan.
+template <class Dataset, auto Read>
+Harness make_harness(const char* name) {
+    return {name, [](const fs::path& folder) { return dataset_in<Dataset>(folder).seeds(); },
+            [](std::string_view input, const fs::path& folder) {
+                const Dataset& dataset = dataset_in<Dataset>(folder);
+                dataset.files.read(input, [&](unsigned options) { Read(dataset, options); });
+            },
+            false};
 }
 
 }  // namespace
 
 /// Reading the full drive takes a hundred times as long as reading its texts.
 std::vector<Harness> list_drive_harnesses() {
-    return {
-        // The seeds are not valid logs, because a part of a scan cannot be read as a
-        // scan.
-        {"drive_texts", make_drive_seeds, read_changed<read_texts>, false},
-        {"drive", make_drive_seeds, read_changed<read_all_frames>, false},
-        {"odometry", make_drive_seeds, read_changed<read_odometry>, false},
-        {"kitti360_texts", make_kitti_360_seeds, read_kitti_360_texts, false},
-        {"kitti360", make_kitti_360_seeds, read_kitti_360, false},
-    };
+    return {make_harness<Drive, read_drive_texts>("drive_texts"),
+            make_harness<Drive, read_all_frames>("drive"), make_harness<Drive, read_odometry>("odometry"),
+            make_harness<Kitti360, read_kitti_360_texts>("kitti360_texts"),
+            make_harness<Kitti360, read_kitti_360>("kitti360")};
 }
 
 }  // namespace relidar::fuzz
