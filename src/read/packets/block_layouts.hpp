@@ -8,9 +8,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <string_view>
 #include <vector>
 
 namespace relidar::packets {
+
+using namespace std::string_view_literals;
 
 /// [lasers] time in nanoseconds from the start of a block until each laser fires; -1 if
 /// the laser does not fire in this block
@@ -258,6 +261,48 @@ inline constexpr PacketLayout kLayouts[] = {
     qt128_layout(),
     ot128_layout(false),
     ot128_layout(true),
+};
+
+// What the encoder writes around the blocks: the product number of Velodyne, and the
+// header and the tail of Hesai's packets.
+
+struct VelodyneProduct {
+    const char* sensor;
+    std::uint8_t code;
+};
+inline constexpr VelodyneProduct kVelodyneProducts[] = {
+    {"VLP-16", 0x22}, {"VLP-32C", 0x28}, {"HDL-32E", 0x21}, {"VLS-128", 0xA1}};
+
+struct HesaiProduct {
+    const char* layout;  ///< name in the table kLayouts
+    std::string_view header;
+    std::size_t reserved;  ///< number of bytes between the blocks and the motor speed or return mode
+    /// If true, the return mode is stored before the motor speed, and the date before the
+    /// time.
+    bool is_mode_first;
+    int first_year;  ///< year from which the date is counted
+    /// If true, a safety field and a checksum follow the blocks, and a second checksum
+    /// ends the packet.
+    bool has_checksums = false;
+    std::uint8_t operation_mode = 0;  ///< byte before the return mode, if `is_mode_first`
+    std::size_t motion_bytes = 0;     ///< size of the motion data after the packet number
+};
+// One row per product: the header of a packet and the fields after the blocks. A header
+// of 12 bytes stores the protocol version, the numbers of lasers and blocks, and the
+// position of the last return. Then it stores the unit in millimetres, the number of
+// returns, and flags for the optional fields: 1 packet number, 2 motion data, 4 safety
+// field.
+inline constexpr std::string_view kOt128Header = "\xEE\xFF\x01\x04\0\0\x80\x02\0\x04\x01\x07"sv;
+inline constexpr HesaiProduct kHesaiProducts[] = {
+    {"Pandar40P", "", 8, false, 2000},
+    {"Pandar64", "\xEE\xFF\x40\x06\0\x04\0\0"sv, 8, false, 2000},
+    {"XT32", "\xEE\xFF\x06\x01\0\0\x20\x08\0\x04\x01\x01"sv, 10, true, 1900},
+    {"XT16", "\xEE\xFF\x06\x01\0\0\x10\x08\0\x04\x01\x01"sv, 10, true, 1900},
+    {"XT32M", "\xEE\xFF\x06\x01\0\0\x20\x06\0\x04\x01\x01"sv, 10, true, 1900},
+    {"QT64", "\xEE\xFF\x03\x01\0\0\x40\x04\0\x04\x01\x01"sv, 10, false, 1900},
+    {"QT128", "\xEE\xFF\x03\x02\0\0\x80\x02\0\x04\x01\x05"sv, 12, true, 1900, true},
+    {"OT128", kOt128Header, 12, true, 1900, true, 1, 22},
+    {"OT128 in high resolution", kOt128Header, 12, true, 1900, true, 0, 22},
 };
 
 }  // namespace relidar::packets
