@@ -40,13 +40,6 @@ public:
         if (const NamedArray* array = find_optional(array_name)) return *array;
         fail("{}: the array '{}' is missing, expected it in every scan file", where_, array_name);
     }
-    /// Returns the value of an array that contains a single number.
-    double single_number(const std::string& array_name) const {
-        if (required_array(array_name).element_count() != 1)
-            fail("{}: the array {} has the shape [{}], expected one number", where_, array_name,
-                 fmt::join(required_array(array_name).shape, ", "));
-        return required_array(array_name).to_doubles()[0];
-    }
     /// Returns the values of an array with one number per ray.
     /// @param default_value  value of all rays if the file does not contain the array
     std::vector<double> ray_values_or(const std::string& array_name, double default_value) const {
@@ -67,7 +60,7 @@ public:
         for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
         return vectors;
     }
-    std::string ray_location(const char* array_name, std::size_t ray) const {
+    std::string ray_location(const std::string& array_name, std::size_t ray) const {
         return fmt::format("{}: {} of ray {}", where_, array_name, ray);
     }
     const std::string& error_place() const { return where_; }
@@ -77,31 +70,25 @@ private:
     std::vector<NamedArray> arrays_;
 };
 
-/// Dropped rays of a rendered scan may also have a range, so drop_prob decides.
-std::vector<float> read_ranges(const NpzArrays& arrays, const std::string& array_name) {
-    const std::vector<double> file_ranges_m = arrays.ray_values(array_name, 1),
-                              drop = arrays.ray_values_or("drop_prob", 0.0);
-    std::vector<float> range_m;
-    for (std::size_t i = 0; i < file_ranges_m.size(); ++i) {
-        const bool has_return = is_return_range(file_ranges_m[i]) && drop[i] < 0.5;
-        if (has_return && file_ranges_m[i] > 1e6)
+/// Reads the ranges and intensities of one return per ray. Rays without this return get
+/// 0. Dropped rays of a rendered scan may also have a range, so drop_prob decides.
+AdditionalReturns read_returns(const NpzArrays& arrays, const std::string& range_name,
+                               const std::string& intensity_name, const PointFileUnits& units) {
+    const std::vector<double> ranges_m = arrays.ray_values(range_name, 1),
+                              drop = arrays.ray_values_or("drop_prob", 0.0),
+                              intensities = arrays.ray_values_or(intensity_name, 0.0);
+    AdditionalReturns echo;
+    for (std::size_t i = 0; i < ranges_m.size(); ++i) {
+        const bool has_return = is_return_range(ranges_m[i]) && drop[i] < 0.5;
+        if (has_return && ranges_m[i] > 1e6)
             fail("{} has the value {}, expected a range in metres, or 0 for a ray without return",
-                 arrays.ray_location(array_name.c_str(), i), file_ranges_m[i]);
-        range_m.push_back(has_return ? float(file_ranges_m[i]) : 0.0f);
+                 arrays.ray_location(range_name, i), ranges_m[i]);
+        echo.range_m.push_back(has_return ? float(ranges_m[i]) : 0.0f);
+        echo.intensity.push_back(
+            has_return ? scale_intensity(intensities[i], units, arrays.ray_location(intensity_name, i))
+                       : 0.0f);
     }
-    return range_m;
-}
-
-/// Reads the intensities of one return per ray. Rays without this return get 0.
-std::vector<float> read_intensities(const NpzArrays& arrays, const std::string& array_name,
-                                    const std::vector<float>& range_m, const PointFileUnits& units) {
-    const std::vector<double> file_intensities = arrays.ray_values_or(array_name, 0.0);
-    std::vector<float> intensity;
-    for (std::size_t i = 0; i < file_intensities.size(); ++i)
-        intensity.push_back(range_m[i] > 0.0f ? scale_intensity(file_intensities[i], units,
-                                                                arrays.ray_location(array_name.c_str(), i))
-                                              : 0.0f);
-    return intensity;
+    return echo;
 }
 
 /// Returns the classes of the returns: the values of the channel `class`. Returns an
@@ -165,7 +152,11 @@ void set_ray_fields(const NpzArrays& arrays, const ImageContext& image_context, 
             rays.channel[i] = convert_ring(ring[i], arrays.ray_location("ring", i));
     }
     if (arrays.find_optional("divergence_rad")) {
-        rays.divergence_rad = float(arrays.single_number("divergence_rad"));
+        const std::vector<double> common_rad = arrays.required_array("divergence_rad").to_doubles();
+        if (common_rad.size() != 1)
+            fail("{}: the array divergence_rad has {} numbers, expected one", arrays.error_place(),
+                 common_rad.size());
+        rays.divergence_rad = float(common_rad[0]);
         rays.ray_divergence_rad.clear();
     }
     if (arrays.find_optional("divergence")) {
@@ -241,17 +232,16 @@ Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_a
     set_ray_fields(arrays, context, scan.rays);
     // A rendered file contains a median and a mean range. The median is used, because the
     // mean can be between two surfaces.
-    const std::vector<float> range_m =
-        read_ranges(arrays, arrays.find_optional("median_range") ? "median_range" : "range");
-    scan.range_m = to_scan_array(range_m);
-    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, context.units));
-    scan.classes = to_scan_array(read_ray_classes(arrays, range_m));
-    for (std::size_t number = 2;
-         number <= kMostReturns && arrays.find_optional(fmt::format("range_{}", number)); ++number) {
-        AdditionalReturns echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
-        echo.intensity =
-            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, context.units);
-        scan.second_returns.push_back(std::move(echo));
+    const std::string range_name = arrays.find_optional("median_range") ? "median_range" : "range";
+    const AdditionalReturns first = read_returns(arrays, range_name, "intensity", context.units);
+    scan.range_m = to_scan_array(first.range_m);
+    scan.intensity = to_scan_array(first.intensity);
+    scan.classes = to_scan_array(read_ray_classes(arrays, first.range_m));
+    for (std::size_t number = 2; number <= kMostReturns; ++number) {
+        const std::string name = fmt::format("range_{}", number);
+        if (!arrays.find_optional(name)) break;
+        scan.second_returns.push_back(
+            read_returns(arrays, name, fmt::format("intensity_{}", number), context.units));
     }
     return scan;
 }
