@@ -129,7 +129,8 @@ void test_rays(const CheckedLog& log, const FaultReport& report) {
 
 void test_box_sizes(const CheckedLog& log, const FaultReport& report) {
     for (const BoxTrack& box : log.sequence.boxes)
-        if (const glm::dvec3 size_m = box.size_m; !(size_m.x > 0.0 && size_m.y > 0.0 && size_m.z > 0.0))
+        if (const glm::dvec3 size_m = box.size_m;
+            !(size_m.x > 0.0 && size_m.y > 0.0 && size_m.z > 0.0 && glm::length(size_m) < INFINITY))
             report.add(box.id, size_m.x, size_m.y, size_m.z);
 }
 

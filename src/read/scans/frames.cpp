@@ -16,7 +16,7 @@ Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const 
     double worst = 0.0;
     for (int c = 0; c < 3; ++c)
         for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
-    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0)
+    if (!(worst <= 1e-3) || !(glm::determinant(rotation) > 0.0))
         fail(
             "{}: R^T R differs from the identity by {:.3g}, the determinant is {:.3g}, expected a rotation "
             "(orthonormal)",
