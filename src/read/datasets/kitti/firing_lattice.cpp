@@ -259,8 +259,8 @@ std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, 
 std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
-        const double elevation = std::atan(cones[k].tan_el);
-        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].z0_m * std::cos(elevation), left_m[k]};
+        const double elevation = std::atan(cones[k].slope);
+        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].at_zero * std::cos(elevation), left_m[k]};
     }
     return beams;
 }

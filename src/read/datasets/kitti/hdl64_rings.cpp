@@ -19,50 +19,16 @@
 namespace relidar::kitti {
 namespace {
 
-struct ConeSample {
-    double rho_m, z_m;
-};
+// Coordinates have rounding errors of 0.3 mm, so the slope is inaccurate if all points
+// have similar distances rho. If the sum of (rho - mean of rho)^2 is at least 36 m^2, the
+// slope error is below 5e-5.
+constexpr read::RobustLineOptions kConeFit{
+    .n_passes = 4, .min_points = 16, .min_spread = 36.0, .min_outlier = 1e-3};
 
-double height_residual_m(const BeamCone& cone, const ConeSample& sample) {
-    return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
-}
-
-/// Fits the line z = z0 + rho tan(elevation) to points of a beam by least squares. rho is
-/// the horizontal distance. Ignores points more than max_m above or below
-/// `previous_line`.
-/// @return a cone with n = 0 if the fit is unreliable
-BeamCone fit_inliers(const std::vector<ConeSample>& samples, const BeamCone& previous_line, double max_m) {
-    double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
-    for (const ConeSample& s : samples) {
-        if (std::abs(height_residual_m(previous_line, s)) > max_m) continue;
-        n += 1;
-        sr += s.rho_m;
-        sz += s.z_m;
-        srr += s.rho_m * s.rho_m;
-        srz += s.rho_m * s.z_m;
-    }
-    const double spread = n * srr - sr * sr;
-    // Coordinates have rounding errors of 0.3 mm, so the slope is inaccurate if all
-    // points have similar distances rho. spread / n is the sum of (rho - mean of rho)^2.
-    // If it is at least 36 m^2, the slope error is below 5e-5.
-    if (n < 16 || spread < 36.0 * n) return {};
-    const double slope = (n * srz - sr * sz) / spread;
-    return {(sz - slope * sr) / n, slope, std::size_t(n)};
-}
-
-/// Fits the cone of a beam robustly. Starts with all points, and then repeats the fit
-/// without points that are more than three standard deviations away.
-BeamCone fit_cone(const std::vector<ConeSample>& samples) {
-    BeamCone cone = fit_inliers(samples, {}, INFINITY);
-    for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
-        std::vector<double> error;
-        for (const ConeSample& s : samples) error.push_back(std::abs(height_residual_m(cone, s)));
-        // The factor converts the median absolute error to the standard deviation of a
-        // normal distribution.
-        const double sigma = 1.4826 * compute_median(std::move(error));
-        cone = fit_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
-    }
-    return cone;
+/// Returns the distance of a point from the spin axis, and its height.
+glm::dvec2 to_cone_point(const glm::vec4& point) {
+    const glm::dvec4 p(point);
+    return {std::hypot(p.x, p.y), p.z};
 }
 
 /// Heights at which the 32 beams of a laser block cross the spin axis: z0 = mean_z0 +
@@ -78,13 +44,13 @@ HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fi
     HeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
-        line.mean_tan += cones[k].tan_el / double(fitted_rings.size());
-        line.mean_z0 += cones[k].z0_m / double(fitted_rings.size());
+        line.mean_tan += cones[k].slope / double(fitted_rings.size());
+        line.mean_z0 += cones[k].at_zero / double(fitted_rings.size());
     }
     for (const std::size_t k : fitted_rings) {
-        const double t = cones[k].tan_el - line.mean_tan;
+        const double t = cones[k].slope - line.mean_tan;
         tt += t * t;
-        tz += t * (cones[k].z0_m - line.mean_z0);
+        tz += t * (cones[k].at_zero - line.mean_z0);
     }
     line.slope = tz / std::max(tt, 1e-12);
     return line;
@@ -94,11 +60,11 @@ HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fi
 /// have similar distances, so that no line can be fitted to them. `fit` gives the height
 /// of the beam; it was fitted to other beams of the block.
 /// @param initial  first guess of tan(elevation), on which the height depends
-double tan_elevation_at(const std::vector<ConeSample>& samples, const HeightFit& fit, double initial) {
+double tan_elevation_at(const std::vector<glm::dvec2>& samples, const HeightFit& fit, double initial) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - fit.height_at_m(initial)) / std::max(samples[i].rho_m, 0.1);
+            slope[i] = (samples[i].y - fit.height_at_m(initial)) / std::max(samples[i].x, 0.1);
         initial = compute_median(slope);
     }
     return initial;
@@ -106,7 +72,7 @@ double tan_elevation_at(const std::vector<ConeSample>& samples, const HeightFit&
 
 /// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
 /// beams in the same half of the 64 beams, because each half is one laser block.
-void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSample>, kRings>& samples_of_rings,
+void fill_missing_cones(BeamCones& cones, const std::array<std::vector<glm::dvec2>, kRings>& samples_of_rings,
                         const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
@@ -124,10 +90,10 @@ void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSampl
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
             const std::size_t a = next[-1], b = *next;
             const double along = (double(k) - double(a)) / double(b - a);
-            cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
+            cones[k].slope = cones[a].slope + (cones[b].slope - cones[a].slope) * along;
             if (samples_of_rings[k].size() >= 16)
-                cones[k].tan_el = tan_elevation_at(samples_of_rings[k], line, cones[k].tan_el);
-            cones[k].z0_m = line.height_at_m(cones[k].tan_el);
+                cones[k].slope = tan_elevation_at(samples_of_rings[k], line, cones[k].slope);
+            cones[k].at_zero = line.height_at_m(cones[k].slope);
         }
     }
 }
@@ -140,10 +106,8 @@ int find_nearest_ring(const RingScan& scan, std::size_t begin, std::size_t end, 
     double least = INFINITY;
     for (int k = 0; k < kRings; ++k) {
         std::vector<double> error;
-        for (std::size_t i = begin; i < end; i += step) {
-            const glm::dvec4 p(scan.points[i]);
-            error.push_back(std::abs(height_residual_m(cones[std::size_t(k)], {std::hypot(p.x, p.y), p.z})));
-        }
+        for (std::size_t i = begin; i < end; i += step)
+            error.push_back(std::abs(cones[std::size_t(k)].residual(to_cone_point(scan.points[i]))));
         if (const double middle = compute_median(std::move(error)); middle < least) {
             least = middle;
             best = k;
@@ -171,16 +135,14 @@ RingScan split_rings(std::vector<glm::vec4> points) {
 }
 
 BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where) {
-    std::array<std::vector<ConeSample>, kRings> samples;
+    std::array<std::vector<glm::dvec2>, kRings> samples;
     int most = 0;
     for (const RingScan* scan : scans) {
         most = std::max(most, scan->n_rings);
         // A stray point can look like the start of a 65th ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
-        for (std::size_t i = 0; i < scan->points.size(); ++i) {
-            const glm::dvec4 p(scan->points[i]);
-            samples[scan->ring[i]].push_back({std::hypot(p.x, p.y), p.z});
-        }
+        for (std::size_t i = 0; i < scan->points.size(); ++i)
+            samples[scan->ring[i]].push_back(to_cone_point(scan->points[i]));
     }
     // No scan is complete, because a complete scan has points in ring 0.
     if (samples[0].empty())
@@ -189,7 +151,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
             "another",
             where, most);
     BeamCones cones;
-    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
+    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_robust_line(samples[k], kConeFit);
     fill_missing_cones(cones, samples, where);
     return cones;
 }
@@ -207,12 +169,10 @@ void correct_rings(RingScan& scan, const BeamCones& cones) {
             begin = end;
         }
     for (std::size_t i = 1; i < n; ++i) {
-        const glm::dvec4 p(scan.points[i]);
         // Only a point at azimuth 0 can belong to the end of the previous ring.
-        if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
-        const ConeSample s{std::hypot(p.x, p.y), p.z};
-        if (std::abs(height_residual_m(cones[scan.ring[i - 1]], s)) <
-            std::abs(height_residual_m(cones[scan.ring[i]], s)))
+        if (scan.points[i].y != 0.0f || scan.ring[i] == scan.ring[i - 1]) continue;
+        const glm::dvec2 point = to_cone_point(scan.points[i]);
+        if (std::abs(cones[scan.ring[i - 1]].residual(point)) < std::abs(cones[scan.ring[i]].residual(point)))
             scan.ring[i] = scan.ring[i - 1];
     }
 }

@@ -13,6 +13,8 @@
 
 #include <relidar/log/classes.hpp>
 
+#include "read/scans/robust_line.hpp"
+
 namespace relidar::kitti {
 
 constexpr int kRings = 64;
@@ -26,13 +28,9 @@ struct RingScan {
     std::vector<float> time_offset_s = {};
 };
 
-/// cone of a beam: z = z0 + tan_el * distance from the spin axis
-struct BeamCone {
-    double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
-    double tan_el = 0.0;
-    std::size_t n = 0;  ///< number of points in the fit; 0 if the cone was estimated from other beams
-};
-using BeamCones = std::array<BeamCone, kRings>;
+/// Cones of the beams: z = at_zero + slope * distance from the spin axis. The number n of
+/// points is 0 if the cone was estimated from other beams.
+using BeamCones = std::array<read::RobustLine, kRings>;
 
 /// Splits the points of a file into rings. The file stores ring after ring, each starting
 /// at the forward direction. A new ring begins where the azimuth changes from the 4th to
