@@ -235,25 +235,22 @@ void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
 /// that are then unused.
 void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
-    std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
+    std::vector<bool> is_kept(sequence.lidars.size());
     for (const std::string& name : lidar_names) {
         bool is_found = false;  // LiDARs that share a topic have the names TOPIC:ID
-        for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-            const std::string& lidar = sequence.lidars[l].name;
-            if (lidar != name && !lidar.starts_with(name + ":")) continue;
-            new_index_of_lidar[l] = 0;
-            is_found = true;
-        }
-        if (!is_found) new_index_of_lidar[std::size_t(find_lidar(sequence, name))] = 0;
+        for (std::size_t l = 0; l < is_kept.size(); ++l)
+            if (const std::string& lidar = sequence.lidars[l].name;
+                lidar == name || lidar.starts_with(name + ":"))
+                is_kept[l] = is_found = true;
+        if (!is_found) is_kept[std::size_t(find_lidar(sequence, name))] = true;
     }
     std::vector<Lidar> remaining_lidars;
+    std::vector<int> new_index_of_lidar;
     std::vector<std::string> left_out;
-    for (std::size_t l = 0; l < new_index_of_lidar.size(); ++l) {
-        if (new_index_of_lidar[l] < 0) left_out.push_back(sequence.lidars[l].name);
-        else {
-            new_index_of_lidar[l] = int(remaining_lidars.size());
-            remaining_lidars.push_back(std::move(sequence.lidars[l]));
-        }
+    for (std::size_t l = 0; l < is_kept.size(); ++l) {
+        new_index_of_lidar.push_back(is_kept[l] ? int(remaining_lidars.size()) : -1);
+        if (is_kept[l]) remaining_lidars.push_back(std::move(sequence.lidars[l]));
+        else left_out.push_back(sequence.lidars[l].name);
     }
     std::erase_if(sequence.frames,
                   [&](const Frame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
@@ -315,6 +312,17 @@ void estimate_sweeps(Log& sequence) {
 }
 
 }  // namespace
+
+void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last) {
+    fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [{}, {}]", range.begin,
+                     range.end < 0 ? "" : std::to_string(range.end), log_name, first, last);
+}
+
+FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name) {
+    const int end = range.end < 0 ? n_frames : std::min(range.end, n_frames);
+    if (range.begin >= end) fail_empty_range(range, log_name, 0, n_frames - 1);
+    return {range.begin, end};
+}
 
 bool is_dataset(const fs::path& path) {
     try {

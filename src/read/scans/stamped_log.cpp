@@ -14,6 +14,7 @@
 #include "base/files.hpp"
 #include "base/median.hpp"
 #include "read/kitti/log_files.hpp"
+#include "read/readers.hpp"
 #include "read/scans/folder_points.hpp"
 
 namespace relidar::read {
@@ -175,14 +176,14 @@ std::optional<std::int64_t> parse_stamp(std::string_view text) {
     return stamp;
 }
 
-std::vector<StampedScanFile> list_stamped_files(const fs::path& folder) {
+std::vector<StampedScanFile> list_stamped_files(const fs::path& folder, const std::string& extension) {
     std::vector<StampedScanFile> scans;
     for (const fs::path& file : list_folder(folder))
-        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin")
+        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == extension)
             scans.push_back({0, *stamp, file});
     if (scans.empty())
-        fail("{}: no scan was found, expected files named by their times, such as 1598990189106857.bin",
-             folder.string());
+        fail("{}: no scan was found, expected files named by their times, such as 1598990189106857{}",
+             folder.string(), extension);
     // Sorts by the number, because sorting by name would put "10" before "9".
     std::ranges::sort(scans, {}, &StampedScanFile::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
@@ -268,8 +269,7 @@ std::vector<fs::path> add_frames(Log& sequence, const StampedLog& log, const Dat
         files.push_back(scan.file);
     }
     if (files.empty() && without.empty())
-        fail<UsageError>("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", range.begin,
-                         range.end, sequence.name, log.scans.front().number, log.scans.back().number);
+        fail_empty_range(range, sequence.name, log.scans.front().number, log.scans.back().number);
     if (files.empty())
         fail(
             "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "

@@ -26,10 +26,11 @@ struct StampedScanFile {
 };
 /// Parses a time stamp of digits only, for example from a file name.
 std::optional<std::int64_t> parse_stamp(std::string_view text);
-/// Lists the .bin files of a folder, which are named by their time stamps, sorted by time
-/// and numbered from 0.
+/// Lists the files of a folder that are named by their time stamps, sorted by time and
+/// numbered from 0.
 /// @throws DataError if the folder contains no such file
-std::vector<StampedScanFile> list_stamped_files(const std::filesystem::path& folder);
+std::vector<StampedScanFile> list_stamped_files(const std::filesystem::path& folder,
+                                                const std::string& extension = ".bin");
 
 struct PoseRow {
     std::int64_t stamp = 0;

@@ -35,13 +35,11 @@ constexpr double kMaxMisfit_rad = kPi / 180.0;
 constexpr double kDegrees = 180.0 / kPi;
 constexpr std::size_t kSampleFrames = 4;  // frames of a LiDAR that show its beams
 constexpr std::size_t kLongestId = 200;
-constexpr double kLargestCoordinate_m = 1e8;
 
 /// A LiDAR that is fixed to the vehicle.
 struct NcoreLidar {
     Component component;
     std::vector<StoredFrame> frames;
-    Pose vehicle_from_sensor;
 };
 
 class NcoreLoader {
@@ -57,7 +55,6 @@ public:
         if (options_.poses_file.empty() && !vehicle_path_)
             fail("{}: no poses join the frames '{}' and '{}'; use dataset.poses=FILE or dataset.poses=none",
                  sequence_.place(), quote(vehicle_), kWorld);
-        add_lidars();
         add_frames();
         read_boxes();
         log_.conventions = fmt::format(
@@ -98,6 +95,7 @@ private:
         const std::vector<Component> components = sequence_.list_components("lidars");
         if (!graph_.has_frame(kRig) && !components.empty()) vehicle_ = carrier_of(components.front().name);
         vehicle_path_ = graph_.find_path(vehicle_, kWorld);
+        log_.lidars.clear();
         for (const Component& component : components) {
             const auto mounting = graph_.find_path(component.name, vehicle_);
             std::vector<StoredFrame> frames = list_stored_frames(component);
@@ -107,22 +105,16 @@ private:
                                 quote(component.name), quote(vehicle_)));
             else if (frames.empty())
                 sequence_.notes.push_back(fmt::format("the LiDAR {} has no frames", quote(component.name)));
-            else lidars_.push_back({component, std::move(frames), PoseGraph::pose_at(*mounting, 0.0)});
+            else {
+                lidars_.push_back({component, std::move(frames)});
+                log_.lidars.push_back({component.name, {}, PoseGraph::pose_at(*mounting, 0.0)});
+            }
         }
         if (lidars_.empty())
             fail("{}: no LiDAR can be read, expected one with frames and a pose on the vehicle",
                  sequence_.place());
-    }
-
-    void add_lidars() {
-        log_.lidars.clear();
-        for (const NcoreLidar& stored : lidars_) {
-            Lidar lidar;
-            lidar.vehicle_from_sensor = stored.vehicle_from_sensor;
-            // A LiDAR needs a name only if the log has several or the user selected it.
-            if (lidars_.size() > 1 || !options_.lidars.empty()) lidar.name = stored.component.name;
-            log_.lidars.push_back(std::move(lidar));
-        }
+        // A LiDAR needs a name only if the log has several or the user selected it.
+        if (lidars_.size() == 1 && options_.lidars.empty()) log_.lidars[0].name = "";
     }
 
     /// Adds the sweeps of the first LiDAR as frames, and the simultaneous sweeps of the
@@ -163,9 +155,7 @@ private:
                 "{} frames are skipped, because the sequence has no poses at their times", n_without_pose));
         if (scans_.empty() && n_without_pose > 0)
             fail("{}: the sequence has no poses at the times of the requested frames", sequence_.place());
-        if (scans_.empty())
-            fail<UsageError>("frames {}:{} select no sweep of {}, expected numbers in [0, {}]",
-                             options_.frames.begin, options_.frames.end, log_.name, main_s.size() - 1);
+        if (scans_.empty()) fail_empty_range(options_.frames, log_.name, 0, int(main_s.size()) - 1);
     }
 
     /// Reads the boxes near the times of the loaded frames.
@@ -194,11 +184,6 @@ private:
                              sequence_.seconds_of(read_time_us(item.at("reference_frame_timestamp_us")));
             const auto centre = box.at("centroid").numbers<3>(), size = box.at("dim").numbers<3>(),
                        angles = box.at("rot").numbers<3>();
-            for (const double v : centre)
-                if (!(std::abs(v) <= kLargestCoordinate_m))
-                    box.at("centroid").reject(fmt::format("found {}", v), "expected metres");
-            if (!(std::min({size[0], size[1], size[2]}) > 0.0))
-                box.at("dim").reject("found a size of 0", "expected lengths above 0");
             if (time_s < times_s.front() - margin_s || time_s > times_s.back() + margin_s) continue;
             if (!paths[frame]) {
                 ++n_unknown;

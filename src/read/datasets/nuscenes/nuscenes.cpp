@@ -335,10 +335,7 @@ private:
         for (const FrameSweepRecord& sweep : sweeps)
             if (range.contains(sweep.number) && !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
-        if (frames_.empty())
-            fail<UsageError>("frames {}:{} select no {} of {}, expected numbers in [0, {}]", range.begin,
-                             range.end, keyframes_alone ? "keyframe" : "sweep", scene_.name,
-                             main_s_.size() - 1);
+        if (frames_.empty()) fail_empty_range(range, scene_.name, 0, int(main_s_.size()) - 1);
         if (keyframes_alone)
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }

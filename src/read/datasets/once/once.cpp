@@ -30,7 +30,6 @@ constexpr double kRevolution_s = 0.1;
 // from ONCE (x left, y back) to relidar (x forward, y left)
 constexpr double kAxesTurn_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
-constexpr double kLargestCoordinate_m = 1e8;
 
 struct OncePose {
     std::int64_t stamp;
@@ -52,11 +51,6 @@ OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
     if (!(std::abs(length - 1.0) <= kUnitLength))
         pose_field.reject(fmt::format("found a quaternion of length {:.4g}", length),
                           "expected a quaternion of length 1");
-    for (std::size_t i = 4; i < 7; ++i)
-        if (!(std::abs(n[i]) <= kLargestCoordinate_m))
-            pose_field.reject(
-                fmt::format("{}", n[i]),
-                fmt::format("expected coordinates in metres of at most {:g}", kLargestCoordinate_m));
     return pose;
 }
 

@@ -101,14 +101,14 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     const auto with = [&](const std::string& from, const std::string& to, const std::string& part) {
         data.expect_error_with(data.json(), test::replace_first(good, from, to), part);
     };
-    const std::string second = "\"frame_id\": \"16165359667";
-    with(second, "\"frame_id\": \"x16165359667", "errors.json: frames[1].frame_id ... 'x1616535966700'");
-    with(second, "\"frame_id\": \"06165359667", "frames[1].frame_id ... 616535966700 ... 1616535966200");
-    with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose ... 8 ... 7");
-    with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
-    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... 2.236 ... length 1");
-    with("\"pose\"", "\"posture\"", "errors.json ... frames[0].pose");
-    with("\"frames\"", "\"other\"", "errors.json ... frames");
+    const std::string second = R"("frame_id": "16165359667)";
+    with(second, R"("frame_id": "x16165359667)", "errors.json: frames[1].frame_id ... 'x1616535966700'");
+    with(second, R"("frame_id": "06165359667)", "frames[1].frame_id ... 616535966700 ... 1616535966200");
+    with(R"("pose": [)", R"("pose": [0, )", "errors.json: frames[0].pose ... 8 ... 7");
+    with(R"("pose": [)", R"("pose": ["x", )", "errors.json: frames[0].pose");
+    with(R"("pose": [0)", R"("pose": [2)", "errors.json: frames[0].pose ... 2.236 ... length 1");
+    with(R"("pose")", R"("posture")", "errors.json ... frames[0].pose");
+    with(R"("frames")", R"("other")", "errors.json ... frames");
     with("]}]", "", "errors.json");
     test::write_text(data.scan(2), "cut");
     data.expect_error("1616535967200.bin ... 3 ... 16");
