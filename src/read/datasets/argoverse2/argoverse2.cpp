@@ -3,65 +3,173 @@
 // dataset has moved all points to the vehicle frame at the time in the file name (motion
 // compensation). The reader undoes this with the poses of the frames. relidar computes
 // world points with the same poses, so the points keep their positions in the world.
+//
+// A VLP-32C fires its 32 lasers in pairs while the head rotates: one pair every 2.304 us,
+// all lasers every 55.296 us. The azimuth of a laser relative to the head at the first
+// pair is therefore a sum: the azimuth offset of the laser plus the rotation since the
+// first pair.
 #include "read/readers.hpp"
 
 #include <algorithm>
-#include <charconv>
+#include <array>
+#include <cmath>
+#include <complex>
 #include <map>
 #include <optional>
 #include <utility>
+#include <variant>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/codecs/feather.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/datasets/argoverse2/vlp32c_pair.hpp"
 #include "read/kitti/log_files.hpp"
+#include "read/scans/arrange_firings.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/fired_sweeps.hpp"
+#include "read/scans/stamped_log.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using namespace argoverse2;
+
+constexpr double kFiringCycle_ns = 55296.0, kRate_hz = 10.0;
+constexpr const char* kVlp32cName = "VLP-32C";
+constexpr int kLasersPerLidar = 32;
+
+/// [VLP-32C channels] Laser number of each channel in Argoverse 2 files, modulo 32. The
+/// files number the lasers of two LiDARs 0 to 63. Derived from a published sweep.
+constexpr std::array<int, kLasersPerLidar> kLaserNumbers = {31, 13, 1,  17, 29, 9,  3,  21, 27, 12, 5,
+                                                            16, 25, 8,  7,  20, 22, 2,  10, 28, 23, 6,
+                                                            11, 24, 18, 0,  14, 30, 19, 4,  15, 26};
+
+std::vector<Beam> nominal_beams() {
+    return std::get<SpinningSensor>(find_built_in(kVlp32cName, 1, kRate_hz)->pattern).beams;
+}
+
+struct LaserRow {
+    std::uint16_t row = 0;
+    double after_first_ns = 0.0;
+    double elevation_rad = 0.0;
+};
+using LaserTable = std::array<LaserRow, kLasersPerLidar>;
+
+LaserTable make_laser_table() {
+    LaserTable laser_table;
+    const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
+    const std::vector<Beam> beams = nominal_beams();
+    for (std::size_t row = 0; row < firings.size(); ++row)
+        laser_table[std::size_t(kLaserNumbers[std::size_t(firings[row].channel)])] = {
+            std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
+    return laser_table;
+}
+
+/// The points of a sweep with the values and units of the file.
+struct RawSweep {
+    std::vector<glm::dvec3> point_m;  ///< [n] position in the vehicle frame at the time of the sweep
+    std::vector<double> intensity;    ///< [n] intensity of each point, 0 to 255
+    std::vector<std::int64_t> laser;  ///< [n] laser number of each point, 0 to 63
+    std::vector<std::int64_t> offset_ns;
+};
+
+/// Returns the mean absolute difference between the elevation of a point and of its
+/// laser. Each difference is at most one degree, so that outliers have little influence.
+double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
+    const LaserTable laser_table = make_laser_table();
+    const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
+    constexpr double kLargestDifference_rad = kPi / 180.0;
+    double sum = 0.0, n = 0.0;
+    for (std::size_t i = 0; i < sweep.point_m.size(); ++i) {
+        if (sweep.laser[i] / kLasersPerLidar != laser_group) continue;
+        const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
+        const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
+        const LaserRow& laser = laser_table[std::size_t(sweep.laser[i] % kLasersPerLidar)];
+        sum += std::min(std::abs(elevation - laser.elevation_rad), kLargestDifference_rad);
+        n += 1.0;
+    }
+    return n > 0.0 ? sum / n : 0.0;
+}
+
+/// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
+/// Cycle 0 starts near the time stamp of the sweep. Its exact start is the circular mean
+/// of all points.
+std::vector<int> number_cycles(const std::vector<double>& cycle_start_of_each_point_ns) {
+    std::complex<double> sum = 0.0;
+    for (const double t : cycle_start_of_each_point_ns)
+        sum += std::polar(1.0, 2.0 * kPi * t / kFiringCycle_ns);
+    const double phase_ns = std::arg(sum) / (2.0 * kPi) * kFiringCycle_ns;
+    std::vector<int> numbers;
+    for (const double t : cycle_start_of_each_point_ns)
+        numbers.push_back(int(std::lround((t - phase_ns) / kFiringCycle_ns)));
+    return numbers;
+}
+
+/// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
+/// @param clockwise  direction of rotation in the sensor frame, seen from +z
+SpinningSensor make_vlp32c(bool clockwise) {
+    SpinningSensor sensor;
+    sensor.name = kVlp32cName;
+    sensor.clockwise = clockwise;
+    sensor.period_s = 1.0 / kRate_hz;
+    sensor.beams = nominal_beams();  // of a head that rotates clockwise
+    const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
+    for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
+        // The offsets contain the clockwise rotation since the first pair. Adding it
+        // twice reverses its sign.
+        sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
+    return sensor;
+}
+
+/// Finds out which lasers belong to each of the two LiDARs. Returns one value per LiDAR:
+/// 0 for the lasers 0 to 31, and 1 for the lasers 32 to 63. Chooses the assignment for
+/// which the elevations of points and lasers agree best.
+std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
+    const double straight = elevation_error_rad(sweep, 0, vehicle_from_lidar[0]) +
+                            elevation_error_rad(sweep, 1, vehicle_from_lidar[1]);
+    const double crossed = elevation_error_rad(sweep, 1, vehicle_from_lidar[0]) +
+                           elevation_error_rad(sweep, 0, vehicle_from_lidar[1]);
+    return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
+}
+
+/// Returns the points of one LiDAR. Time and laser of a point give its firing. Keeps
+/// firings without points, for example where the vehicle blocks all beams.
+/// @param world_from_sensor  poses with which the dataset moved the points to the time of
+/// the sweep
+read::FiredSweep extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                               const PoseTrack& world_from_sensor, double sweep_time_s) {
+    const LaserTable laser_table = make_laser_table();
+    const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
+    read::FiredSweep result;
+    std::vector<double> first_pair_ns;
+    for (std::size_t i = 0; i < raw_sweep.point_m.size(); ++i) {
+        if (raw_sweep.laser[i] / kLasersPerLidar != laser_group) continue;
+        const LaserRow& laser = laser_table[std::size_t(raw_sweep.laser[i] % kLasersPerLidar)];
+        result.points.position_m.emplace_back(lidar_from_vehicle * raw_sweep.point_m[i]);
+        result.points.intensity.push_back(float(raw_sweep.intensity[i] / 255.0));
+        result.points.ring.push_back(laser.row);
+        result.points.time_offset_s.push_back(float(double(raw_sweep.offset_ns[i]) * 1e-9));
+        // Time of the first pair of lasers in the cycle of this point.
+        first_pair_ns.push_back(double(raw_sweep.offset_ns[i]) - laser.after_first_ns);
+    }
+    if (result.points.size() == 0) return result;
+    undo_deskew(result.points, world_from_sensor, sweep_time_s);
+    // Azimuth step of the head from firing cycle to firing cycle.
+    const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kFiringCycle_ns * 1e-9;
+    result.sweep = arrange_firings(result.points, number_cycles(first_pair_ns), lidar.sensor, step_rad);
+    return result;
+}
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
 // Maximum time between a point and its sweep: two revolutions.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
-
-struct SweepFile {
-    int number = 0;
-    std::int64_t time_ns = 0;
-    fs::path path;
-};
-
-/// Numbers the sweeps by time, because the names of the files are times.
-std::vector<SweepFile> list_sweeps(const fs::path& folder) {
-    std::vector<SweepFile> sweeps;
-    for (const fs::path& path : list_folder(folder)) {
-        if (path.extension() != ".feather") continue;
-        const std::string stem = path.stem().string();
-        std::int64_t time_ns = 0;
-        const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
-        if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
-            fail(
-                "cannot use the file {} as a sweep: its name is not a valid time, expected a time in "
-                "nanoseconds",
-                path.string());
-        sweeps.push_back({0, time_ns, path});
-    }
-    std::sort(sweeps.begin(), sweeps.end(),
-              [](const SweepFile& first, const SweepFile& second) { return first.time_ns < second.time_ns; });
-    for (std::size_t i = 0; i < sweeps.size(); ++i) sweeps[i].number = int(i);
-    if (sweeps.empty()) fail("{} contains no sweeps, expected files NANOSECONDS.feather", folder.string());
-    return sweeps;
-}
 
 /// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
 /// translation in metres.
@@ -106,7 +214,7 @@ double seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
 
 /// Reads vehicle poses in the city frame, and interpolates them at the times of the
 /// sweeps.
-PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
+PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<read::StampedScanFile>& sweeps,
                            std::int64_t origin_ns) {
     const Feather table(pose_file);
     const std::vector<std::int64_t> times_ns = table.read_integers("timestamp_ns");
@@ -118,13 +226,13 @@ PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<SweepFil
         trajectory.time_s.push_back(seconds_since(times_ns[i], origin_ns));
     }
     PoseTrack at_sweeps;
-    for (const SweepFile& sweep : sweeps) {
-        const double time_s = seconds_since(sweep.time_ns, origin_ns);
+    for (const read::StampedScanFile& sweep : sweeps) {
+        const double time_s = seconds_since(sweep.stamp, origin_ns);
         if (!trajectory.contains_time(time_s))
             fail(
                 "{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; expected "
                 "poses for all sweeps",
-                table.name(), sweep.time_ns);
+                table.name(), sweep.stamp);
         at_sweeps.append(time_s, trajectory.pose_at(time_s));
     }
     return at_sweeps;
@@ -155,18 +263,18 @@ RawSweep read_sweep(const fs::path& file) {
     return sweep;
 }
 
-/// [sweeps] points of both LiDARs in each sweep
-using SweepPairs = std::vector<std::array<SweepPoints, 2>>;
+/// [sweeps] points of both LiDARs
+using SweepPairs = std::vector<std::array<read::FiredSweep, 2>>;
 
 /// Reads all sweeps and splits each into the points of both LiDARs. The first readable
 /// sweep shows which laser numbers belong to which LiDAR.
-SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
+SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
                        ScanErrorCollector& broken_scans) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
         broken_scans.guard(at, [&] {
-            halves = match_laser_groups(read_sweep(files[at].path),
+            halves = match_laser_groups(read_sweep(files[at].file),
                                         {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
@@ -174,7 +282,7 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     SweepPairs sweeps(files.size());
     progress_for(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken_scans.guard(at, [&] {
-            const RawSweep raw = read_sweep(files[at].path);
+            const RawSweep raw = read_sweep(files[at].file);
             for (std::size_t l = 0; l < 2; ++l)
                 sweeps[at][l] =
                     extract_group(raw, halves->at(l), lidars[l], ways[l], vehicle_track.time_s[at]);
@@ -185,43 +293,34 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
 
 /// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
 /// points in the sweep.
-void add_sweeps(Log& sequence, const std::vector<SweepFile>& sweep_files, const PoseTrack& vehicle_poses,
-                SweepPairs lidar_sweep_points, const Progress& progress,
+void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_files,
+                const PoseTrack& vehicle_poses, SweepPairs sweep_pairs, const Progress& progress,
                 const ScanErrorCollector& broken_scans) {
     broken_scans.report_broken(sequence, sweep_files.size());
-    std::vector<SweepPoints*> of_frame;
+    std::vector<read::FiredSweep> sweeps;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {
         if (broken_scans.is_scan_broken(at)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
-            SweepPoints& lidar_sweep = lidar_sweep_points[at][l];
-            SpinningSensor& sensor = sequence.lidars[l].sensor;
-            if (lidar_sweep.points.size() == 0 && ++missing) continue;
-            sensor.columns = std::max(sensor.columns, int(lidar_sweep.sweep.firings.size()));
+            if (sweep_pairs[at][l].points.size() == 0 && ++missing) continue;
             add_frame(sequence, sweep_files[at].number, vehicle_poses.time_s[at], vehicle_poses.pose[at],
                       int(l));
-            of_frame.push_back(&lidar_sweep);
+            sweeps.push_back(std::move(sweep_pairs[at][l]));
         }
     }
-    for (Lidar& lidar : sequence.lidars) {
+    read::set_fired_scans(sequence, sweeps, progress);
+    for (const Lidar& lidar : sequence.lidars)
         if (lidar.sensor.columns == 0)
             fail("{} has no points of the LiDAR {}, expected at least one", sequence.source, lidar.name);
-        lidar.sensor.first_azimuth_rad = kPi - kPi / lidar.sensor.columns;
-    }
     if (missing > 0)
         sequence.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
-    progress_for(of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
-        Frame& frame = sequence.frames[index];
-        frame.scan =
-            spinning_scan(of_frame[index]->points, sequence.lidar_of(frame).sensor, of_frame[index]->sweep);
-        *of_frame[index] = {};
-    });
 }
 
 /// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
 /// at the time of its sweep.
-std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file, const std::vector<SweepFile>& sweeps,
+std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file,
+                                       const std::vector<read::StampedScanFile>& sweeps,
                                        const PoseTrack& vehicle_poses) {
     const Feather table(annotation_file);
     const std::vector<std::int64_t> times_ns = table.read_integers("timestamp_ns");
@@ -231,13 +330,10 @@ std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file, const st
                               height = table.read_numbers("height_m");
     const std::vector<Pose> vehicle_from_box = read_row_poses(table);
     std::map<std::int64_t, std::size_t> sweep_at;
-    for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
+    for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].stamp] = i;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < table.row_count(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
-        if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            fail("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0",
-                 table.name(), i, size_m.x, size_m.y, size_m.z);
         const auto sweep = sweep_at.find(times_ns[i]);
         if (sweep == sweep_at.end()) continue;
         const std::size_t at = sweep->second;
@@ -255,17 +351,14 @@ std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file, const st
 Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
-    const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar");
-    const FrameRange& range = options.frames;
-    const int n_sweeps = int(all.size()), first_sweep = std::min(range.begin, n_sweeps),
-              end_sweep = range.end < 0 ? n_sweeps : std::min(range.end, n_sweeps);
-    if (first_sweep >= end_sweep)
-        fail<UsageError>("frames {}:{} select no sweep of this log, expected numbers in [0, {}]", range.begin,
-                         range.end, n_sweeps - 1);
-    const std::vector<SweepFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
+    const std::vector<read::StampedScanFile> all =
+        read::list_stamped_files(folder / "sensors" / "lidar", ".feather");
+    const auto [first_sweep, end_sweep] =
+        limit_frames(options.frames, int(all.size()), folder.filename().string());
+    const std::vector<read::StampedScanFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
     // Time 0 is the first sweep of the full log, not of the loaded range.
     const PoseTrack vehicle_track =
-        read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+        read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].stamp);
     Log sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
@@ -273,7 +366,7 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
         "Vehicle frame: x forward, y left, z up, in metres, with the origin at the rear axle. Times are "
         "seconds after the first sweep, from the file names. The world frame is that of the city. The motion "
         "compensation of the points is removed. Boxes are labelled in all directions.";
-    set_log_start(sequence, all[0].time_ns, "on the clock of the file names");
+    set_log_start(sequence, all[0].stamp, "on the clock of the file names");
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (does_path_exist(folder / "annotations.feather"))

@@ -15,7 +15,7 @@
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/scans/broken_scans.hpp"
-#include "read/scans/sweep_firings.hpp"
+#include "read/scans/fired_sweeps.hpp"
 
 namespace relidar::nuscenes {
 namespace {
@@ -28,11 +28,6 @@ constexpr double kPeriod_s = 0.05;
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
-
-struct SweepWithColumns {
-    LidarPoints points;
-    SweepFirings sweep;
-};
 
 /// Removes rays without a return. The dataset stores them as points at the LiDAR, and
 /// motion compensation has moved these points a little.
@@ -69,7 +64,7 @@ std::string read_categories(const fs::path& file, std::size_t n_points) {
 
 /// Reads a file with one revolution. The firing time of a point follows from its column,
 /// because the file contains no times.
-SweepWithColumns read_sweep(const SweepFiles& sweep_files,
+read::FiredSweep read_sweep(const SweepFiles& sweep_files,
                             const std::array<SurfaceClass, 256>& class_of_category,
                             const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
                             double sweep_time_s) {
@@ -84,7 +79,7 @@ SweepWithColumns read_sweep(const SweepFiles& sweep_files,
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     const std::string categories =
         sweep_files.categories.empty() ? "" : read_categories(sweep_files.categories, n);
-    SweepWithColumns read;
+    read::FiredSweep read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
         float v[5];  // x to the right, y forward, z up, intensity, ring
@@ -150,7 +145,7 @@ void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_file
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
         ways.push_back(mount_track(vehicle_track, lidar.vehicle_from_sensor));
-    std::vector<SweepWithColumns> sweeps(sweep_files.size());
+    std::vector<read::FiredSweep> sweeps(sweep_files.size());
     progress_for(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];
         broken.guard(at, [&] {
@@ -158,18 +153,7 @@ void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_file
                                     ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });
-    for (std::size_t at = 0; at < sweeps.size(); ++at) {
-        SpinningSensor& sensor = sequence.lidars[std::size_t(sequence.frames[at].lidar)].sensor;
-        sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
-        // Half a column from the rear, so that the columns are symmetric to the front.
-        sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    }
-    progress_for(sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
-        if (broken.is_scan_broken(at)) return;
-        Frame& frame = sequence.frames[at];
-        frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
-        sweeps[at] = {};
-    });
+    read::set_fired_scans(sequence, sweeps, options.progress);
     broken.remove_broken(sequence);
 }
 

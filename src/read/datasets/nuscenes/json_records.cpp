@@ -13,83 +13,20 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kBlockBytes = 1 << 20, kMaxRecordBytes = 1 << 20;
+constexpr std::size_t kMaxRecordBytes = 1 << 20;
 // A double represents all integers up to this number exactly.
 constexpr double kMaxExactInteger = 9007199254740992.0;
 
-/// Splits a table (an array of objects) into its objects. Reads blocks, because tables
-/// can have a gigabyte.
-class RecordSplitter {
-public:
-    explicit RecordSplitter(const std::filesystem::path& file)
-        : name_(file.string()), in_(file, std::ios::binary) {
-        if (!does_path_exist(file)) throw DataError(name_ + ": no such file");
-        if (!in_) throw DataError(name_ + ": the file cannot be read");
-    }
-
-    /// Reads the next object of the table into `object_text`. Finds its end by counting
-    /// brackets that are not inside quotes.
-    /// @return false if the table has no more objects
-    bool next_object(std::string& object_text) {
-        object_text.clear();
-        int depth = 0;
-        bool quoted = false, escaped = false;
-        for (char c = 0; next_char(c);) {
-            if (depth == 0) {
-                if (!is_object_start(c)) continue;
-                depth = 1;
-                object_text = c;
-                continue;
-            }
-            object_text += c;
-            if (object_text.size() > kMaxRecordBytes)
-                fail("{}: a JSON object is too large, expected at most {} bytes", name_, kMaxRecordBytes);
-            if (quoted) {
-                if (!escaped && c == '"') quoted = false;
-                escaped = !escaped && c == '\\';
-            } else if (c == '"') quoted = true;
-            else if (c == '{' || c == '[') ++depth;
-            else if ((c == '}' || c == ']') && --depth == 0) return true;
-        }
-        if (depth > 0 || !closed_) fail("{} is truncated, expected an array of objects", name_);
-        return false;
-    }
-
-private:
-    std::string name_;
-    std::ifstream in_;
-    std::string block_;
-    std::size_t at_ = 0;
-    bool opened_ = false, closed_ = false;
-
-    /// Reads the next character. Returns false at the end of the file. Keeps only one
-    /// block in memory, because tables can have a gigabyte.
-    bool next_char(char& character) {
-        if (at_ == block_.size()) {
-            block_.resize(kBlockBytes);
-            in_.read(block_.data(), std::streamsize(block_.size()));
-            block_.resize(std::size_t(in_.gcount()));
-            at_ = 0;
-            if (block_.empty()) return false;
-        }
-        character = block_[at_++];
-        return true;
-    }
-    /// Checks a character of the array that is outside of its objects.
-    /// @return true if the character starts an object
-    bool is_object_start(char character) {
-        if (character == '{' && opened_ && !closed_) return true;
-        const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';
-        if (character == '[' && !opened_) opened_ = true;
-        else if (character == ']' && opened_ && !closed_) closed_ = true;
-        else if (!blank && !(character == ',' && opened_ && !closed_))
-            fail(
-                "{}: found the character '{}' outside of an object, expected a JSON array of objects: "
-                "[{{...}}, {{...}}]",
-                name_, quote({&character, 1}));
-        return false;
-    }
-};
+/// Returns the text of an object, without the separators before it.
+std::string_view strip_separators(std::string_view text, const std::string& file) {
+    const std::size_t begin = text.find_first_not_of("[, \t\r\n");
+    if (text[begin] != '{')
+        fail(
+            "{}: found the character '{}' outside of an object, expected a JSON array of objects: "
+            "[{{...}}, {{...}}]",
+            file, quote(text.substr(begin, 1)));
+    return text.substr(begin);
+}
 
 }  // namespace
 
@@ -144,17 +81,26 @@ glm::dquat JsonRecord::unit_quaternion(std::string_view key) const {
 }
 
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& visit) {
-    RecordSplitter splitter(file);
+    const std::string name = file.string();
+    if (!does_path_exist(file)) fail("{}: no such file", name);
+    std::ifstream in(file, std::ios::binary);
     simdjson::dom::parser parser;
-    std::string record;
-    // The parser gets one record at a time, so that memory stays small.
-    for (std::size_t n = 0; splitter.next_object(record); ++n) {
-        const std::string where = fmt::format("{}, record {}", file.string(), n);
+    simdjson::error_code failed = simdjson::SUCCESS;
+    // Reads up to each closing bracket. If this bracket is not the end of the record, the
+    // text does not parse yet. So only one record is in memory.
+    std::string text, part;
+    std::size_t n_records = 0;
+    while (text.size() < kMaxRecordBytes && std::getline(in, part, '}') && !in.eof()) {
+        text.append(part).push_back('}');
         simdjson::dom::object object;
-        if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)
-            fail("{}: {}", where, simdjson::error_message(failed));
-        visit(JsonRecord(where, object));
+        failed = parser.parse(strip_separators(text, name)).get(object);
+        if (failed != simdjson::SUCCESS) continue;
+        visit(JsonRecord(fmt::format("{}, record {}", name, n_records++), object));
+        text.clear();
     }
+    if (!text.empty()) fail("{}, record {}: {}", name, n_records, simdjson::error_message(failed));
+    if (!trim(part).ends_with(']') || part.find('{') != part.npos)
+        fail("{} is truncated, expected an array of objects", name);
 }
 
 }  // namespace relidar

@@ -44,8 +44,7 @@ private:
 };
 
 /// Calls `visit` for every object of a JSON table.
-/// @throws DataError if the file is not an array of objects, or if an object has more
-/// than 1 MB
+/// @throws DataError if the file is not an array of objects
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& visit);
 
 }  // namespace relidar

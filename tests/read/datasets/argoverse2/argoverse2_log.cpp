@@ -5,7 +5,6 @@
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
-#include "read/datasets/street/yard.hpp"
 
 namespace relidar::test {
 namespace fs = std::filesystem;
@@ -34,28 +33,22 @@ struct SweepColumns {
 };
 
 /// @param lidar 0 is the upper LiDAR, 1 is the lower LiDAR
-std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
-                                double sweep_s, SweepColumns& points) {
+std::vector<YardRay> fire(const Pose& mounted, int lidar, const Argoverse2Options& options, double sweep_s,
+                          SweepColumns& points) {
     const int half = lidar ^ int(options.lower_half_up);
-    std::vector<Argoverse2Ray> rays;
+    std::vector<YardRay> rays;
     const Pose vehicle_at_sweep = Argoverse2Log::compute_vehicle_pose(sweep_s);
     for (int n = 0; n < options.firings; ++n)
         for (int k = 0; k < 32; ++k) {
             const std::int64_t offset_ns = 2654000 + 611 * lidar + n * kCycle_ns + kPair[k] * kPair_ns;
-            Argoverse2Ray ray;
-            ray.time_s = 1e-9 * double(offset_ns);
-            ray.elevation_rad = kElevation_deg[k] * kPi / 180.0;
+            const double time_s = 1e-9 * double(offset_ns);
             // Viewed from above, the sensor turns clockwise. A LiDAR that is mounted
             // upside down therefore turns counter-clockwise.
-            const double head =
-                (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
+            const double head = (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * time_s - 2.5 + 3.0 * lidar);
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;
-            ray.direction = {std::cos(ray.elevation_rad) * std::cos(azimuth),
-                             std::cos(ray.elevation_rad) * std::sin(azimuth), std::sin(ray.elevation_rad)};
-            const Pose city_from_lidar = Argoverse2Log::compute_vehicle_pose(sweep_s + ray.time_s) * mounted;
-            ray.origin_m = city_from_lidar.translation;
-            ray.point_m =
-                kCity_m + intersect_yard(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
+            YardRay ray =
+                cast_in_yard(time_s, Argoverse2Log::compute_vehicle_pose(sweep_s + time_s) * mounted,
+                             direction_at(kElevation_deg[k] * kPi / 180.0, azimuth), kCity_m);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // the vehicle blocks all beams
             ray.returned = !hidden && hash_pair(std::uint64_t(n * 32 + k),
                                                 std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
@@ -75,11 +68,8 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
 }
 
 std::string make_sweep_bytes(const SweepColumns& points, const Argoverse2Options& options) {
-    const auto coordinate = [&](const char* name, const std::vector<float>& values) {
-        return options.half_precision ? make_halves(name, values) : make_numbers(name, values);
-    };
     return make_feather_bytes(
-        {coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z),
+        {make_numbers("x", points.x), make_numbers("y", points.y), make_numbers("z", points.z),
          make_numbers("intensity", points.intensity), make_numbers("laser_number", points.laser),
          make_numbers("offset_ns", points.offset_ns)},
         options.codec);

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "base/codecs/feather_writer.hpp"
+#include "read/datasets/street/yard.hpp"
 #include "support/logs.hpp"
 
 namespace relidar::test {
@@ -11,29 +12,18 @@ namespace relidar::test {
 std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
-    /// Half precision as in the dataset, otherwise single precision.
-    bool half_precision = false;
     bool lower_half_up = false;  ///< lasers 32..63 belong to the upper LiDAR
     int sweeps = 3;
     int firings = 1813;  ///< number of firings of each LiDAR per sweep, which is more than a turn
     FeatherCodec codec = FeatherCodec::lz4;
 };
 
-/// A single firing of a laser.
-struct Argoverse2Ray {
-    double elevation_rad = 0.0;  ///< in the LiDAR's frame
-    double time_s = 0.0;         ///< relative to the sweep's time
-    glm::dvec3 origin_m{0.0};    ///< city frame
-    glm::dvec3 direction{0.0};   ///< in the LiDAR's frame at the firing time
-    glm::dvec3 point_m{0.0};     ///< city frame
-    bool returned = false;
-};
-
 struct Argoverse2Log : LogFolder {
     static constexpr std::int64_t kFirstSweep_ns = 315966265259836000;
 
-    std::array<Pose, 2> vehicle_from_lidar;                       ///< up, down
-    std::vector<std::array<std::vector<Argoverse2Ray>, 2>> rays;  ///< [sweep][up, down] all fired rays
+    std::array<Pose, 2> vehicle_from_lidar;  ///< up, down
+    std::vector<std::array<std::vector<YardRay>, 2>>
+        rays;  ///< [sweep][up, down] all fired rays, time after the sweep
 
     explicit Argoverse2Log(const std::string& name, const Argoverse2Options& options = {});
 

@@ -6,7 +6,6 @@
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
-#include "read/datasets/street/yard.hpp"
 
 namespace relidar::test {
 namespace fs = std::filesystem;
@@ -24,28 +23,24 @@ Pose mounted() {
 std::int64_t time_us(int sweep) { return kFirst_us + sweep * 50000; }
 
 std::string sample_of(const char* token, const char* scene, int sweep) {
-    return fmt::format("\"token\": \"{}\", \"scene_token\": \"{}\", \"timestamp\": {}", token, scene,
+    return fmt::format(R"("token": "{}", "scene_token": "{}", "timestamp": {})", token, scene,
                        time_us(sweep));
 }
 
 /// Computes the rays of the turn that ends at the time of a sweep.
-std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
+std::string make_turn(int sweep, int columns, std::vector<YardRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;
     const Pose map_from_raw = NuscenesFolder::compute_vehicle_pose(end_s) * mounted();
     for (int column = 0; column < columns; ++column)
         for (int ring = 0; ring < 32; ++ring) {
-            NuscenesRay ray;
-            ray.time_s = end_s - NuscenesFolder::kSweep_s * (1.0 - double(column) / columns);
-            const double elevation = (-92.0 + 4.0 * ring) / 3.0 * kPi / 180.0,
-                         azimuth = 1.9 - 2.0 * kPi * column / columns;
-            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
-                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
-            const glm::dvec3 raw(-d.y, d.x, d.z);
-            const Pose fired = NuscenesFolder::compute_vehicle_pose(ray.time_s) * mounted();
+            const double time_s = end_s - NuscenesFolder::kSweep_s * (1.0 - double(column) / columns);
+            const Pose fired = NuscenesFolder::compute_vehicle_pose(time_s) * mounted();
+            const glm::dvec3 d =
+                direction_at((-92.0 + 4.0 * ring) / 3.0 * kPi / 180.0, 1.9 - 2.0 * kPi * column / columns);
+            // In the file, x points to the right.
+            YardRay ray = cast_in_yard(time_s, fired, {-d.y, d.x, d.z}, kMap_m);
             ray.direction = d;
-            ray.origin_m = fired.translation;
-            ray.point_m = kMap_m + intersect_yard(ray.origin_m - kMap_m, fired.rotation * raw);
             ray.returned = hash_pair(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 &&
                            column % 60 != 7;
             // compensated like all other points
@@ -63,7 +58,7 @@ std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
 std::string format_pose_keys(const Pose& pose) {
     const glm::dquat& q = pose.rotation;
     const glm::dvec3& t = pose.translation;
-    return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
+    return fmt::format(R"("translation": [{}, {}, {}], "rotation": [{}, {}, {}, {}])", t.x, t.y, t.z, q.w,
                        q.x, q.y, q.z);
 }
 
@@ -91,31 +86,28 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     const auto write = [&](const char* of, const std::vector<std::string>& records) {
         write_records(table(of), records);
     };
-    write("scene", {"\"token\": \"s0\", \"name\": \"scene-0061\", \"first_sample_token\": \"k9\", "
+    write("scene", {R"("token": "s0", "name": "scene-0061", "first_sample_token": "k9", )"
                     "\"description\": \"[a] \\\"{quoted}\\\"\"",
-                    "\"token\": \"s1\", \"name\": \"scene-0103\", \"first_sample_token\": \"k0\""});
+                    R"("token": "s1", "name": "scene-0103", "first_sample_token": "k0")"});
     write("sample", {sample_of("k1", "s1", 10), sample_of("k0", "s1", 0), sample_of("k9", "s0", 0)});
-    write("sensor",
-          {"\"token\": \"c\", \"channel\": \"CAM_FRONT\"", "\"token\": \"l\", \"channel\": \"LIDAR_TOP\""});
-    write("calibrated_sensor",
-          {"\"token\": \"mount\", \"sensor_token\": \"l\", " + format_pose_keys(mounted()),
-           "\"token\": \"camera\", \"sensor_token\": \"c\", " + format_pose_keys(Pose{})});
+    write("sensor", {R"("token": "c", "channel": "CAM_FRONT")", R"("token": "l", "channel": "LIDAR_TOP")"});
+    write("calibrated_sensor", {R"("token": "mount", "sensor_token": "l", )" + format_pose_keys(mounted()),
+                                R"("token": "camera", "sensor_token": "c", )" + format_pose_keys(Pose{})});
     std::vector<std::string> files, poses;
     const auto add_file = [&](const std::string& token, const std::string& sample,
                               const std::string& calibration, int at, bool key, const std::string& next,
                               const std::string& file) {
-        files.push_back(
-            fmt::format("\"token\": \"{}\", \"sample_token\": \"{}\", \"ego_pose_token\": \"e{}\", "
-                        "\"calibrated_sensor_token\": \"{}\", \"filename\": \"{}\", \"timestamp\": {}, "
-                        "\"is_key_frame\": {}, \"next\": \"{}\"",
-                        token, sample, at, calibration, file, time_us(at), key, next));
+        files.push_back(fmt::format(R"("token": "{}", "sample_token": "{}", "ego_pose_token": "e{}", )"
+                                    R"("calibrated_sensor_token": "{}", "filename": "{}", "timestamp": {}, )"
+                                    R"("is_key_frame": {}, "next": "{}")",
+                                    token, sample, at, calibration, file, time_us(at), key, next));
     };
     for (int i = kSweeps - 1; i >= 0; --i) {  // not ordered by time
         const std::string next = i + 1 < kSweeps ? fmt::format("d{}", i + 1) : "";
         add_file(fmt::format("d{}", i), i < 6 ? "k0" : "k1", "mount", i, i % 10 == 0, next,
                  fs::relative(sweep(i), folder).string());
         add_file(fmt::format("cam{}", i), i < 6 ? "k0" : "k1", "camera", i, i % 10 == 0, "", "none.jpg");
-        poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", i, time_us(i),
+        poses.push_back(fmt::format(R"("token": "e{}", "timestamp": {}, {})", i, time_us(i),
                                     format_pose_keys(compute_vehicle_pose(i * kSweep_s))));
         write_text(sweep(i), make_turn(i, columns, rays[std::size_t(i)]));
     }
@@ -124,18 +116,16 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     write("ego_pose", poses);
     std::vector<std::string> labels;
     for (const int i : {10, 0})
-        labels.push_back(
-            fmt::format("\"token\": \"a{}\", \"sample_token\": \"k{}\", \"instance_token\": \"car\", "
-                        "\"size\": [1.9, 4.5, 1.6], {}",
-                        i, i / 10, format_pose_keys(box_at(i * kSweep_s))));
-    labels.push_back(
-        "\"token\": \"a9\", \"sample_token\": \"k9\", \"instance_token\": \"dog\", \"size\": [1, 1, 1], " +
-        format_pose_keys(Pose{}));
+        labels.push_back(fmt::format(R"("token": "a{}", "sample_token": "k{}", "instance_token": "car", )"
+                                     R"("size": [1.9, 4.5, 1.6], {})",
+                                     i, i / 10, format_pose_keys(box_at(i * kSweep_s))));
+    labels.push_back(R"("token": "a9", "sample_token": "k9", "instance_token": "dog", "size": [1, 1, 1], )" +
+                     format_pose_keys(Pose{}));
     write("sample_annotation", labels);
-    write("instance", {"\"token\": \"dog\", \"category_token\": \"animal\"",
-                       "\"token\": \"car\", \"category_token\": \"vehicle\""});
-    write("category", {"\"token\": \"animal\", \"name\": \"animal\"",
-                       "\"token\": \"vehicle\", \"name\": \"vehicle.car\""});
+    write("instance", {R"("token": "dog", "category_token": "animal")",
+                       R"("token": "car", "category_token": "vehicle")"});
+    write("category",
+          {R"("token": "animal", "name": "animal")", R"("token": "vehicle", "name": "vehicle.car")"});
 }
 
 }  // namespace relidar::test

@@ -2,6 +2,7 @@
 // Two scenes. In the second, a virtual HDL-32E drives through the yard.
 #pragma once
 
+#include "read/datasets/street/yard.hpp"
 #include "support/logs.hpp"
 
 namespace relidar::test {
@@ -9,22 +10,12 @@ namespace relidar::test {
 std::string format_pose_keys(const Pose& pose);
 void write_records(const std::filesystem::path& table, const std::vector<std::string>& records);
 
-/// A single firing of a laser.
-struct NuscenesRay {
-    double time_s = 0.0;       ///< relative to the scene's first sweep
-    glm::dvec3 origin_m{0.0};  ///< map frame
-    /// direction in the LiDAR's frame at the firing time: x forward, y left, z up
-    glm::dvec3 direction{0.0};
-    glm::dvec3 point_m{0.0};  ///< map frame
-    bool returned = false;
-};
-
 struct NuscenesFolder : LogFolder {
     static constexpr int kSweeps = 11;  ///< every tenth sweep is a keyframe
     static constexpr double kSweep_s = 0.05;
 
     int columns = 0;
-    std::vector<std::vector<NuscenesRay>> rays;  ///< [sweep] column by column, 32 from the lowest beam up
+    std::vector<std::vector<YardRay>> rays;  ///< [sweep] column by column, 32 from the lowest beam up
 
     explicit NuscenesFolder(const std::string& name, int columns = 360);
 

@@ -9,12 +9,12 @@
 #include <relidar/scene/scene.hpp>
 #include "base/random.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
-#include "read/datasets/street/yard.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
+using test::YardRay;
 
 constexpr std::int64_t kFirst_us = 1695473372703000, kPoseStep_us = 10000, kPoseOffset_us = 3000;
 const glm::dvec3 kWorld_m(689012.5, 5337123.25, 0.0);
@@ -27,14 +27,6 @@ glm::dquat make_rotation_about(double degrees, const glm::dvec3& axis) {
     return glm::angleAxis(degrees * kPi / 180.0, axis);
 }
 
-/// A single firing of a laser of the truck, which drives in the yard.
-struct TruckRay {
-    double time_s = 0.0;       ///< relative to the first sweep of LIDAR_LEFT
-    glm::dvec3 origin_m{0.0};  ///< in the world, like the other points
-    glm::dvec3 point_m{0.0};
-    bool returned = false;
-};
-
 struct TruckScenesFolder : test::LogFolder {
     static constexpr int kSweeps = 11;  ///< every fifth sweep is a keyframe
     static constexpr int kMissing = 4;  ///< sweep that LIDAR_TOP_FRONT lacks
@@ -45,8 +37,8 @@ struct TruckScenesFolder : test::LogFolder {
     struct Lidar {
         std::string channel;
         Pose mounted;
-        std::vector<double> elevations_deg;       ///< highest first
-        std::vector<std::vector<TruckRay>> rays;  ///< [sweep] column by column, highest beam first
+        std::vector<double> elevations_deg;      ///< highest first
+        std::vector<std::vector<YardRay>> rays;  ///< [sweep] column by column, highest beam first
     };
 
     std::vector<Lidar> lidars;  ///< LIDAR_LEFT, LIDAR_TOP_FRONT
@@ -87,15 +79,12 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
         std::size_t n = 0;
         for (int column = 0; column < kColumns; ++column)
             for (std::size_t beam = 0; beam < n_beams; ++beam) {
-                TruckRay ray;
                 const std::int64_t time_us = compute_stamp_us(s, later_s) + column * 250;
-                ray.time_s = double(time_us - kFirst_us) * 1e-6;
-                const double e = lidar.elevations_deg[beam] * kPi / 180.0,
-                             a = 2.5 - 2.0 * kPi * column / kColumns;
-                const glm::dvec3 d(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
-                const Pose fired = compute_vehicle_pose(ray.time_s) * lidar.mounted;
-                ray.origin_m = fired.translation;
-                ray.point_m = kWorld_m + test::intersect_yard(ray.origin_m - kWorld_m, fired.rotation * d);
+                const double time_s = double(time_us - kFirst_us) * 1e-6;
+                const glm::dvec3 d = test::direction_at(lidar.elevations_deg[beam] * kPi / 180.0,
+                                                        2.5 - 2.0 * kPi * column / kColumns);
+                YardRay ray =
+                    test::cast_in_yard(time_s, compute_vehicle_pose(time_s) * lidar.mounted, d, kWorld_m);
                 const double range_m = glm::distance(ray.origin_m, ray.point_m);
                 ray.returned = range_m < 200.0 &&
                                hash_pair(std::uint64_t(column) * n_beams + beam, std::uint64_t(s)) % 8 != 0;
@@ -121,21 +110,21 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
 
 void TruckScenesFolder::write_tables() const {
     test::write_records(table("scene"),
-                        {"\"token\": \"s0\", \"name\": \"scene-0044384af3d8494e913fb8b14915239e-3\"",
-                         "\"token\": \"s1\", \"name\": \"scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7\""});
+                        {R"("token": "s0", "name": "scene-0044384af3d8494e913fb8b14915239e-3")",
+                         R"("token": "s1", "name": "scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7")"});
     std::vector<std::string> samples, mounts;
     std::vector<std::string> sensors = {
-        "\"token\": \"radar\", \"channel\": \"RADAR_LEFT_FRONT\", \"modality\": \"radar\""};
+        R"("token": "radar", "channel": "RADAR_LEFT_FRONT", "modality": "radar")"};
     // The time of a sample differs slightly from the times of its files.
     for (int k = 0; k < kSweeps; k += 5)
-        samples.push_back(fmt::format("\"token\": \"k{}\", \"scene_token\": \"s0\", \"timestamp\": {}", k,
+        samples.push_back(fmt::format(R"("token": "k{}", "scene_token": "s0", "timestamp": {})", k,
                                       compute_stamp_us(k, 0.0) + (k == 0 ? 900 : -900)));
     std::vector<std::string> files, poses;
     for (const Lidar& lidar : lidars) {
         const bool is_top = &lidar != &lidars[0];
         sensors.push_back(
-            fmt::format("\"token\": \"{0}\", \"channel\": \"{0}\", \"modality\": \"lidar\"", lidar.channel));
-        mounts.push_back(fmt::format("\"token\": \"on_{0}\", \"sensor_token\": \"{0}\", {1}", lidar.channel,
+            fmt::format(R"("token": "{0}", "channel": "{0}", "modality": "lidar")", lidar.channel));
+        mounts.push_back(fmt::format(R"("token": "on_{0}", "sensor_token": "{0}", {1})", lidar.channel,
                                      test::format_pose_keys(lidar.mounted)));
         for (int s = 0; s < kSweeps; ++s) {
             if (is_top && s == kMissing) continue;
@@ -143,28 +132,27 @@ void TruckScenesFolder::write_tables() const {
             const std::int64_t time_us = compute_stamp_us(s, is_top ? kLater_s : 0.0);
             const auto pose =
                 std::llround(double(time_us - kFirst_us - kPoseOffset_us) / double(kPoseStep_us));
-            files.push_back(fmt::format(
-                "\"token\": \"{0}{1}\", \"sample_token\": \"k{2}\", \"ego_pose_token\": \"e{3}\", "
-                "\"calibrated_sensor_token\": \"on_{0}\", \"filename\": \"{4}\", \"fileformat\": \"pcd\", "
-                "\"timestamp\": {5}, \"is_key_frame\": {6}, \"next\": \"{7}\"",
-                lidar.channel, s, (s + 4) / 5 * 5, pose,
-                fs::relative(sweep(lidar.channel, s), folder).string(), time_us, s % 5 == 0,
-                after < kSweeps ? lidar.channel + std::to_string(after) : ""));
+            files.push_back(
+                fmt::format(R"("token": "{0}{1}", "sample_token": "k{2}", "ego_pose_token": "e{3}", )"
+                            R"("calibrated_sensor_token": "on_{0}", "filename": "{4}", "fileformat": "pcd", )"
+                            R"("timestamp": {5}, "is_key_frame": {6}, "next": "{7}")",
+                            lidar.channel, s, (s + 4) / 5 * 5, pose,
+                            fs::relative(sweep(lidar.channel, s), folder).string(), time_us, s % 5 == 0,
+                            after < kSweeps ? lidar.channel + std::to_string(after) : ""));
         }
     }
     for (std::int64_t e = -5; e <= 115; ++e) {
         const std::int64_t after_us = kPoseOffset_us + e * kPoseStep_us;
         const Pose pose = compute_vehicle_pose(double(after_us) * 1e-6);
-        poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", e, kFirst_us + after_us,
+        poses.push_back(fmt::format(R"("token": "e{}", "timestamp": {}, {})", e, kFirst_us + after_us,
                                     test::format_pose_keys(pose)));
     }
     std::vector<std::string> labels;
     for (int k = 0; k < kSweeps; k += 5) {
         const double time_s = k * kSweep_s + (k == 0 ? 900e-6 : -900e-6);
-        labels.push_back(
-            fmt::format("\"token\": \"a{0}\", \"sample_token\": \"k{0}\", \"instance_token\": \"van\", "
-                        "\"size\": [2.1, 5.5, 2.4], {1}",
-                        k, test::format_pose_keys(box_at(time_s))));
+        labels.push_back(fmt::format(R"("token": "a{0}", "sample_token": "k{0}", "instance_token": "van", )"
+                                     R"("size": [2.1, 5.5, 2.4], {1})",
+                                     k, test::format_pose_keys(box_at(time_s))));
     }
     test::write_records(table("sample"), samples);
     test::write_records(table("sensor"), sensors);
@@ -172,8 +160,8 @@ void TruckScenesFolder::write_tables() const {
     test::write_records(table("sample_data"), files);
     test::write_records(table("ego_pose"), poses);
     test::write_records(table("sample_annotation"), labels);
-    test::write_records(table("instance"), {"\"token\": \"van\", \"category_token\": \"c\""});
-    test::write_records(table("category"), {"\"token\": \"c\", \"name\": \"vehicle.other\""});
+    test::write_records(table("instance"), {R"("token": "van", "category_token": "c")"});
+    test::write_records(table("category"), {R"("token": "c", "name": "vehicle.other")"});
 }
 
 TruckScenesFolder::TruckScenesFolder(const std::string& name) : LogFolder("relidar_truckscenes_" + name) {
@@ -199,18 +187,18 @@ Log load(const TruckScenesFolder& data, DatasetOptions options = {}) {
 }
 
 void expect_truth(const Log& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
-    const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
+    const std::vector<YardRay>& truth = lidar.rays[std::size_t(frame.index)];
     const PoseTrack track = actual.lidar_track(frame.lidar);
     const std::size_t n_beams = lidar.elevations_deg.size();
     std::size_t n_returns = 0;
-    for (const TruckRay& ray : truth) n_returns += ray.returned;
+    for (const YardRay& ray : truth) n_returns += ray.returned;
     EXPECT_EQ(frame.scan.count_returns(), n_returns);
     EXPECT_EQ(frame.scan.rays.size(), truth.size());
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
         if (frame.scan.range_m[i] == 0.0f) continue;
         const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
         const auto column = std::size_t(std::lround((fired_s - truth[0].time_s) / 250e-6));
-        const TruckRay& ray = truth[column * n_beams + frame.scan.rays.channel[i]];
+        const YardRay& ray = truth[column * n_beams + frame.scan.rays.channel[i]];
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
         const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
@@ -341,12 +329,12 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
     for (const char* folder : {"samples", "sweeps"})
         for (const char* channel : {"LIDAR_LEFT", "LIDAR_TOP_FRONT"})
             files = replace_all(files, fmt::format("{}/{}/", folder, channel), "lidar/");
-    files = replace_all(replace_all(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"",
-                        "000.25, \"is_key_frame\"");
+    files = replace_all(replace_all(files, R"(.pcd")", R"(.bin")"), R"(000, "is_key_frame")",
+                        R"(000.25, "is_key_frame")");
     test::write_text(data.table("sample_data"), files);
     const std::string sensors = test::read_text(data.table("sensor"));
     test::write_text(data.table("sensor"),
-                     replace_all(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
+                     replace_all(sensors, R"("channel": "LIDAR_TOP_FRONT")", R"("channel": "LIDAR_TOP")"));
     fs::rename(data.folder / "v1.2-trainval", data.folder / "train_data");
     for (const char* folder : {"samples", "sweeps"}) fs::remove_all(data.folder / folder);
     return ranges;
