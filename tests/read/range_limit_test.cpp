@@ -87,6 +87,7 @@ TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     // The minimum of the user is above the maximum of the sensor.
     EXPECT_THAT([&] { load(",max_range_m", ",10", {.max_range_m = INFINITY, .min_range_m = 50.0}); },
                 ThrowsMessage<UsageError>(Names("50 m ... 10 m")));
+    EXPECT_THROW(load("", "", {.max_range_m = 20.0, .min_range_m = 20.0}), UsageError);
 }
 
 }  // namespace

@@ -22,26 +22,6 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// UTM coordinates are up to 10^7 m.
-constexpr double kLargestCoordinate_m = 1e8;
-// Grid cells have unique keys only up to 105 km (base/geometry/cell_key.hpp).
-constexpr double kLongestLog_m = 1e5;
-
-/// Throws if a coordinate is too large, or if a position is too far from the first
-/// position.
-void check_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
-                     const std::string& place) {
-    for (std::size_t i = 0; i < poses.size(); ++i) {
-        const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
-        if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
-            fail("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most {} m", place,
-                 frame_numbers[i], t.x, t.y, t.z, kLargestCoordinate_m);
-        if (glm::length(step) > kLongestLog_m)
-            fail("{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
-                 place, frame_numbers[0], frame_numbers[i], glm::length(step), kLongestLog_m);
-    }
-}
-
 std::vector<double> parse_finite(const std::string& line, std::size_t count, const std::string& place) {
     const auto numbers = parse_numbers(line);
     if (!numbers) fail("{}: found a word that is not a number, expected {} numbers", place, count);
@@ -155,7 +135,6 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>&
         world_from_imu.translation -= origin;
         poses.push_back(world_from_imu * imu_from_sensor);
     }
-    check_positions(poses, frame_numbers, (drive / "oxts/data").string());
     return poses;
 }
 
@@ -170,69 +149,61 @@ Georeference read_oxts_place(const fs::path& drive) {
                         -origin_m.y)};
 }
 
-std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
-    const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
-    std::vector<Pose> poses;
+std::vector<FrameLine> read_frame_lines(const fs::path& file, const std::vector<int>& frame_numbers) {
+    const std::vector<std::string> lines = split_lines(read_text_file(file));
+    std::vector<FrameLine> of_frames;
     for (const int frame : frame_numbers) {
         const std::size_t line = std::size_t(frame);
         if (line >= lines.size())
-            fail(
-                "{}: found {} lines, but frame {} needs line {}; expected one line with a pose for each "
-                "frame, starting with frame 0",
-                pose_file.string(), lines.size(), frame, line + 1);
-        const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
-        poses.push_back(parse_pose(lines[line], where));
+            fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
+                 line + 1);
+        of_frames.push_back({lines[line], fmt::format("{} line {}", file.string(), line + 1)});
     }
-    check_positions(poses, frame_numbers, pose_file.string());
+    return of_frames;
+}
+
+std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
+    std::vector<Pose> poses;
+    for (const auto& [text, where] : read_frame_lines(pose_file, frame_numbers))
+        poses.push_back(parse_pose(text, where));
     return poses;
 }
 
-std::vector<Pose> read_user_poses(const fs::path& pose_file, const std::vector<int>& frame_numbers,
-                                  const std::vector<double>& times_s, Notes& notes) {
-    std::vector<read::LogFrame> heads;
-    for (std::size_t i = 0; i < frame_numbers.size(); ++i)
-        heads.push_back({frame_numbers[i], times_s[i], 0, {}});
-    const auto poses = read::load_poses(pose_file, heads, nullptr, notes);
-    if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
-    return *poses;
-}
-
-void replace_poses(Log& sequence, const fs::path& pose_file) {
+void replace_poses(Log& sequence, const fs::path& pose_file, const read::ScanPairReader& read_scan_pairs) {
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // Lists each frame number once, because all LiDARs of a sweep share the number and
-    // the pose.
-    std::vector<int> frames;
-    for (const Frame& frame : sequence.frames)
-        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
-    if (pose_file != kNoPoses)
-        user_track.pose = read_user_poses(pose_file, frames, user_track.time_s, sequence.notes);
-    else sequence.notes.push_back(kNoPosesNote);
+    if (pose_file == kNoPoses) {
+        sequence.notes.push_back(kNoPosesNote);
+    } else {
+        // LiDARs share the pose of a sweep, as in add_frame().
+        std::vector<read::LogFrame> heads;
+        for (const Frame& frame : sequence.frames)
+            if (heads.empty() || heads.back().time_s != frame.time_s)
+                heads.push_back({frame.index, frame.time_s, frame.lidar, {}});
+        auto poses = read::load_poses(pose_file, heads, read_scan_pairs, sequence.notes);
+        if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
+        user_track.pose = std::move(*poses);
+        user_track = shift_track(std::move(user_track), -sequence.world_offset_m);
+    }
     set_trajectory(sequence, std::move(user_track));
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
-    std::vector<int> frames;
-    std::vector<Pose> poses;
+    std::map<int, Pose> by_frame;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         const std::string where = fmt::format("{} line {}", file.string(), l + 1);
         const std::string_view line = trim(lines[l]);
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         const std::optional<int> frame = parse_stem(std::string(line.substr(0, end)));
-        if (!frame || (!frames.empty() && *frame <= frames.back()))
-            fail("{}: found the frame '{}'{}, expected increasing frame numbers", where,
-                 quote(line.substr(0, end)), frames.empty() ? "" : fmt::format(" after {}", frames.back()));
-        frames.push_back(*frame);
-        poses.push_back(parse_pose(std::string(line.substr(end)), where));
+        if (!frame || (!by_frame.empty() && *frame <= by_frame.rbegin()->first))
+            fail("{}: found the frame '{}', expected increasing frame numbers", where,
+                 quote(line.substr(0, end)));
+        by_frame.emplace(*frame, parse_pose(std::string(line.substr(end)), where));
     }
-    if (poses.empty())
+    if (by_frame.empty())
         fail("{}: the file is empty, expected a frame number and 12 numbers per line", file.string());
-    check_positions(poses, frames, file.string());
-    std::map<int, Pose> by_frame;
-    for (std::size_t i = 0; i < frames.size(); ++i)
-        by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);
     return by_frame;
 }
 

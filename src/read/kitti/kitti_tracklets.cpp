@@ -46,9 +46,6 @@ BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<in
     track.size_m = {read_tracklet_number(tracklet_item, "l", where),
                     read_tracklet_number(tracklet_item, "w", where),
                     read_tracklet_number(tracklet_item, "h", where)};
-    if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0))
-        fail("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0", where,
-             track.size_m.x, track.size_m.y, track.size_m.z);
     int frame = int(read_tracklet_number(tracklet_item, "first_frame", where));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
         const auto matching_frame = std::lower_bound(numbers.begin(), numbers.end(), frame);

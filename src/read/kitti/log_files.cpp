@@ -10,6 +10,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "read/readers.hpp"
 #include "read/scans/dropped_ray.hpp"
 
 namespace relidar::kitti {
@@ -63,11 +64,12 @@ std::string describe_mistake(const fs::path& folder, const std::string& expected
                                 n, n == 1 ? "" : "s", (folder / first).string());
 }
 
-std::string check_scan_files(const fs::path& folder, const std::vector<int>& numbers, bool allow_missing) {
+void note_missing_scans(Log& log, const fs::path& folder, const std::vector<int>& numbers,
+                        bool allow_missing) {
     constexpr std::size_t kMaxShownNumbers = 5;
     // number of missing scans; `numbers` is sorted
     const std::size_t n = std::size_t(numbers.back() - numbers.front() + 1) - numbers.size();
-    if (n == 0) return "";
+    if (n == 0) return;
     std::vector<int> shown;
     for (std::size_t i = 1; i < numbers.size(); ++i) {
         for (int frame = numbers[i - 1] + 1; frame < numbers[i] && shown.size() < kMaxShownNumbers; ++frame)
@@ -77,7 +79,7 @@ std::string check_scan_files(const fs::path& folder, const std::vector<int>& num
         fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, numbers.front(),
                     numbers.back(), fmt::join(shown, ", "), n > kMaxShownNumbers ? ", ..." : "");
     if (!allow_missing) fail("{}: {}, expected one file for each scan number", folder.string(), gaps);
-    return gaps;
+    log.notes.push_back(gaps);
 }
 
 std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_number) {
@@ -87,9 +89,6 @@ std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_nu
     for (const fs::path& file : list_folder(folder)) {
         const auto number = parse_stem(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
-        else if (file.extension() == ".bin" &&
-                 file.stem().string().find_first_not_of("0123456789") == std::string::npos)
-            fail("{}: the number of a scan is too large, expected a number below 100000000", file.string());
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
@@ -99,11 +98,8 @@ std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_nu
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
                  [&](int f) { return f >= begin_number && (end_number < 0 || f < end_number); });
-    if (frames.empty()) {
-        fail<UsageError>("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", begin_number,
-                         end_number < 0 ? "" : std::to_string(end_number), folder.string(), all.front(),
-                         all.back());
-    }
+    if (frames.empty())
+        fail_empty_range({begin_number, end_number}, folder.string(), all.front(), all.back());
     return frames;
 }
 

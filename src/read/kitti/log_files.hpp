@@ -12,6 +12,8 @@
 
 #include <relidar/log/sequence.hpp>
 
+#include "read/scans/pose_conventions.hpp"
+
 namespace relidar::kitti {
 
 /// Returns the numbers of the scan files in a folder, in ascending order.
@@ -31,10 +33,10 @@ struct ScanPoints {
 /// labels differs
 ScanPoints read_kitti_scan(const std::filesystem::path& file, const std::filesystem::path& label_file = {});
 
-/// Returns a note about missing scan files, or an empty string.
+/// Adds a note if scan files are missing.
 /// @throws DataError if scan files are missing and allow_missing is false
-std::string check_scan_files(const std::filesystem::path& folder, const std::vector<int>& numbers,
-                             bool allow_missing);
+void note_missing_scans(Log& log, const std::filesystem::path& folder, const std::vector<int>& numbers,
+                        bool allow_missing);
 
 /// Returns an error message that names the folder to use instead, for an odometry
 /// sequence, a folder of drives, and a folder inside a drive. Otherwise an empty string.
@@ -73,21 +75,26 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// Returns the place of the world of read_oxts_poses() on the earth.
 Georeference read_oxts_place(const std::filesystem::path& drive);
 
+/// A line of a text file, and the name of the file and its number for error messages.
+struct FrameLine {
+    std::string text, where;
+};
+/// Returns line i of a file for each frame i.
+std::vector<FrameLine> read_frame_lines(const std::filesystem::path& file, const std::vector<int>& numbers);
+
 /// Reads LiDAR poses. Line i contains the pose of frame i as 12 numbers: a 3x4 matrix,
 /// row-major.
 std::vector<Pose> read_matrices(const std::filesystem::path& pose_file, const std::vector<int>& numbers);
 
-/// Reads a matrix per line (as read_matrices()), or poses with times (as
-/// read::load_poses()).
-std::vector<Pose> read_user_poses(const std::filesystem::path& pose_file, const std::vector<int>& numbers,
-                                  const std::vector<double>& times_s, Notes& notes);
-
 inline const Note kNoPosesNote{
     "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
 
-/// Replaces the vehicle poses of a log by the poses in a file of the user. The boxes move
-/// with the vehicle. Does nothing if no file is given.
-void replace_poses(Log& sequence, const std::filesystem::path& pose_file);
+/// Replaces the vehicle poses of a log by the poses in a file of the user: a matrix for
+/// each frame, or poses with times. The boxes move with the vehicle. Does nothing if no
+/// file is given.
+/// @param read_scan_pairs  see load_poses()
+void replace_poses(Log& sequence, const std::filesystem::path& pose_file,
+                   const read::ScanPairReader& read_scan_pairs = nullptr);
 
 /// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The
 /// frame numbers must increase.

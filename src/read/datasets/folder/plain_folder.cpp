@@ -44,9 +44,8 @@ std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const Da
     return frames;
 }
 
-std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, const LogFrame& frame) {
-    read::PointFileUnits units = header.units;
-    units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
+                                         const read::PointFileUnits& units, const LogFrame& frame) {
     const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
     const Scan scan = read::read_scan_image(
         frame.scan, {units, header.motion_compensated, lidar.lowest_first, lidar.lidar, frame.time_s});
@@ -64,12 +63,12 @@ read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::v
     std::vector<const LogFrame*> of_first;
     for (const LogFrame& frame : frames)
         if (frame.lidar == 0) of_first.push_back(&frame);
+    read::PointFileUnits units = header.units;
+    units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
     const Pose& mounting = header.lidars[0].lidar.vehicle_from_sensor;
     const auto read_points = [&](const LogFrame& frame) {
-        if (read::is_image_file(frame.scan)) return read_image_points(header, frame);
-        const read::PointTable table = read::read_point_file(frame.scan, header.units.columns);
-        read::PointFileUnits units = header.units;
-        units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+        if (read::is_image_file(frame.scan)) return read_image_points(header, units, frame);
+        const read::PointTable table = read::read_point_file(frame.scan, units.columns);
         return read::convert_table(table, units, frame.time_s, frame.scan.string()).position_m;
     };
     const auto read = [&](const LogFrame& frame) {
@@ -116,25 +115,6 @@ std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::Sequenc
         file.string());
 }
 
-/// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
-/// vehicle.
-void replace_poses(Log& sequence, const read::SequenceHeader& header, const std::vector<LogFrame>& frames,
-                   const fs::path& pose_file) {
-    PoseTrack track{sequence.world_from_vehicle.time_s, {}};
-    if (pose_file == kNoPoses) {
-        track.pose.resize(track.time_s.size());
-        sequence.notes.push_back(kitti::kNoPosesNote);
-    } else {
-        const auto pairs = [&] { return read_scan_pairs(header, frames); };
-        const std::optional<std::vector<Pose>> poses =
-            read::load_poses(pose_file, frames, pairs, sequence.notes);
-        if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
-        for (std::size_t i = 0; i < frames.size(); ++i)
-            if (i == 0 || frames[i].time_s != frames[i - 1].time_s) track.pose.push_back((*poses)[i]);
-    }
-    set_trajectory(sequence, track);
-}
-
 }  // namespace
 
 Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
@@ -157,7 +137,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
         files.push_back(frames[i].scan);
     }
     sequence.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
-    if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
+    kitti::replace_poses(sequence, options.poses_file, [&] { return read_scan_pairs(head, frames); });
     if (options.poses_file.empty()) sequence.georeference = head.georeference;
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);

@@ -115,21 +115,18 @@ bool is_log_entry(const fs::path& entry) {
 
 /// Protects files of the user: replaces only a log of which relidar wrote all files.
 void require_target(const fs::path& folder, bool overwrite) {
-    if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
-    if (!fs::is_directory(folder) || !does_path_exist(folder / read::kHeadFile))
-        fail<UsageError>(
-            "{}: this path exists and does not contain a log with {}, expected a new name or an empty folder",
-            folder.string(), read::kHeadFile);
-    if (!overwrite)
-        fail<UsageError>(
-            "{}: this folder exists and contains a log, expected a new name; use --force to replace the log",
-            folder.string());
-    for (const fs::path& entry : list_folder(folder))
-        if (!is_log_entry(entry))
-            fail<UsageError>(
-                "cannot replace the log in {}: {} is not a file that relidar writes, and would be deleted; "
-                "expected another folder",
-                folder.string(), entry.filename().string());
+    if (!does_path_exist(folder)) return;
+    if (fs::is_directory(folder)) {
+        const std::vector<fs::path> entries = list_folder(folder);
+        if (entries.empty()) return;
+        if (overwrite && does_path_exist(folder / read::kHeadFile) &&
+            std::ranges::all_of(entries, is_log_entry))
+            return;
+    }
+    fail<UsageError>(
+        "{}: this path exists, expected a new name or an empty folder; --force replaces a log if the folder "
+        "contains only files that relidar writes",
+        folder.string());
 }
 
 }  // namespace

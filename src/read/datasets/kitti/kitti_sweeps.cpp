@@ -14,11 +14,13 @@
 #include <relidar/read/clouds.hpp>
 
 #include "base/fail.hpp"
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/datasets/kitti/firing_lattice.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/fired_sweeps.hpp"
 #include "read/scans/firing_recovery.hpp"
 #include "read/scans/scan_plan.hpp"
 
@@ -98,69 +100,53 @@ double last_azimuth_deg(const RingScan& scan) {
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Compares each scan with its neighbours. Points that a damaged file lacks are no
-/// dropped rays.
-class DamagedScanDetector {
-public:
-    explicit DamagedScanDetector(const std::vector<RingScan>& raw) {
-        for (const RingScan& scan : raw) {
-            n_points_.push_back(scan.points.size());
-            n_rings_.push_back(scan.n_rings);
-            end_deg_.push_back(last_azimuth_deg(scan));
-        }
-    }
-
-    /// Returns why a scan is incomplete, or an empty string if it is complete. An
-    /// incomplete scan has far fewer points or rings than its neighbours, or its last
-    /// ring ends much earlier.
-    std::string explain_damage(std::size_t scan_index, const std::string& name) const {
-        // A scan is damaged if at least this many rings are missing. One missing ring is
-        // accepted, because it can be a beam without returns.
-        constexpr int kMissingRings = 2;
-        // A scan is damaged if its last point is this much earlier in azimuth than usual.
-        // In complete scans, the last azimuth varies by up to 20 degrees.
-        constexpr double kMissingTurn_deg = 60.0;
-        if (n_points_[scan_index] == 0)
-            return fmt::format("{}: the scan contains no returns, expected at least one", name);
-        if (const std::size_t usual = neighbour_median(n_points_, scan_index);
-            2 * n_points_[scan_index] < usual)
-            return fmt::format("{}: the scan has only {} points, but the neighbouring scans have {} points",
-                               name, n_points_[scan_index], usual);
-        if (const int usual = neighbour_median(n_rings_, scan_index);
-            n_rings_[scan_index] + kMissingRings <= usual)
-            return fmt::format(
-                "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in ring "
-                "{}",
-                name, n_rings_[scan_index], usual);
-        if (const double usual_deg = neighbour_median(end_deg_, scan_index);
-            end_deg_[scan_index] + kMissingTurn_deg <= usual_deg)
-            return fmt::format(
-                "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the neighbouring "
-                "scans ends at {:.0f} degrees",
-                name, end_deg_[scan_index], usual_deg);
-        return "";
-    }
-
-private:
-    std::vector<std::size_t> n_points_;
-    std::vector<int> n_rings_;
-    std::vector<double> end_deg_;
-
-    /// Returns the median of a value over up to five scans before and after scan
-    /// `scan_index`. Ignores values of 0, which unreadable scans have.
-    template <class T>
-    static T neighbour_median(const std::vector<T>& values_of_scans, std::size_t scan_index) {
-        constexpr std::size_t kNeighboursPerSide = 5;
-        const std::size_t begin = scan_index < kNeighboursPerSide ? 0 : scan_index - kNeighboursPerSide,
-                          end = std::min(values_of_scans.size(), scan_index + kNeighboursPerSide + 1);
-        std::vector<T> neighbours;
-        for (std::size_t k = begin; k < end; ++k)
-            if (k != scan_index && values_of_scans[k] > 0) neighbours.push_back(values_of_scans[k]);
-        if (neighbours.empty()) return values_of_scans[scan_index];
-        std::ranges::sort(neighbours);
-        return neighbours[neighbours.size() / 2];
-    }
+/// What a truncated file lacks: points, rings, or the end of the last ring.
+struct ScanExtent {
+    double n_points = 0.0, n_rings = 0.0, end_deg = 0.0;
 };
+
+/// Returns the median extent of up to five scans before and after a scan. Ignores values
+/// of 0, which unreadable scans have.
+ScanExtent median_extent(const std::vector<ScanExtent>& extents, std::size_t scan_index) {
+    constexpr std::size_t kNeighboursPerSide = 5;
+    const std::size_t begin = scan_index < kNeighboursPerSide ? 0 : scan_index - kNeighboursPerSide,
+                      end = std::min(extents.size(), scan_index + kNeighboursPerSide + 1);
+    const auto median = [&](double ScanExtent::*value) {
+        std::vector<double> neighbours;
+        for (std::size_t k = begin; k < end; ++k)
+            if (k != scan_index && extents[k].*value > 0.0) neighbours.push_back(extents[k].*value);
+        return neighbours.empty() ? extents[scan_index].*value : compute_median(std::move(neighbours));
+    };
+    return {median(&ScanExtent::n_points), median(&ScanExtent::n_rings), median(&ScanExtent::end_deg)};
+}
+
+/// Records scans that are much smaller than their neighbours. Points that a damaged file
+/// lacks are no dropped rays.
+/// @param name_of  returns the name of a scan
+template <class Name>
+void record_truncated(const std::vector<RingScan>& scans, const Name& name_of, ScanErrorCollector& broken) {
+    // One missing ring is accepted, because it can be a beam without returns.
+    constexpr double kMissingRings = 2.0;
+    // In complete scans, the azimuth of the last point varies by up to 20 degrees.
+    constexpr double kMissingTurn_deg = 60.0;
+    std::vector<ScanExtent> extents;
+    for (const RingScan& scan : scans)
+        extents.push_back({double(scan.points.size()), double(scan.n_rings), last_azimuth_deg(scan)});
+    for (std::size_t i = 0; i < scans.size(); ++i) {
+        const ScanExtent &scan = extents[i], usual = median_extent(extents, i);
+        const bool is_complete = scan.n_points > 0.0 && 2.0 * scan.n_points >= usual.n_points &&
+                                 scan.n_rings + kMissingRings > usual.n_rings &&
+                                 scan.end_deg + kMissingTurn_deg > usual.end_deg;
+        if (!is_complete && !broken.is_scan_broken(i))
+            broken.record_broken(
+                i,
+                fmt::format("{}: the scan has {} points in {} rings and ends at azimuth {:.0f} degrees, but "
+                            "neighbouring scans have {} points in {} rings and end at {:.0f} degrees; the "
+                            "file is probably truncated or damaged",
+                            name_of(i), scan.n_points, scan.n_rings, scan.end_deg, usual.n_points,
+                            usual.n_rings, usual.end_deg));
+    }
+}
 
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note; empty if nothing was scaled
@@ -188,24 +174,18 @@ std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::strin
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the numbers of firings and rays before memory is allocated for the rays.
-/// @throws DataError if there are too many firings per sweep or rays per point
+/// Checks the number of rays before memory is allocated for them.
+/// @throws DataError if there are too many rays per point
 void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid, const std::string& where) {
-    constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
-    if (grid.head.n_ticks > kMostFirings)
-        fail(
-            "{}: the azimuths of neighbouring points differ by only {:.2g} degrees, which means {} firings "
-            "per turn, expected at most {} firings per turn of an HDL-64E",
-            where, 360.0 / grid.head.n_ticks, grid.head.n_ticks, kMostFirings);
     std::size_t n_points = 0;
     for (const RingScan& scan : scans) n_points += scan.points.size();
     const std::size_t n_rays = scans.size() * kRings * std::size_t(grid.every_tick ? grid.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         fail(
-            "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps with at least "
-            "one point per {} rays",
-            where, n_points, scans.size(), n_rays / scans.size(), kMostRaysAPoint);
+            "{}: found only {} points in {} sweeps with {} rays each, which follow from the steps between "
+            "azimuths; expected complete sweeps of an HDL-64E",
+            where, n_points, scans.size(), n_rays / scans.size());
 }
 
 }  // namespace
@@ -221,12 +201,8 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     progress_for(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.guard(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
     });
-    const DamagedScanDetector scan_sizes(raw);
-    for (std::size_t at = 0; at < raw.size(); ++at)
-        if (const std::string why =
-                broken.is_scan_broken(at) ? "" : scan_sizes.explain_damage(at, file_of(at).string());
-            !why.empty())
-            broken.record_broken(at, why + "; the file is probably truncated or damaged");
+    record_truncated(
+        raw, [&](std::size_t at) { return file_of(at).string(); }, broken);
     if (broken.size() == raw.size()) broken.report_broken(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // Empties broken scans, so that the fits below ignore them.
@@ -246,27 +222,24 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
     check_ray_counts(raw, lattice, scan_folder.string());
 
-    std::vector<std::vector<int>> firings(raw.size());
+    std::vector<read::FiredSweep> sweeps(raw.size());
     progress_for(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
         broken.guard(at, [&] {
-            firings[at] = find_fired_ticks(raw[at], lattice);
-            if (firings[at].empty())
+            std::vector<int> firings = find_fired_ticks(raw[at], lattice);
+            if (firings.empty())
                 fail(
                     "{}: found {} points that cannot be assigned to firings of the sensor, expected a sweep "
                     "of an HDL-64E",
                     file_of(at).string(), raw[at].points.size());
+            sweeps[at] = {to_lidar_points(raw[at]), {lattice.head, std::move(firings)}};
         });
-    });
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = lattice.make_beams(cones);
-    for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, int(sweep.size()));
-    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    progress_for(raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
-        if (!broken.is_scan_broken(at))
-            sequence.frames[at].scan =
-                spinning_scan(to_lidar_points(raw[at]), sensor, {lattice.head, firings[at]});
         raw[at] = {};
     });
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    sensor.name = "HDL-64E fitted to " + sequence.name;
+    sensor.max_range_m = options.max_range_m;
+    sensor.beams = lattice.make_beams(cones);
+    read::set_fired_scans(sequence, sweeps, progress);
     broken.remove_broken(sequence);
 }
 

@@ -10,9 +10,9 @@
 
 namespace relidar::kitti {
 
-/// Assigns the points of each scan to the rays that were fired. Sets the beams and
-/// columns of the LiDAR.
-/// @param sequence  log with frame numbers, and with the period and range of its LiDAR
+/// Assigns the points of each scan to the rays that were fired. Sets the LiDAR except its
+/// period.
+/// @param sequence  log with frame numbers
 /// @param file_name_digits  for example 10 in 0000000042.bin
 /// @param label_folder  empty if the points have no labels
 /// @throws DataError with the file

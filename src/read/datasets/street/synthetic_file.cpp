@@ -39,24 +39,6 @@ void visit_street_options(Options& options, const Visit& visit) {
     visit("rig", options.rig, "a file");
 }
 
-/// Replaces the exact poses of a synthetic log by poses from a file, but keeps the scans.
-/// Used to test the effect of wrong poses.
-void use_pose_file(Log& sequence, const fs::path& user_pose_file) {
-    std::vector<int> frames;
-    // All LiDARs of a frame share one pose.
-    for (const Frame& frame : sequence.frames)
-        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
-    PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
-    if (user_pose_file != kNoPoses) {
-        track.pose = kitti::read_user_poses(user_pose_file, frames, track.time_s, sequence.notes);
-        track = shift_track(std::move(track), -sequence.world_offset_m);
-    }
-    set_trajectory(sequence, std::move(track));
-    sequence.conventions += user_pose_file == kNoPoses
-                                ? " No poses are read, so the sensor is at the origin in every frame."
-                                : " Poses are read from " + user_pose_file.string();
-}
-
 StreetOptions parse_street_toml(const fs::path& toml_file) {
     const std::string file = toml_file.string();
     const std::string text = read_text_file(toml_file);
@@ -98,21 +80,20 @@ StreetOptions parse_street_toml(const fs::path& toml_file) {
 Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const fs::path file = folder / "street.toml";
     const StreetOptions street = load_street(folder);
-    const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
-    if (street.n_frames > 0 && options.frames.begin >= end)
-        fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
-                         options.frames.begin,
-                         options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
-                         street.n_frames - 1);
+    FrameRange frames;  // make_frames() rejects a street without frames
+    if (street.n_frames > 0) frames = limit_frames(options.frames, street.n_frames, folder.string());
     Log sequence;
     try {
-        sequence = make_frames(street, options.frames.begin, end);
+        sequence = make_frames(street, frames.begin, frames.end);
         // The wrong value is in a file, not on the command line.
     } catch (const UsageError& error) {
         fail("{}: {}", file.string(), error.what());
     }
     sequence.source = folder.string();
-    if (!options.poses_file.empty()) use_pose_file(sequence, options.poses_file);
+    // Wrong poses with the same scans show the effect of the poses.
+    kitti::replace_poses(sequence, options.poses_file);
+    if (!options.poses_file.empty())
+        sequence.conventions += " Poses are replaced by dataset.poses=" + options.poses_file.string();
     return sequence;
 }
 

@@ -55,7 +55,7 @@ protected:
         return head.substr(0, head.size() - 1) + ", " + members + "}";
     }
     std::string with_lidar(const std::string& members) const {
-        return with("\"lidars\": [{" + members + "}]");
+        return with(R"("lidars": [{)" + members + "}]");
     }
 
     static constexpr const char* kMissing = "(missing)";
@@ -77,15 +77,15 @@ TEST_F(FolderDamage, OfTheHead) {
     expect_head(head.substr(0, 40), "sequence.json ... JSON");
     expect_head("[]", "object");
     expect_head("{}", "format ... missing");
-    expect_head(replace_first(head, "relidar log", "relidar"), "format ... \"relidar log\"");
+    expect_head(replace_first(head, "relidar log", "relidar"), R"(format ... "relidar log")");
     expect_head(replace_first(head, "1,", "2,"), "version: found 2");
-    expect_head(with("\"intensity_maks\": 1"), "'intensity_maks' ... format ... version");
-    expect_head(with("\"frames\": []"), "both \"frames\" and \"rate_hz\"");
-    expect_head(replace_first(head, "\"rate_hz\": 10, ", ""), "neither \"frames\" nor \"rate_hz\"");
+    expect_head(with(R"("intensity_maks": 1)"), "'intensity_maks' ... format ... version");
+    expect_head(with(R"("frames": [])"), R"(both "frames" and "rate_hz")");
+    expect_head(replace_first(head, R"("rate_hz": 10, )", ""), R"(neither "frames" nor "rate_hz")");
     expect_head(replace_first(head, "10", "0"), "rate_hz: found 0");
-    expect_head(with("\"time_unit\": \"sec\""), "time_unit ... \"sec\" ... s, ms, us, ns");
-    expect_head(with("\"start_unix_ns\": -1"), "start_unix_ns: found -1");
-    expect_head(with("\"lidars\": []"), "lidars ... LiDAR");
+    expect_head(with(R"("time_unit": "sec")"), R"(time_unit ... "sec" ... s, ms, us, ns)");
+    expect_head(with(R"("start_unix_ns": -1)"), "start_unix_ns: found -1");
+    expect_head(with(R"("lidars": [])"), "lidars ... LiDAR");
     expect_head(with_lidar(R"("sensor": "VLP-61")"), "VLP-16");
     expect_head(with_lidar(R"("sensor": "missing.csv")"), "missing.csv");
     expect_head(with_lidar(R"("scans": "nowhere")"), "nowhere: no such folder");
@@ -108,7 +108,7 @@ TEST_F(FolderDamage, OfTheHead) {
 
 TEST_F(FolderDamage, OfListedFrames) {
     const auto frames = [&](const std::string& list) {
-        return replace_first(head, "\"rate_hz\": 10", "\"frames\": [" + list + "]");
+        return replace_first(head, R"("rate_hz": 10)", R"("frames": [)" + list + "]");
     };
     const std::string a = R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd"})";
     expect_head(frames(""), "frames ... frame");
@@ -118,7 +118,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect_head(frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
                 "frame 1 ... 0 s ... frame 0 ... 0 s");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
-                "\"x\" ... name");
+                R"("x" ... name)");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),
                 "relidar_folder_damage ... 1 scans ... missing");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
@@ -140,7 +140,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
            "poses.txt line 1: column 'yaw' ... unknown");
     // seconds since 1970 for a folder with "rate_hz", and two wrong units
     expect("poses.txt", "1700000005 0 0 0 1 0 0 0\n1700000006 0 0 0 1 0 0 0\n",
-           "frame 0 ... 0 s ... \"frames\" ... \"rate_hz\"");
+           R"(frame 0 ... 0 s ... "frames" ... "rate_hz")");
     expect("poses.txt", "1700000005000000000 0 0 0 1 0 0 0\n", "line 1 ... seconds");
     put("poses.txt", "0 0 0 0 1 0 0 0\n0.1 0 0 0 1 0 0 0\n");
     expect_head(replace_first(head, "10", "0.01"), "frames seem to be in milliseconds");
@@ -148,13 +148,13 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1 ... 'qz' ... missing");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json ... JSON");
-    expect("boxes.json", replace_first(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
+    expect("boxes.json", replace_first(good, R"("yaw_deg": 0)", R"("yaw": 0)"),
            "boxes[0] ... 'yaw' ... time_s");
     expect("boxes.json",
-           replace_first(good, "\"yaw_deg\": 0", "\"yaw_deg\": 0, \"quaternion\": [1, 0, 0, 0]"),
-           "boxes[0] ... \"yaw_deg\" ... \"quaternion\"");
+           replace_first(good, R"("yaw_deg": 0)", R"("yaw_deg": 0, "quaternion": [1, 0, 0, 0])"),
+           R"(boxes[0] ... "yaw_deg" ... "quaternion")");
     expect("boxes.json", replace_first(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a' ... size 4 x 2 x 0 m");
-    expect("boxes.json", replace_first(good, "\"time_s\": 0", "\"frame\": 9"), "9 ... frame");
+    expect("boxes.json", replace_first(good, R"("time_s": 0)", R"("frame": 9)"), "9 ... frame");
 }
 
 TEST_F(FolderDamage, OfPointFiles) {
@@ -302,18 +302,17 @@ TEST_F(FolderDamage, OfValues) {
     expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 ... (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7 ... time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
-           "\"time_unit\" ... \"point_times\" ... sequence.json");
+           R"("time_unit" ... "point_times" ... sequence.json)");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7 ... ring ... 65535");
-    expect_head(replace_first(head, "\"intensity_max\": 255, ", ""),
-                "intensity ... 51 ... 0 to 1 ... \"intensity_max\"");
+    expect_head(replace_first(head, R"("intensity_max": 255, )", ""),
+                R"(intensity ... 51 ... 0 to 1 ... "intensity_max")");
     expect("sequence.json",
-           with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
-           "1 beams");
+           with(R"("lidars": [{"sensor": {"beams": [{"elevation_deg": 1}], "columns": 8}}])"), "1 beams");
     for (test::FilePoint& p : points) {
         p.ring = 0;
         p.point_m = {5.0f, 0.0f, 0.0f};
     }
-    expect("scans/a.pcd", test::make_pcd_binary(points), "\"spins\" ... sequence.json");
+    expect("scans/a.pcd", test::make_pcd_binary(points), R"("spins" ... sequence.json)");
 }
 
 }  // namespace

@@ -32,17 +32,6 @@ std::string numbers(const glm::dmat4& matrix) {
     return text;
 }
 
-/// Writes the XML format of OpenCV's FileStorage.
-std::string make_matrix_xml(const std::string& name, int rows, int cols, const std::vector<double>& values) {
-    std::string data;
-    for (std::size_t i = 0; i < values.size(); ++i)
-        data += fmt::format("{}{:.16e}", i % 2 == 0 ? "\n      " : " ", values[i]);
-    return fmt::format(
-        "  <{0} type_id=\"opencv-matrix\">\n    <rows>{1}</rows>\n    <cols>{2}</cols>\n    <dt>d</dt>\n    "
-        "<data>{3}</data></{0}>\n",
-        name, rows, cols, data);
-}
-
 std::string make_timestamps(int n_frames) {
     std::string text;
     for (int frame = 0; frame < n_frames; ++frame) {
@@ -60,14 +49,14 @@ glm::dmat4 make_box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm
 }
 
 std::string make_object_xml(int number, const std::string& fields, const glm::dmat4& transform) {
-    std::vector<double> rows, vertices;
-    for (int i = 0; i < 16; ++i) rows.push_back(transform[i % 4][i / 4]);
-    for (int corner = 0; corner < 8; ++corner)
-        for (const int bit : {4, 2, 1}) vertices.push_back(corner & bit ? -0.5 : 0.5);
-    const std::vector<double> faces{0, 2, 5, 0, 5, 7, 1, 3, 4, 1, 4, 6};
-    return fmt::format("<object{0}>\n{1}{2}{3}{4}</object{0}>\n", number, fields,
-                       make_matrix_xml("transform", 4, 4, rows), make_matrix_xml("vertices", 8, 3, vertices),
-                       make_matrix_xml("faces", 4, 3, faces));
+    std::string data;
+    for (int i = 0; i < 16; ++i)
+        data += fmt::format("{}{:.16e}", i % 2 == 0 ? "\n      " : " ", transform[i % 4][i / 4]);
+    return fmt::format(
+        "<object{0}>\n{1}  <transform type_id=\"opencv-matrix\">\n    <rows>4</rows>\n    <cols>4</cols>\n   "
+        " "
+        "<dt>d</dt>\n    <data>{2}</data></transform>\n</object{0}>\n",
+        number, fields, data);
 }
 
 std::string make_object_fields(const std::string& label, int semantic, int instance, int timestamp,

@@ -37,7 +37,7 @@ struct Kitti360Folder : LogFolder {
 /// As in KITTI-360, the matrix contains the rotation and the size.
 glm::dmat4 make_box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
-/// The transform applies to the unit cube.
+/// The format is that of OpenCV's FileStorage. The transform applies to the unit cube.
 std::string make_object_xml(int number, const std::string& fields, const glm::dmat4& transform);
 /// @param timestamp frame of the label; -1 if the object does not move until end_frame
 std::string make_object_fields(const std::string& label, int semantic, int instance, int timestamp,

@@ -13,10 +13,6 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-void put_float(std::string& bytes, std::size_t point, std::size_t field, float value) {
-    std::memcpy(bytes.data() + 16 * point + 4 * field, &value, 4);
-}
-
 TEST(KittiErrors, MissingFoldersAndFiles) {
     const KittiDrive drive("missing");
     EXPECT_THROW(load_sequence("/nowhere/drive", {}), DataError);
@@ -43,13 +39,7 @@ TEST(KittiErrors, MissingCalibration) {
 
 TEST(KittiErrors, NumbersOfScans) {
     const KittiDrive drive("numbers");
-    write_text(drive.file("velodyne_points/data/2147483646.bin"), "");
-    drive.expect_error("2147483646.bin ... 100000000");
-    fs::rename(drive.file("velodyne_points/data/2147483646.bin"),
-               drive.file("velodyne_points/data/9999999999.bin"));
-    drive.expect_error("9999999999.bin ... number");
-    fs::rename(drive.file("velodyne_points/data/9999999999.bin"),
-               drive.file("velodyne_points/data/0099999999.bin"));
+    write_text(drive.file("velodyne_points/data/0099999999.bin"), "");
     drive.expect_error("timestamps.txt ... 3 ... frame 99999999 ... line 100000000");
     drive.expect_error("99999996 ... 99999999 ... (3, 4, 5, 6, 7, ...)", {.allow_missing_scans = false});
 }
@@ -57,8 +47,7 @@ TEST(KittiErrors, NumbersOfScans) {
 TEST(KittiErrors, FoldersThatAreNoDrive) {
     const KittiDrive drive("strangers");
     const auto expect = [](const fs::path& folder, const std::string& parts) {
-        for (const std::string kind : {"", "kitti_raw:"})
-            EXPECT_THAT(test::find_load_error(kind + folder.string()), test::Names(parts));
+        EXPECT_THAT(test::find_load_error(folder.string()), test::Names(parts));
     };
     expect(drive.folder.parent_path(), "2011_12_31 ... 1 dataset ... 2011_12_31_drive_0001_sync");
     expect(drive.file("velodyne_points"), "inside ... 2011_12_31_drive_0001_sync");
@@ -77,30 +66,28 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     const KittiDrive drive("far");
     const std::string good = "1 0 0 0 0 1 0 0 0 0 1 0\n";
     const DatasetOptions options{.poses_file = drive.file("poses.txt")};
-    write_text(options.poses_file, good + "1 0 0 1e308 0 1 0 0 0 0 1 0\n" + good);
-    drive.expect_error("poses.txt ... frame 1 ... (1e+308, 0, 0)", options);
-    write_text(options.poses_file, good + "1 0 0 2e5 0 1 0 0 0 0 1 0\n" + good);
-    drive.expect_error("poses.txt ... frames 0 ... 1 ... 200000 m", options);
+    write_text(options.poses_file, good + good + "1 0 0 2e6 0 1 0 0 0 0 1 0\n");
+    drive.expect_error("pose 2 ... (2000000, 0, 0)", options);
     const fs::path oxts = drive.file("oxts/data/0000000002.txt");
     write_text(oxts, read_text(oxts).replace(read_text(oxts).find("100.5"), 5, "1e308"));
-    drive.expect_error("oxts/data ... frame 2 ... (");
+    drive.expect_error("pose 2 ... 1e+308");
 }
 
 TEST(KittiErrors, ScanErrorCollector) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
-    write_text(drive.scan(1), original.substr(0, 100));
-    drive.expect_error("0000000001.bin ... 100 ... 6 ... 16 ... 4");
-    write_text(drive.scan(1), "");
-    drive.expect_error("0000000001.bin ... empty");
-    std::string bad = original;
-    put_float(bad, 5, 3, INFINITY);
-    write_text(drive.scan(1), bad);
-    drive.expect_error("point 5 ... intensity inf");
-    bad = original;
-    put_float(bad, 8, 0, 2e4f);
-    write_text(drive.scan(1), bad);
-    drive.expect_error("point 8 ... 10000 m");
+    const auto expect = [&](const std::string& bytes, const std::string& parts) {
+        drive.expect_error_with(drive.scan(1), bytes, parts);
+    };
+    const auto with = [&](std::size_t point, std::size_t field, float value) {
+        std::string bytes = original;
+        std::memcpy(bytes.data() + 16 * point + 4 * field, &value, 4);
+        return bytes;
+    };
+    expect(original.substr(0, 100), "0000000001.bin ... 100 ... 6 ... 16 ... 4");
+    expect("", "0000000001.bin ... empty");
+    expect(with(5, 3, INFINITY), "point 5 ... intensity inf");
+    expect(with(8, 0, 2e4f), "point 8 ... 10000 m");
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), original.substr(0, 16 * 3000));
     drive.expect_error("velodyne_points/data:  ... rings ... 64");
 }
@@ -124,30 +111,27 @@ std::string make_even_scan(double step_rad, int n_a_ring) {
 TEST(KittiErrors, AzimuthStepsOfNoSensor) {
     const KittiDrive drive("steps");
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), make_even_scan(2e-5, 1000));
-    drive.expect_error("velodyne_points/data ... azimuths ... 8192");
+    drive.expect_error("velodyne_points/data ... azimuths");
 }
 
 TEST(KittiErrors, Timestamps) {
     const KittiDrive drive("times");
     const auto file = drive.file("velodyne_points/timestamps.txt");
-    const std::string original = read_text(file);
-    write_text(file, original.substr(0, original.find('\n') + 1));
-    drive.expect_error("timestamps.txt ... 1 ... frame 1 ... line 2");
-    write_text(file, "2011-13-31 23:59:10.0\n");
-    drive.expect_error("timestamps.txt line 1 ... 2011-13-31 ... YYYY-MM-DD");
-    write_text(file, "9999-01-01 00:00:00.0\n");  // nanoseconds overflow 64 bits
-    drive.expect_error("timestamps.txt line 1 ... 9999-01-01 ... 1970 ... 2199");
-    write_text(file, std::string(1 << 20, '7') + "\n");
-    EXPECT_LT(test::find_load_error(drive.folder.string()).size(), 400u);
-    const std::string line = original.substr(0, original.find('\n') + 1);
-    write_text(file, line + "\n" + line);
-    drive.expect_error("timestamps.txt line 2 ... empty ... frame 1");
-    write_text(file, "\n \n");
-    drive.expect_error("timestamps.txt ... empty");
+    const auto expect = [&](const std::string& text, const std::string& parts) {
+        drive.expect_error_with(file, text, "timestamps.txt" + parts);
+    };
+    const std::string original = read_text(file), line = original.substr(0, original.find('\n') + 1);
+    expect(line, " ... 1 ... frame 1 ... line 2");
+    expect("2011-13-31 23:59:10.0\n", " line 1 ... 2011-13-31 ... YYYY-MM-DD");
+    // nanoseconds overflow 64 bits
+    expect("9999-01-01 00:00:00.0\n", " line 1 ... 9999-01-01 ... 1970 ... 2199");
+    expect(line + "\n" + line, " line 2 ... empty ... frame 1");
+    expect("\n \n", " ... empty");
+    expect(line + line + line, " line 2 ... increasing");
     write_text(file, "   " + original);  // leading blanks are allowed
     EXPECT_EQ(drive.load().frames.size(), 3u);
-    write_text(file, line + line + line);
-    drive.expect_error("timestamps.txt line 2 ... increasing");
+    write_text(file, std::string(1 << 20, '7') + "\n");
+    EXPECT_LT(test::find_load_error(drive.folder.string()).size(), 400u);
 }
 
 TEST(KittiErrors, Calibration) {
@@ -172,7 +156,7 @@ TEST(KittiErrors, PosesFile) {
     expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, "poses.txt line 2 ... 11 ... 12");
     expect(good + good, "poses.txt ... 2 ... frame 2 ... line 3");
     expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", "poses.txt line 3 ... rotation");
-    expect("1 0 0 x 0 1 0 0 0 0 1 0\n", "poses.txt line 1 ... number");
+    expect("1 0 0 x 0 1 0 0 0 0 1 0\n" + good + good, "poses.txt line 1 ... number");
 }
 
 TEST(KittiErrors, FrameRange) {
@@ -190,7 +174,7 @@ TEST(KittiErrors, Tracklets) {
         drive.expect_error_with(file, test::replace_first(original, from, to), parts);
     };
     expect("</tracklets>", "", "tracklet_labels.xml ... malformed");
-    expect("<h>2</h>", "<h>0</h>", "tracklet_labels.xml: track 0 ... lengths ... 0");
+    expect("<h>2</h>", "<h>0</h>", "box '0' ... 4.4 x 1.8 x 0 m");
     expect("<l>4.4</l>", "<l>nan</l>", "tracklet_labels.xml: track 0: l ... 'nan'");
     expect("<tx>11</tx>", "<tx>inf</tx>", "track 0 frame 2: tx ... 'inf'");
     expect("<w>1.8</w>", "", "track 0: w ... ''");

@@ -256,40 +256,6 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     EXPECT_TRUE(log.boxes.empty());
 }
 
-TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
-    const KittiDrive drive("limit");
-    const Scan scan = drive.load({.max_range_m = 10.0}).frames[0].scan;
-    EXPECT_LT(scan.count_returns(), drive.n_points * 3 / 4);
-    EXPECT_LT(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 10.3f);
-}
-
-TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
-    const KittiDrive drive("far");
-    float farthest_m = 0.0f;                   // distance from the sensor
-    for (int frame = 0; frame < 3; ++frame) {  // moves the walls to 16 times the distance
-        std::string bytes = test::read_text(drive.scan(frame));
-        for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
-            float p[3];
-            std::memcpy(p, bytes.data() + at, sizeof p);
-            for (float& x : p) x *= 16.0f;
-            std::memcpy(bytes.data() + at, p, sizeof p);
-            farthest_m = std::max(farthest_m, std::hypot(p[0], p[1], p[2]));
-        }
-        test::write_text(drive.scan(frame), bytes);
-    }
-    const Log log = drive.load({.max_range_m = INFINITY});
-    double offset_m = 0.0;  // ranges start at the origin of a beam, not at the sensor
-    for (const Beam& beam : drive.beams)
-        offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
-                                                                    beam.origin_left_m)));
-    const double limit_m = log.lidars[0].sensor.max_range_m;
-    EXPECT_GT(farthest_m, 80.0f);
-    EXPECT_GE(limit_m, double(farthest_m) - offset_m);
-    EXPECT_LE(limit_m, std::ceil(double(farthest_m) + offset_m));
-    EXPECT_EQ(limit_m, std::floor(limit_m)) << "whole metres";
-    EXPECT_THAT(log.notes, testing::Contains(test::Names(fmt::format("{} m", limit_m))));
-}
-
 class KittiRawReal : public testing::Test {
 protected:
     void SetUp() override {

@@ -125,27 +125,6 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     }
 }
 
-TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
-    const test::LogFolder files("relidar_synthetic_limits");
-    const fs::path& folder = files.folder;
-    save_street(small(), folder);
-    const Log all = files.load(), some = files.load({.max_range_m = 20.0, .min_range_m = 5.0});
-    EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
-    EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
-    std::size_t n_below_limit = 0, n_beyond_limit = 0;
-    for (std::size_t f = 0; f < all.frames.size(); ++f)
-        for (std::size_t i = 0; i < all.frames[f].scan.range_m.size(); ++i) {
-            const float range = all.frames[f].scan.range_m[i];
-            const bool is_in_limits = range >= 5.0f && range <= 20.0f;
-            ASSERT_EQ(some.frames[f].scan.range_m[i], is_in_limits ? range : 0.0f);
-            n_below_limit += range > 0.0f && range < 5.0f;
-            n_beyond_limit += range > 20.0f;
-        }
-    EXPECT_GT(n_below_limit, 0u);
-    EXPECT_GT(n_beyond_limit, 0u);
-    EXPECT_THROW(files.load({.max_range_m = 20.0, .min_range_m = 20.0}), UsageError);
-}
-
 TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const test::LogFolder files("relidar_synthetic_poses");
     const fs::path& folder = files.folder;
@@ -313,22 +292,6 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
         differ += a.range_m[i] != b.range_m[i];
     }
     EXPECT_GT(differ, mixed.size() / 2);
-}
-
-TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
-    const test::LogFolder files("relidar_synthetic_no_poses");
-    const fs::path& folder = files.folder;
-    save_street(small(), folder);
-    const Log exact = files.load();
-    Log log = files.load({.poses_file = kNoPoses});
-    for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
-    const glm::dvec3 box_in_vehicle_m =
-        inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
-    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, box_in_vehicle_m), 1e-9);
-    set_trajectory(log, exact.world_from_vehicle);
-    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation,
-                            exact.boxes[0].world_from_box.pose[0].translation),
-              1e-9);
 }
 
 TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {

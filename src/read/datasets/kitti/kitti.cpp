@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads KITTI raw and KITTI odometry. Scans of KITTI raw are not motion-compensated, so
+// the reader computes the firing time of each ray. KITTI odometry contains poses of the
+// left camera (z forward). The transform cam_T_velo (Tr in calib.txt) converts them to
+// poses of the LiDAR:
+//   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr
+// The world frame is then the frame of the LiDAR in frame 0, with z up.
+#include "read/readers.hpp"
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/clouds.hpp>
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/datasets/kitti/kitti_sweeps.hpp"
+#include "read/kitti/log_files.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace kitti;
+
+/// Line i contains the time of frame i.
+std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
+    std::vector<double> time_s;
+    for (const auto& [text, where] : read_frame_lines(file, numbers)) {
+        const auto seconds = parse_number(trim(text));
+        if (!seconds) fail("{}: found '{}', expected a time in seconds", where, quote(text));
+        time_s.push_back(*seconds);
+    }
+    return time_s;
+}
+
+/// Returns poses.txt in the folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
+/// Sequences 11 to 21 have no published poses.
+fs::path find_pose_file(const fs::path& sequence_folder) {
+    const fs::path here = sequence_folder / "poses.txt",
+                   beside = sequence_folder.parent_path().parent_path() / "poses" /
+                            (sequence_folder.filename().string() + ".txt");
+    if (does_path_exist(here)) return here;
+    if (does_path_exist(beside)) return beside;
+    fail(
+        "neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE for poses of the "
+        "LiDAR, or dataset.poses=none to estimate the poses from the scans",
+        here.string(), beside.string());
+}
+
+std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers) {
+    const Pose cam_from_velo = read_transform(sequence_folder / "calib.txt", "Tr");
+    std::vector<Pose> poses = read_matrices(find_pose_file(sequence_folder), numbers);
+    // Camera poses become LiDAR poses. The world becomes the LiDAR frame of frame 0.
+    for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
+    return poses;
+}
+
+}  // namespace
+
+Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
+    require_folder(folder, "a KITTI raw drive (velodyne_points/)");
+    const fs::path drive = fs::canonical(folder), points = drive / "velodyne_points";
+    if (drive.parent_path().filename() == "data_3d_raw")
+        fail("{} is a drive of KITTI-360; use {} with dataset.sequence={}", folder.string(),
+             drive.parent_path().parent_path().string(), drive.filename().string());
+    const std::vector<int> frames = list_scans(points / "data", options.frames.begin, options.frames.end);
+    Log sequence;
+    sequence.name = drive.filename().string();
+    sequence.source = folder.string();
+    sequence.conventions = fmt::format(
+        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
+        "log. At the time of a frame, the head faces forward. The log has poses from {}. Scans are not "
+        "motion-compensated. Boxes are labelled only in the view of the front camera.",
+        options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
+    note_missing_scans(sequence, points / "data", frames, options.allow_missing_scans);
+    if (!does_path_exist(drive / "tracklet_labels.xml"))
+        sequence.notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
+    sequence.lidars[0].sensor.period_s = read_sweep_s(drive);
+    const std::vector<double> time_s = read_frame_times(points / "timestamps.txt", frames, sequence);
+    std::vector<Pose> poses(frames.size());
+    if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
+    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
+    replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
+    if (options.poses_file.empty()) sequence.georeference = read_oxts_place(drive);
+    sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
+    read_hdl64_sweeps(sequence, points / "data", 10, options);
+    return sequence;
+}
+
+Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+    const fs::path folder = fs::canonical(log_folder);
+    const std::vector<int> frames = list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
+    const std::vector<double> time_s = read_times_s(folder / "times.txt", frames);
+    std::vector<Pose> poses(frames.size());
+    if (options.poses_file.empty()) poses = read_odometry_poses(folder, frames);
+    Log sequence;
+    sequence.name = "KITTI odometry " + folder.filename().string();
+    sequence.source = log_folder.string();
+    sequence.conventions =
+        "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
+        "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
+    sequence.notes = {"this log has no labels"};
+    sequence.rolling_shutter = false;
+    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
+    replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
+    read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
+    return sequence;
+}
+
+}  // namespace relidar
