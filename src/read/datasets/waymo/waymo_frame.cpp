@@ -14,7 +14,6 @@
 #include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
-#include "base/files.hpp"
 
 namespace relidar::waymo {
 namespace {
@@ -37,17 +36,10 @@ constexpr std::uint32_t make_float_tag(std::uint32_t field) {
 
 // bytes; six channels of TOP have 4 MB
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
-constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
 std::string_view read_bytes(pbf_reader& reader) {
     const protozero::data_view view = reader.get_view();
     return {view.data(), view.size()};
-}
-
-double finite_or_fail(double value, const char* name, const std::string& where) {
-    if (!(std::abs(value) <= kLargestOfFrame))
-        fail("{}: {} is {}, expected a finite number of at most {:.0e}", where, name, value, kLargestOfFrame);
-    return value;
 }
 
 void append_doubles(pbf_reader& reader, std::vector<double>& values) {
@@ -64,7 +56,6 @@ Pose parse_transform(pbf_reader reader, const std::string& where) {
         else reader.skip();
     }
     if (m.size() != 16) fail("{}: found a transform of {} numbers, expected 16 numbers", where, m.size());
-    for (const double value : m) finite_or_fail(value, "a number of the transform", where);
     return make_pose(m, where);
 }
 
@@ -120,27 +111,25 @@ LaserImages parse_laser(pbf_reader reader) {
 
 /// Parses centre, width, length, height and heading of a box. Their field numbers are 1
 /// to 7.
-void parse_box(pbf_reader reader, BoxLabel& label, const std::string& where) {
+void parse_box(pbf_reader reader, BoxLabel& label) {
     double v[8] = {};
     while (reader.next()) {
-        if (reader.tag() >= 1 && reader.tag() <= 7 && reader.wire_type() == pbf_wire_type::fixed64) {
-            const std::uint32_t field = reader.tag();
-            v[field] = finite_or_fail(reader.get_double(), "a number of the box", where);
-        } else {
-            reader.skip();
-        }
+        const std::uint32_t field = reader.tag();
+        if (field >= 1 && field <= 7 && reader.wire_type() == pbf_wire_type::fixed64)
+            v[field] = reader.get_double();
+        else reader.skip();
     }
     label.size_m = {v[5], v[4], v[6]};
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
 /// Parses a labelled object. Ignores signs, which belong to the background.
-void parse_label(pbf_reader reader, SegmentFrame& frame_record, const std::string& where) {
+void parse_label(pbf_reader reader, SegmentFrame& frame_record) {
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == message_tag(1)) parse_box(reader.get_message(), label, where);
+        if (tag == message_tag(1)) parse_box(reader.get_message(), label);
         else if (tag == make_varint_tag(3)) type = reader.get_enum();
         else if (tag == message_tag(4)) label.id = reader.get_string();
         else reader.skip();
@@ -150,11 +139,6 @@ void parse_label(pbf_reader reader, SegmentFrame& frame_record, const std::strin
     else if (type == kPedestrianType) label.category = "pedestrian";
     else if (type == kCyclistType) label.category = "cyclist";
     else return;  // a sign, which belongs to the background because it cannot move
-    if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
-        fail(
-            "{}: found an object of the class {} with the id '{}' and the size {} x {} x {} m; expected an "
-            "id that is not empty, and a length, width and height above 0",
-            where, label.category, quote(label.id), label.size_m.x, label.size_m.y, label.size_m.z);
     frame_record.labels.push_back(std::move(label));
 }
 
@@ -234,7 +218,7 @@ SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where
                 frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose");
                 has_pose = true;
             } else if (tag == message_tag(5)) frame.images.push_back(parse_laser(from.get_message()));
-            else if (tag == message_tag(6)) parse_label(from.get_message(), frame, where + ": laser_labels");
+            else if (tag == message_tag(6)) parse_label(from.get_message(), frame);
             else from.skip();
         }
     });
@@ -284,10 +268,6 @@ std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int 
     if (elevations.size() != std::size_t(n_rows))
         fail("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row", where,
              elevations.size(), calibration.laser, n_rows);
-    for (const double elevation : elevations)
-        if (!(std::abs(elevation) <= kPi / 2))
-            fail("{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2", where,
-                 elevation, calibration.laser);
     // Inclinations start with the lowest row, but image rows start with the highest.
     std::reverse(elevations.begin(), elevations.end());
     return elevations;

@@ -8,6 +8,7 @@
 #include <glm/gtc/matrix_transform.hpp>
 #include <protozero/pbf_writer.hpp>
 
+#include "base/codecs/tfrecord.hpp"
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 
@@ -259,20 +260,8 @@ std::string make_waymo_label(const std::string& id, int type, const glm::dvec3& 
     return text;
 }
 
-std::uint32_t compute_plain_crc32c(const std::string& bytes) {
-    std::uint32_t crc = 0xFFFFFFFFu;
-    for (const char c : bytes) {
-        crc ^= static_cast<unsigned char>(c);
-        for (int bit = 0; bit < 8; ++bit) crc = crc % 2 == 1 ? (crc >> 1) ^ 0x82F63B78u : crc >> 1;
-    }
-    return ~crc;
-}
-
 std::string make_tfrecord(const std::string& data) {
-    const auto masked = [](const std::string& bytes) {
-        const std::uint32_t crc = compute_plain_crc32c(bytes);
-        return bytes_of(std::uint32_t(((crc >> 15) | (crc << 17)) + 0xa282ead8u));
-    };
+    const auto masked = [](const std::string& bytes) { return bytes_of(masked_crc32c(bytes)); };
     const std::string length = bytes_of(std::uint64_t(data.size()));
     return length + masked(length) + data + masked(data);
 }

@@ -35,8 +35,6 @@ std::string make_waymo_label(const std::string& id, int type, const glm::dvec3& 
 
 /// Returns a TFRecord: the length, the data, and the masked CRC-32C of both.
 std::string make_tfrecord(const std::string& data);
-/// Computes CRC-32C bit by bit.
-std::uint32_t compute_plain_crc32c(const std::string& bytes);
 
 /// Exact content of a pixel.
 struct WaymoPixel {
