@@ -98,7 +98,6 @@ PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<in
 
 namespace {
 
-using street::Material;
 using street::StreetShape;
 
 // lengths of the straights, which left turns connect
@@ -147,12 +146,9 @@ street::SyntheticStreet make_town() {
             const double width = random.sample_uniform(7.0, 14.0), depth = random.sample_uniform(5.0, 9.0),
                          height = random.sample_uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
-                const StreetShape wall{StreetShape::Kind::box,
-                                       {},
-                                       0.5 * glm::dvec3(width, depth, height),
-                                       0.0,
-                                       Material::wall,
-                                       random.sample_uniform(0.3, 0.8)};
+                const StreetShape wall{
+                    StreetShape::Kind::box,         {}, 0.5 * glm::dvec3(width, depth, height), 0.0, true,
+                    random.sample_uniform(0.3, 0.8)};
                 town.shapes.push_back(
                     beside(wall, s + 0.5 * width, side * (random.sample_uniform(7.0, 9.0) + 0.5 * depth)));
             }
@@ -165,19 +161,15 @@ street::SyntheticStreet make_town() {
                                           {},
                                           {0.1, 0.1, random.sample_uniform(2.0, 3.5)},
                                           0.0,
-                                          Material::metal,
+                                          false,
                                           0.5},
                                          s, 5.0 * side));
         // parked cars
         for (double s = random.sample_uniform(2.0, 8.0); s < compute_loop_length();
              s += random.sample_uniform(7.0, 20.0))
-            town.shapes.push_back(beside({StreetShape::Kind::box,
-                                          {},
-                                          {2.1, 0.9, 0.7},
-                                          random.sample_uniform(-0.04, 0.04),
-                                          Material::paint,
-                                          0.5},
-                                         s, 3.5 * side));
+            town.shapes.push_back(beside(
+                {StreetShape::Kind::box, {}, {2.1, 0.9, 0.7}, random.sample_uniform(-0.04, 0.04), false, 0.5},
+                s, 3.5 * side));
     }
     return town;
 }

@@ -30,7 +30,7 @@
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/kitti/log_files.hpp"
-#include "read/scans/arrange_firings.hpp"
+#include "read/scans/sweep_firings.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/fired_sweeps.hpp"
 #include "read/scans/stamped_log.hpp"

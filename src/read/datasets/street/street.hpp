@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shapes of the synthetic street, and exact ray casting. The street frame is in metres: x
-// along the street, y left, z up. The middle of the sensor's path has x = 0. The ground
-// has z = 0.
+// Shapes of the synthetic street, exact ray casting, and the two returns that a receiver
+// reports for a conical beam. The street frame is in metres: x along the street, y left,
+// z up. The middle of the sensor's path has x = 0. The ground has z = 0.
 #pragma once
 
 #include <optional>
@@ -11,15 +11,13 @@
 
 namespace relidar::street {
 
-enum class Material { road, pavement, wall, metal, paint, leaves };
-
 /// upright; a cylinder has the radius half.x and the height 2 half.z
 struct StreetShape {
     enum class Kind { box, cylinder } kind = Kind::box;
     glm::dvec3 centre{0.0};
     glm::dvec3 half{0.0};
     double yaw_rad = 0.0;
-    Material material = Material::wall;
+    bool has_windows = false;  ///< of dark glass, in walls
     double reflectance = 0.5;  ///< reflectance from 0 to 1
     SurfaceClass surface = SurfaceClass::building;
 };
@@ -130,6 +128,23 @@ private:
     static std::vector<RayCastShape> prepare_shapes(const std::vector<StreetShape>& shapes);
     void place_cars(double time_s, ActorPoses& car_pose_cache) const;
 };
+
+inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
+
+/// Replaces each ray by kConeRays thin rays, which form a spiral in its cone (the
+/// divergence).
+RayTable make_cone_rays(const RayTable& rays);
+
+/// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
+/// differ by less than 0.5 m from the next hit form one return. The range of the return
+/// is their mean, weighted by light.
+///
+/// The first return is the strongest one. The second return is the last one, or the next
+/// strongest one if the strongest return is the last. The second return must have at
+/// least a tenth of the light of the first. If at most half of the thin rays have hits,
+/// the ray is dropped.
+/// @param scan_of_cone_rays  scan with the hits of the rays from make_cone_rays(rays)
+Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays);
 
 }  // namespace relidar::street
 

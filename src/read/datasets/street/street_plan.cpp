@@ -29,20 +29,20 @@ constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // along the street, left of the pavement
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
-StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, Material material, double reflectance,
+StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, double reflectance,
                      SurfaceClass surface = SurfaceClass::building, double yaw_rad = 0.0) {
-    return {StreetShape::Kind::box, centre, half, yaw_rad, material, reflectance, surface};
+    return {StreetShape::Kind::box, centre, half, yaw_rad, false, reflectance, surface};
 }
 
-StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half_height_m, Material material,
-                          double reflectance, SurfaceClass surface = SurfaceClass::building) {
-    return {StreetShape::Kind::cylinder,
-            centre,
-            {radius_m, radius_m, half_height_m},
-            0.0,
-            material,
-            reflectance,
-            surface};
+StreetShape make_wall(const glm::dvec3& centre, const glm::dvec3& half, double reflectance,
+                      SurfaceClass surface = SurfaceClass::building) {
+    return {StreetShape::Kind::box, centre, half, 0.0, true, reflectance, surface};
+}
+
+StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half_height_m, double reflectance,
+                          SurfaceClass surface = SurfaceClass::building) {
+    const glm::dvec3 half(radius_m, radius_m, half_height_m);
+    return {StreetShape::Kind::cylinder, centre, half, 0.0, false, reflectance, surface};
 }
 
 double middle_time_s(const StreetOptions& options) { return frame_time_of_s(options.n_frames / 2); }
@@ -69,9 +69,8 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
         const double y = kerb_m + side * (setback + 0.5 * depth);
         const double reflectance = random.sample_uniform(0.3, 0.8);
         if (!yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
-            street.shapes.push_back(make_box({x + 0.5 * width, y, 0.5 * height},
-                                             0.5 * glm::dvec3(width, depth, height), Material::wall,
-                                             reflectance));
+            street.shapes.push_back(make_wall({x + 0.5 * width, y, 0.5 * height},
+                                              0.5 * glm::dvec3(width, depth, height), reflectance));
         x += width + (random.sample_uniform() < 0.3 ? random.sample_uniform(2.0, 5.0) : 0.0);
     }
 }
@@ -85,13 +84,12 @@ void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street
         const bool tree = random.sample_uniform() < 0.4;
         const double height = tree ? 3.0 : random.sample_uniform(4.0, 7.0),
                      radius = tree ? 0.18 : random.sample_uniform(0.07, 0.13);
-        street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height,
-                                              tree ? Material::leaves : Material::metal, tree ? 0.3 : 0.5,
+        street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height, tree ? 0.3 : 0.5,
                                               tree ? SurfaceClass::vegetation : SurfaceClass::pole));
         if (!tree) continue;
         const double size = random.sample_uniform(0.7, 1.2);
-        street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), Material::leaves, 0.4,
-                                         SurfaceClass::vegetation, random.sample_uniform(0.0, 1.5)));
+        street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), 0.4, SurfaceClass::vegetation,
+                                         random.sample_uniform(0.0, 1.5)));
     }
 }
 
@@ -99,9 +97,9 @@ void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street
 /// the ground, and the cabin 0.90 to 1.45 m.
 std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
     return {make_box({0.0, 0.0, 0.55 - kBoxCentre_m}, {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
-                     Material::paint, paint_reflectance),
+                     paint_reflectance),
             make_box({-0.2, 0.0, 1.175 - kBoxCentre_m}, {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
-                     Material::paint, 0.6 * paint_reflectance)};
+                     0.6 * paint_reflectance)};
 }
 
 /// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
@@ -109,13 +107,11 @@ std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
 std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
     std::vector<StreetShape> shapes{
         make_car_shapes(paint_reflectance)[0],
-        make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, Material::paint,
-                 paint_reflectance),
-        make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, Material::leaves, 0.3)};
+        make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, paint_reflectance),
+        make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.3)};
     for (const double x : {-1.2, -0.1, 0.8})
         for (const double y : {-0.75, 0.75})
-            shapes.push_back(make_box({x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, Material::paint,
-                                      paint_reflectance));
+            shapes.push_back(make_box({x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, paint_reflectance));
     return shapes;
 }
 
@@ -149,16 +145,15 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform(0.4, 1.2))
-        street.shapes.push_back(
-            make_box({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, Material::wall, 0.4, SurfaceClass::fence));
+        street.shapes.push_back(make_wall({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.4, SurfaceClass::fence));
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform(2.6, 4.0)) {
         const double paint_reflectance = random.sample_uniform(0.15, 0.8);
         const double yaw_rad = 0.5 * kPi + random.sample_uniform(-0.05, 0.05);
         const double y_m = fence_y + random.sample_uniform(3.0, 4.0);
         add_parked_car(street, x, y_m, yaw_rad, make_glazed_car(paint_reflectance));
     }
-    street.shapes.push_back(make_box({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
-                                     {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, Material::wall, 0.5));
+    street.shapes.push_back(make_wall({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
+                                      {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, 0.5));
 }
 
 /// Returns a car that drives straight at constant speed. In the middle of the log, the
@@ -194,9 +189,9 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& p) {
         const double z_m = random.sample_uniform(0.1, 1.6);
         const double y_m = p.y + random.sample_uniform(-0.5, 0.5);
         const double x_m = p.x + random.sample_uniform(-1.0, 1.0);
-        street.shapes.push_back(
-            {StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m), glm::dvec3(random.sample_uniform(0.03, 0.08)),
-             random.sample_uniform(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
+        street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
+                                 glm::dvec3(random.sample_uniform(0.03, 0.08)),
+                                 random.sample_uniform(0.0, 1.5), false, 0.4, SurfaceClass::vegetation});
     }
 }
 
@@ -213,8 +208,8 @@ MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2
     const glm::dvec2 start = position_at_middle_time_m - speed_mps * middle_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
-    walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, Material::leaves, 0.35),
-                     make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, Material::leaves, 0.5)};
+    walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, 0.35),
+                     make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, 0.5)};
     return walker;
 }
 
@@ -246,8 +241,7 @@ MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& m
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;
-    rider.shapes[0] =
-        make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, Material::metal, 0.4);
+    rider.shapes[0] = make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.4);
     return rider;
 }
 

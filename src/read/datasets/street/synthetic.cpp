@@ -18,7 +18,6 @@
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
-#include "read/datasets/street/cone_echoes.hpp"
 #include "read/datasets/street/street.hpp"
 
 namespace relidar {
