@@ -125,7 +125,6 @@ glm::dvec3 velocity_of(const SweepMotion& motion) {
             0.5 * (motion[0][2] + motion[1][2])};
 }
 
-/// Returns the sum over the sweeps of the motion in a direction.
 double motion_along(const std::vector<SweepMotion>& motions, const glm::dvec3& direction) {
     double sum = 0.0;
     for (const SweepMotion& motion : motions) sum += glm::dot(velocity_of(motion), direction);
@@ -186,7 +185,7 @@ struct YawFit {
 /// are more and more distant.
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
                const HeadTurn& turn, int n_ticks) {
-    constexpr std::size_t kBins = 256;
+    constexpr std::size_t kBins = 256, kMaxLag = 32;
     const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
     std::vector<std::complex<double>> phases(n_rings * kBins);
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -200,9 +199,10 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
     double joint = 0.0, possible = 0.0;
     for (std::size_t half = 0; half < 2; ++half) {
         const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
-        for (std::size_t lag = 1; lag <= 32 && 2 * lag <= end - begin; lag *= 2) {
-            std::complex<double> sum = 0.0;
-            double lengths = 0.0;
+        std::complex<double> sum = 0.0;
+        double lengths = 0.0;
+        for (std::size_t lag = 1; lag <= kMaxLag && 2 * lag <= end - begin; lag *= 2) {
+            sum = lengths = 0.0;
             for (std::size_t r = 0; r < n_rings; ++r)
                 for (std::size_t b = begin; b + lag < end; ++b) {
                     const std::complex<double> first = phases[r * kBins + b],
@@ -213,11 +213,9 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
             const double turns = double(lag) / kBins, expected = n_ticks * fit.turned_rad[half] * turns,
                          rest = std::arg(sum * std::polar(1.0, -expected));
             fit.turned_rad[half] += rest / (n_ticks * turns);
-            if (lag * 2 > 32 || 4 * lag > end - begin) {
-                joint += std::abs(sum);
-                possible += lengths;
-            }
         }
+        joint += std::abs(sum);  // of the largest lag
+        possible += lengths;
     }
     // A half without points turns like the other one.
     if (reference_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
@@ -229,7 +227,6 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
 // minimum coherence with which azimuths show the rotation
 constexpr double kMinCoherence = 0.1;
 
-/// Fits the motion of one sweep to its points.
 SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
     const std::size_t n_rings = recovery.rings.size();
     const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);

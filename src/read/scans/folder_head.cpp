@@ -51,7 +51,6 @@ std::vector<std::string> read_text_list(const JsonField& field, const std::strin
     return texts;
 }
 
-/// Returns the index of a JSON text in `allowed_words`.
 std::size_t read_word_index(const JsonField& field, const std::vector<std::string>& allowed_words) {
     const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.text());
     if (at == allowed_words.end())
@@ -255,7 +254,6 @@ std::string note_missing_scan(const std::vector<std::string>& stems) {
                               *before, *after);
 }
 
-/// Returns notes about scans that are probably missing in the folders of the LiDARs.
 std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
                                             const std::vector<HeaderLidar>& lidars) {
     std::vector<std::string> notes;

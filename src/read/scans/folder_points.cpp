@@ -2,7 +2,6 @@
 #include "read/scans/folder_points.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <numeric>
 #include <tuple>
@@ -56,13 +55,9 @@ std::vector<char> flag_no_returns(const PointTable& table, const std::vector<glm
 
 /// Returns the indices and positions of the points at which a pulse was reflected. Leaves
 /// out points that only mark rays without a return.
-std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(
-    const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
-    const PointFileUnits& units) {
-    std::vector<glm::vec3> all(table.n);
-    for (int axis = 0; axis < 3; ++axis)
-        xyz_fields[std::size_t(axis)]->for_each(
-            table.n, [&](std::size_t i, double value) { all[i][axis] = float(value); });
+std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(const PointTable& table,
+                                                                             const PointFileUnits& units) {
+    const std::vector<glm::vec3> all = read_positions(table);
     const std::vector<char> marked = flag_no_returns(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
@@ -77,26 +72,20 @@ struct FieldConverter {
     std::vector<std::uint32_t> selected_indices;
     const std::string& where;
 
-    /// Calls store(k, convert_value(value)) for the k-th selected point.
-    /// @throws DataError from `convert_value`, with the number of the point
-    template <class OfValue, class Set>
-    void convert_each(const PointFieldView& field, const OfValue& convert_value, const Set& store) const {
-        field.with_reader([&](const auto& value_at) {
-            std::size_t k = 0;
-            try {
-                for (; k < selected_indices.size(); ++k)
-                    store(k, convert_value(double(value_at(selected_indices[k]))));
-            } catch (const DataError& error) {
-                fail("{}: point {}{}", where, selected_indices[k], error.what());
-            }
-        });
-    }
-    /// Does nothing if the field does not exist.
+    /// Sets the values of the selected points. Does nothing if the field does not exist.
+    /// @throws DataError from `convert`, with the number of the point
     template <class T, class OfValue>
     void convert_field(std::vector<T>& values, const PointFieldView* field, const OfValue& convert) const {
         if (!field) return;
         values.resize(selected_indices.size());
-        convert_each(*field, convert, [&](std::size_t index, T value) { values[index] = value; });
+        field->with_reader([&](const auto& value_at) {
+            std::size_t k = 0;
+            try {
+                for (; k < values.size(); ++k) values[k] = convert(double(value_at(selected_indices[k])));
+            } catch (const DataError& error) {
+                fail("{}: point {}{}", where, selected_indices[k], error.what());
+            }
+        });
     }
 };
 
@@ -176,7 +165,7 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
         if (!field) fail("{}: the field {} is missing, expected x, y and z", where, name);
     LidarPoints points;
     FieldConverter convert{{}, where};
-    std::tie(convert.selected_indices, points.position_m) = select_returns(table, {x, y, z}, units);
+    std::tie(convert.selected_indices, points.position_m) = select_returns(table, units);
     if (units.returns.exist)
         points.return_number = number_returns(table, units.returns, units.intensity_field,
                                               convert.selected_indices, points.position_m);

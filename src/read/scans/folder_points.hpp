@@ -36,9 +36,10 @@ class ScanProvider {
 public:
     virtual ~ScanProvider() = default;
     virtual std::string frame_name(std::size_t frame) const = 0;  ///< name for error messages
-    virtual bool stores_points(std::size_t frame) const = 0;
+    virtual bool stores_points(std::size_t) const { return true; }
     virtual LidarPoints read_points(std::size_t frame) const = 0;
-    virtual Scan read_rays(std::size_t frame) const = 0;
+    /// Called for frames that do not store points.
+    virtual Scan read_rays(std::size_t) const { return {}; }
 };
 
 /// Reads the scans of all frames. The poses of the frames must be set before. Estimates

@@ -21,7 +21,7 @@ constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that
 // A position marks "no return" if (points at this position / all points) is between these
 // limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
-constexpr std::size_t kFewestMarked = 16;
+constexpr std::ptrdiff_t kFewestMarked = 16;
 constexpr std::size_t kMaxTestedPoints =
     1024;  // maximum number of points that are tested for repeated positions
 
@@ -70,14 +70,12 @@ void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemanti
 std::string describe_negatives(const std::vector<PointTable>& clouds, const std::string& field) {
     double lowest = 0.0;
     for (const PointTable& cloud : clouds) {
-        const PointFieldView *values = cloud.find_field(field), *x = cloud.find_field(PointAttribute::x),
-                             *y = cloud.find_field(PointAttribute::y),
-                             *z = cloud.find_field(PointAttribute::z);
-        if (!values || !x || !y || !z) continue;
-        for (std::size_t i = 0; i < cloud.n; ++i)
-            if (const double value = (*values)[i];
-                value < lowest && is_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
-                lowest = value;
+        const PointFieldView* values = cloud.find_field(field);
+        if (!values) continue;
+        const std::vector<glm::vec3> points = read_positions(cloud);
+        values->for_each(cloud.n, [&](std::size_t i, double value) {
+            if (value < lowest && is_return_point(points[i])) lowest = value;
+        });
     }
     return lowest < 0.0
                ? fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest)
@@ -87,21 +85,12 @@ std::string describe_negatives(const std::vector<PointTable>& clouds, const std:
 /// Returns the position that marks rays without a return, if many points share it. Some
 /// files store all such rays as points at one position.
 std::optional<glm::vec3> find_marker(const PointTable& cloud) {
-    const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
-                                                      cloud.find_field(PointAttribute::y),
-                                                      cloud.find_field(PointAttribute::z)};
-    if (!xyz[0] || !xyz[1] || !xyz[2]) return std::nullopt;
-    const auto point = [&](std::size_t index) {
-        return std::array{float((*xyz[0])[index]), float((*xyz[1])[index]), float((*xyz[2])[index])};
-    };
-    const auto is_real = [](const std::array<float, 3>& p) {
-        return is_return_point(glm::vec3(p[0], p[1], p[2]));
-    };
-    std::vector<std::array<float, 3>> some;
-    const std::size_t n = std::min(kMaxTestedPoints, cloud.n);
+    const std::vector<glm::vec3> points = read_positions(cloud);
+    std::vector<glm::vec3> some;
+    const std::size_t n = std::min(kMaxTestedPoints, points.size());
     for (std::size_t k = 0; k < n; ++k)
-        if (const auto p = point(k * cloud.n / n); is_real(p)) some.push_back(p);
-    std::ranges::sort(some);
+        if (const glm::vec3& p = points[k * points.size() / n]; is_return_point(p)) some.push_back(p);
+    std::ranges::sort(some, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
     std::size_t most = 0, last = 0;
     for (std::size_t k = 0, run = 0; k < some.size(); ++k) {
         run = k > 0 && some[k] == some[k - 1] ? run + 1 : 1;
@@ -112,11 +101,10 @@ std::optional<glm::vec3> find_marker(const PointTable& cloud) {
     }
     // The sample gives a candidate, which must then be frequent among all points.
     if (most < 3) return std::nullopt;
-    std::size_t n_marked = 0;
-    for (std::size_t i = 0; i < cloud.n; ++i) n_marked += point(i) == some[last];
-    const double share = double(n_marked) / double(cloud.n);
+    const auto n_marked = std::ranges::count(points, some[last]);
+    const double share = double(n_marked) / double(points.size());
     if (n_marked < kFewestMarked || share < kLeastMarked || share > kMostMarked) return std::nullopt;
-    return glm::vec3(some[last][0], some[last][1], some[last][2]);
+    return some[last];
 }
 
 }  // namespace

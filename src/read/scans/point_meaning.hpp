@@ -15,6 +15,9 @@
 
 namespace relidar::read {
 
+/// Returns the positions of all points. A missing coordinate is 0.
+std::vector<glm::vec3> read_positions(const PointTable& table);
+
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable

@@ -13,7 +13,6 @@
 
 namespace relidar::read {
 
-/// Orders of the quaternion in a pose file.
 inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy qz qw";
 
 /// One meaning of the numbers in a pose file.

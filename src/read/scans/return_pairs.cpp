@@ -33,15 +33,6 @@ constexpr std::size_t kNoPoint = SIZE_MAX;  // no point
 
 using RayKey = std::pair<double, double>;  // ring and time
 
-std::vector<glm::vec3> read_positions(const PointTable& table) {
-    std::vector<glm::vec3> points(table.n, glm::vec3(0.0f));
-    constexpr std::array kAxisAttributes = {PointAttribute::x, PointAttribute::y, PointAttribute::z};
-    for (int axis = 0; axis < 3; ++axis)
-        if (const PointFieldView* field = table.find_field(kAxisAttributes[std::size_t(axis)]))
-            field->for_each(table.n, [&](std::size_t i, double value) { points[i][axis] = float(value); });
-    return points;
-}
-
 /// Returns ring and time of each point, or nothing if a field is missing.
 std::vector<RayKey> read_ray_keys(const PointTable& table) {
     const PointFieldView *ring = table.find_field(PointAttribute::ring),
@@ -173,6 +164,15 @@ UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
 }
 
 }  // namespace
+
+std::vector<glm::vec3> read_positions(const PointTable& table) {
+    std::vector<glm::vec3> points(table.n, glm::vec3(0.0f));
+    constexpr std::array kAxisAttributes = {PointAttribute::x, PointAttribute::y, PointAttribute::z};
+    for (int axis = 0; axis < 3; ++axis)
+        if (const PointFieldView* field = table.find_field(kAxisAttributes[std::size_t(axis)]))
+            field->for_each(table.n, [&](std::size_t i, double value) { points[i][axis] = float(value); });
+    return points;
+}
 
 UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds) {
     UnnumberedReturns returns;

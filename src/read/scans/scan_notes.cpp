@@ -36,7 +36,7 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
         add(fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
                         plan.sensor.beams.size(), plan.sensor.columns,
                         plan.has_rings ? "" : ", which have no rings",
-                        plan.rings == RingSource::order ? "; their order in the file shows the rings" : ""));
+                        plan.order ? "; their order in the file shows the rings" : ""));
     else if (plan.is_ordered && !plan.has_rings)
         add("the points have no rings; each point is assigned to the beam with the nearest elevation");
     if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)

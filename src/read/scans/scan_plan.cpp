@@ -21,13 +21,11 @@ bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     // The order fails for Ouster LiDARs, because their rings begin at different azimuths.
     if (const std::vector<Beam> beams = estimate_beams(samples); !beams.empty()) {
         for (LidarPoints& sample : samples) assign_rings(sample, beams);
-        plan.rings = RingSource::elevation;
         return true;
     }
     const RingOrderDetector order(samples);
     if (!order.is_ring_by_ring()) return false;
     for (LidarPoints& sample : samples) order.number_rings(sample);
-    plan.rings = RingSource::order;
     plan.order = order;
     return true;
 }
@@ -148,7 +146,6 @@ ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double
         for (std::size_t k = 0; k < n; ++k)
             // Beams are sorted from the highest to the lowest.
             plan.beam_of_ring.push_back(std::uint16_t(layout.lowest_first ? n - 1 - k : k));
-        if (!plan.has_rings) plan.rings = RingSource::elevation;
     } else if (layout.spins && !samples.empty()) {
         fit_sensor(plan, samples);
     }

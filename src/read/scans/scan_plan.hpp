@@ -51,9 +51,6 @@ struct ScanLayout {
     bool is_described = false;
 };
 
-/// Where the ring of a point comes from.
-enum class RingSource { file, elevation, order };
-
 /// Recovered firing times of the points of a LiDAR, and where the rings for this come
 /// from.
 struct FiringPlan {
@@ -76,11 +73,10 @@ struct ScanPlan {
     bool is_fitted = false;                     ///< true if the sensor was fitted to the points
     bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
     bool undo = false;                          ///< true: motion compensation is undone
-    RingSource rings = RingSource::file;
     /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
     /// ignored
     std::vector<std::uint16_t> beam_of_ring;
-    std::optional<RingOrderDetector> order;  ///< finds rings for RingSource::order
+    std::optional<RingOrderDetector> order;  ///< finds rings by the order of the file, not by elevation
     std::string problem;                     ///< why no sensor fits the points of a LiDAR that may spin
     bool is_contradiction = false;           ///< true if the problem contradicts a text
 };
@@ -93,7 +89,6 @@ struct TimeLimits {
 /// @param sweep_s  duration of a sweep
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
 
-/// Returns the median time between consecutive frames of a LiDAR, if it has several.
 std::optional<double> median_step_s(const Log& sequence, int lidar);
 /// Returns the duration of a revolution: the known one, or the median time between frames
 /// divided by the number of revolutions if the log has only every n-th scan.

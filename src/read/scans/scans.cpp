@@ -246,14 +246,6 @@ void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns
     scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
-/// Sets a ray without a return. It gets the origin and direction of the ideal beam, and
-/// its range stays 0.
-void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad) {
-    const BeamRay model = beam.compute_ray(head_azimuth_rad);
-    scan.rays.origin[ray] = glm::vec3(model.origin_m);
-    scan.rays.direction[ray] = glm::vec3(model.direction);
-}
-
 /// Sets the direction and the range of a ray with a return. The direction is from the
 /// beam's origin to the point. Returns false and sets nothing if the point is too close
 /// to the origin.
@@ -325,8 +317,12 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
             scan.rays.channel[at] = std::uint16_t(ring);
             const int first = assigned.by_return[0].point_index_at(ring, firing);
             if (first == kNoPointIndex ||
-                !set_ray(scan, at, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first)))
-                set_dropped_ray(scan, at, beams[ring], firing_rad[firing]);
+                !set_ray(scan, at, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first))) {
+                // A dropped ray is that of the ideal beam, and its range stays 0.
+                const BeamRay model = beams[ring].compute_ray(firing_rad[firing]);
+                scan.rays.origin[at] = glm::vec3(model.origin_m);
+                scan.rays.direction[at] = glm::vec3(model.direction);
+            }
             for (std::size_t number = 1; number < assigned.by_return.size(); ++number)
                 if (const int i = assigned.by_return[number].point_index_at(ring, firing); i != kNoPointIndex)
                     set_second(scan, at, points, std::size_t(i));

@@ -79,7 +79,6 @@ public:
         : sequence_(sequence), files_(files), format_(format) {}
 
     std::string frame_name(std::size_t index) const override { return files_[index].string(); }
-    bool stores_points(std::size_t) const override { return true; }
     LidarPoints read_points(std::size_t index) const override {
         read::PointTable table = read::read_point_file(files_[index], format_.units.columns);
         if (format_.complete) format_.complete(table, frame_name(index));
@@ -94,9 +93,6 @@ public:
         }
         if (!format_.beams.empty()) assign_rings(points, format_.beams);
         return points;
-    }
-    Scan read_rays(std::size_t index) const override {
-        fail("{}: the scan has no points, expected at least one", frame_name(index));
     }
 
 private:
