@@ -109,15 +109,13 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
         fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
         const std::string ending = strip_packed(file).extension().string();
-        if (is_pcap_file(file)) {
-            files_.push_back(open_pcap_file(file));
-            continue;
-        }
         const UnpackedFile unpacked(file);
-        const std::string problem = fmt::format("{}: the compressed data are truncated", file.string());
+        const std::string problem =
+            fmt::format("{}: the compressed data (gzip or zstd) are truncated", file.string());
         if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
         if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
-        if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
+        if (is_pcap_file(file)) files_.push_back(open_pcap_file(unpacked.path(), file));
+        else if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
         else if (ending == ".db3") files_.push_back(open_sqlite_bag(unpacked.path()));
         else files_.push_back(open_mcap_file(unpacked.path(), skip_broken));
     }

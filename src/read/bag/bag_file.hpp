@@ -77,6 +77,12 @@ public:
         const MessageCallback& message_callback;
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;  ///< receives the fraction of the file that has been read
+
+        /// Passes on a message, without its bytes if its topic is not requested.
+        void pass(const TopicTable& topics, BagMessage message) const {
+            if (!topic_filter(topics.topics()[message.topic])) message.bytes = {};
+            message_callback(message);
+        }
     };
     /// Reads all messages in file order.
     /// @throws DataError with the problem and its byte offset
@@ -105,7 +111,8 @@ protected:
 
 /// @param skip_damaged_chunks  skip damaged chunks with a note, instead of an error
 std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool skip_damaged_chunks);
-std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file);
+/// @param name  file of the user, of which `file` may be an unpacked copy
+std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file, const std::filesystem::path& name);
 std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks);
 std::unique_ptr<BagFile> open_sqlite_bag(const std::filesystem::path& file);
 

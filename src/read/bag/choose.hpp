@@ -7,6 +7,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "read/bag/survey.hpp"
@@ -26,6 +27,12 @@ std::vector<MessageTimes> list_times(const Entries& entries) {
 /// @param messages  in the order of their recording times
 const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
 
+/// Returns true for usual names of world frames. Clouds in such a frame are maps, not
+/// scans.
+inline bool is_world_frame(std::string_view frame) {
+    return frame == "map" || frame == "odom" || frame == "world" || frame == "earth";
+}
+
 struct ClockOffset {
     std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
     /// Change of the offset from the begin to the end of the recording. 0 if it is small.
@@ -33,7 +40,6 @@ struct ClockOffset {
     /// True if the offset is certain. Otherwise, late messages are also possible.
     bool is_clear = false;
 
-    /// Returns the offset that corrects time stamps: 0 if the offset is not certain.
     std::int64_t correction_ns() const { return is_clear ? offset_ns : 0; }
     /// Returns the offset with its usual cause, for example "37.000 s ahead of the time
     /// stamps of the poses (TAI minus UTC is 37 s)".

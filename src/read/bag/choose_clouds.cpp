@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <map>
 
@@ -99,30 +98,25 @@ double score_raw_data(const CloudTopic& cloud_topic) {
            std::log10(1.0 + double(cloud_topic.median_points()));
 }
 
-// Usual names of frames. Clouds in a world frame are maps, not scans.
-constexpr std::array kOfWorld = {"map", "odom", "world", "earth"},
-                     kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
-
-template <std::size_t N>
-bool has_frame_in(const CloudTopic& cloud_topic, const std::array<const char*, N>& frame_names) {
-    return std::ranges::find(frame_names, cloud_topic.frame) != frame_names.end();
+/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
+/// merged from several sensors.
+bool is_vehicle_frame(std::string_view frame) {
+    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
 }
 
-/// Returns false for clouds in the vehicle frame, which are usually merged from several
-/// sensors. Also returns false for clouds in a world frame, which are maps.
 bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
-    return !has_frame_in(cloud_topic, kOfWorld) && !has_frame_in(cloud_topic, kOfVehicle);
+    return !is_world_frame(cloud_topic.frame) && !is_vehicle_frame(cloud_topic.frame);
 }
 
 /// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
 /// frame.
 void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds, ChosenClouds& selected) {
-    if (has_frame_in(clouds, kOfWorld))
+    if (is_world_frame(clouds.frame))
         fail(
             "{}: the clouds are in the world-fixed frame '{}', expected the frame of the LiDAR (select "
             "another topic with dataset.lidars)",
             topic_name, clouds.frame);
-    if (has_frame_in(clouds, kOfVehicle))
+    if (is_vehicle_frame(clouds.frame))
         selected.notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",

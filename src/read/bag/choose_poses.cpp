@@ -106,9 +106,8 @@ std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex&
     });
     if (best != index.poses.end() && best->samples.size() >= 2)
         return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
-    for (const char* world : {"map", "odom", "world", "earth"})
-        if (outer == world && frame_path_to_root.size() > 1)
-            return make_tf_source(index.frames, frame_path_to_root, outer);
+    if (is_world_frame(outer) && frame_path_to_root.size() > 1)
+        return make_tf_source(index.frames, frame_path_to_root, outer);
     return std::nullopt;
 }
 

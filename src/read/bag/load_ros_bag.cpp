@@ -139,16 +139,14 @@ private:
                 "the frame '{}' has several parents in /tf; the parent with the most transforms is used",
                 frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
-            CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
-            if (l == clouds_.main) continue;
-            // Corrects the times of the other LiDARs, and returns a text about this.
-            add_topic_note(other,
-                           fix_clock_jumps(other.clouds, poses_.clock, list_times(main_topic().clouds)));
+            CloudTopic& topic = survey_.clouds[clouds_.lidars[l]];
+            // choose_poses() has corrected the times of the main LiDAR.
+            if (l != clouds_.main)
+                add_topic_note(topic,
+                               fix_clock_jumps(topic.clouds, poses_.clock, list_times(main_topic().clouds)));
+            add_topic_note(topic, describe_frame_ids(topic));
+            add_topic_note(topic, describe_jumps(topic));
         }
-        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            for (const std::string& text :
-                 {describe_frame_ids(cloud_topic_of(l)), describe_jumps(cloud_topic_of(l))})
-                add_topic_note(cloud_topic_of(l), text);
     }
 
     /// Each cloud of the main LiDAR starts a frame. Clouds of other LiDARs belong to the

@@ -175,10 +175,7 @@ private:
             if (channel == channels_.end())
                 fail("a message belongs to channel {}, but no earlier record describes this channel",
                      message.channel);
-            // If the topic is not requested, only the time is used.
-            const bool is_requested = callbacks.topic_filter(topics.topics()[channel->second]);
-            callbacks.message_callback({channel->second, message.log_ns,
-                                        is_requested ? message.bytes : std::string_view(), message_position});
+            callbacks.pass(topics, {channel->second, message.log_ns, message.bytes, message_position});
         }
     }
 };

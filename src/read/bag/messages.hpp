@@ -14,6 +14,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/georeference.hpp>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "read/bag/bag_file.hpp"
 #include "read/files/point_table.hpp"
@@ -93,7 +94,7 @@ class MessageReader {
 public:
     /// Creates a reader for one message. Checks the CDR header of a ROS 2 message.
     /// @throws DataError if the first bytes are not a CDR header
-    MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
+    MessageReader(std::string_view bytes, bool is_ros1) : reader_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kCdrHeaderBytes = 4;
         if (bytes.size() < kCdrHeaderBytes)
@@ -108,7 +109,7 @@ public:
                  bytes.starts_with("\x28\xb5\x2f\xfd") ? " (damaged zstd data)" : "");
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
-        bytes_ = bytes.substr(kCdrHeaderBytes);
+        reader_ = codecs::ByteReader(bytes.substr(kCdrHeaderBytes));
     }
 
     bool is_ros1() const { return is_ros1_; }
@@ -116,7 +117,8 @@ public:
 
     template <class T>
     T read_number() {
-        if (!is_ros1_) skip_padding(std::min(sizeof(T), widest_));
+        const std::size_t alignment = is_ros1_ ? 1 : std::min(sizeof(T), widest_);
+        read_bytes((alignment - reader_.position() % alignment) % alignment);  // padding
         char raw[sizeof(T)];
         std::memcpy(raw, read_bytes(sizeof(T)).data(), sizeof(T));
         if (swapped_) std::reverse(raw, raw + sizeof(T));
@@ -134,34 +136,22 @@ public:
     /// @throws DataError if the message is too short for so many entries
     std::size_t read_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
-        if (n > (bytes_.size() - at_) / min_entry_bytes)
+        if (n > remaining() / min_entry_bytes)
             fail(
                 "the message has a list of {} entries, but only {} bytes are left, expected at most {} "
                 "entries",
-                n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes);
+                n, remaining(), remaining() / min_entry_bytes);
         return n;
     }
-    std::string_view read_bytes(std::size_t n_bytes) {
-        if (n_bytes > bytes_.size() - at_)
-            fail("the message is truncated: {} bytes are left, expected {} bytes", bytes_.size() - at_,
-                 n_bytes);
-        at_ += n_bytes;
-        return bytes_.substr(at_ - n_bytes, n_bytes);
-    }
-    std::size_t remaining() const { return bytes_.size() - at_; }
+    std::string_view read_bytes(std::size_t n_bytes) { return reader_.read_bytes(n_bytes); }
+    std::size_t remaining() const { return reader_.remaining(); }
 
 private:
-    std::string_view bytes_;
-    std::size_t at_ = 0, widest_ = 8;
+    codecs::ByteReader reader_;
+    std::size_t widest_ = 8;  ///< largest alignment
     bool is_ros1_ = false, swapped_ = false;
-
-    void skip_padding(std::size_t alignment_bytes) {
-        const std::size_t beyond = at_ % alignment_bytes;
-        if (beyond != 0) read_bytes(alignment_bytes - beyond);
-    }
 };
 
-/// Reads a ROS time and converts it to nanoseconds.
 std::int64_t read_time_ns(MessageReader& reader);
 MessageHeader read_header(MessageReader& reader);
 /// Seven numbers of a pose: position x y z and quaternion x y z w.
@@ -172,7 +162,6 @@ PoseComponents read_pose(MessageReader& reader);
 Pose make_pose(const PoseComponents& position_and_quaternion);
 CloudMessage read_ros_cloud(MessageReader& reader);
 
-/// Reads a point cloud message of any supported type.
 /// @throws DataError with the name of the invalid field
 CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes);
 /// Converts a cloud to a table of points, in the units of the message.

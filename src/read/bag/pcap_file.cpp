@@ -174,31 +174,24 @@ struct ClosePcap {
 
 class PcapFile : public BagFile {
 public:
-    explicit PcapFile(const std::filesystem::path& path) : path_(path) {
+    PcapFile(const std::filesystem::path& file, const std::filesystem::path& name) : path_(name) {
         char why[PCAP_ERRBUF_SIZE] = "";
-        const UnpackedFile unpacked(path);
-        is_truncated_ = unpacked.is_truncated();
-        pcap_.reset(pcap_open_offline_with_tstamp_precision(unpacked.path().c_str(),
-                                                            PCAP_TSTAMP_PRECISION_NANO, why));
+        pcap_.reset(pcap_open_offline_with_tstamp_precision(file.c_str(), PCAP_TSTAMP_PRECISION_NANO, why));
         if (!pcap_)
             fail("{}: cannot read the capture ({}), expected packets in the format pcap or pcapng",
-                 path.string(), quote(why));
+                 path_.string(), quote(why));
         link_ = pcap_datalink(pcap_.get());
         if (std::ranges::find(kLinkTypes, link_, &LinkType::link) == std::end(kLinkTypes))
             fail("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
-                 path.string(), link_);
+                 path_.string(), link_);
         begin_ = tell();
-        bytes_ = std::filesystem::file_size(unpacked.path());
+        bytes_ = std::filesystem::file_size(file);
     }
 
     void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
         ousters_ = packets::read_metadata_files(strip_packed(path_), broken);
-        if (is_truncated_)
-            callbacks.note(fmt::format(
-                "{}: the compressed data (gzip or zstd) are damaged or truncated; later packets are missing",
-                path_.string()));
         for (const std::string& text : broken) callbacks.note(text);
         streams_.clear();
         seek_to_byte(begin_);
@@ -281,7 +274,6 @@ private:
     packets::MetadataList ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
     std::uint64_t bytes_ = 0;
-    bool is_truncated_ = false;  ///< true if the capture was compressed and its end is missing
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
     int link_ = 0;
     std::uint64_t begin_ = 0;
@@ -428,8 +420,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file) {
-    return std::make_unique<PcapFile>(file);
+std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file,
+                                        const std::filesystem::path& name) {
+    return std::make_unique<PcapFile>(file, name);
 }
 
 }  // namespace relidar::bag

@@ -6,11 +6,11 @@
 
 namespace relidar::bag {
 
-std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file) {
+std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path&, const std::filesystem::path& name) {
     fail<UsageError>(
         "{}: found a capture of packets, but this relidar was built without the reader of captures; install "
         "libpcap-dev, and build relidar again with RELIDAR_PCAP=ON",
-        file.string());
+        name.string());
 }
 
 }  // namespace relidar::bag

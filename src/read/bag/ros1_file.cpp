@@ -93,7 +93,6 @@ public:
     }
 
 private:
-    /// Header of a record in a ROS 1 bag, and the position of its data.
     struct Ros1RecordExtent {
         SharedBytes header;
         std::uint64_t data_at = 0;
@@ -170,9 +169,8 @@ private:
         codecs::ByteReader time(record_header.text_field("time"));
         const auto seconds = time.read_number<std::uint32_t>(),
                    nanoseconds = time.read_number<std::uint32_t>();
-        const bool is_requested = callbacks.topic_filter(topics.topics()[connection->second]);
-        callbacks.message_callback({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
-                                    is_requested ? record_data : std::string_view(), message_position});
+        callbacks.pass(topics, {connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
+                                record_data, message_position});
     }
 };
 

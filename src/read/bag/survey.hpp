@@ -18,7 +18,6 @@
 
 namespace relidar::bag {
 
-/// The clock that defines all times of a log.
 enum class LogClock {
     stamps,  ///< time stamps in the message headers, which are the times of measurement
     /// Times at which the recorder received the messages. Used if the clocks of sensors
@@ -26,7 +25,6 @@ enum class LogClock {
     recorder
 };
 
-/// Time stamp and recording time of a message.
 struct MessageTimes {
     std::int64_t stamp_ns = 0, log_ns = 0;
 
@@ -77,7 +75,6 @@ public:
     /// Returns the pose of frame `source` in frame `target`. Returns nothing
     /// if a transform between the frames is missing or changes over time.
     std::optional<Pose> find_constant(const std::string& target, const std::string& source) const;
-    /// Returns the pose of a frame in one of its ancestor frames, in log time.
     TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                               LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns nothing if no transforms connect the two frames.
@@ -153,7 +150,6 @@ struct CloudEntry : MessageTimes {
     std::int64_t correction_ns = 0;
 };
 
-/// The clouds of a LiDAR on a topic.
 struct CloudTopic {
     std::size_t topic = 0;
     /// CloudMessage::lidar; empty if the topic has one LiDAR
@@ -234,7 +230,6 @@ std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex
 // The following texts are empty if there is nothing to report.
 /// Describes missing sweeps, which cause time steps that are much longer than usual.
 std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep_period_s);
-/// Describes clouds that have another frame than the first cloud of the topic.
 std::string describe_frame_ids(const CloudTopic& cloud_topic);
 /// Describes time stamps that decrease, or that jump relative to the recording times.
 std::string describe_jumps(const CloudTopic& cloud_topic);
