@@ -10,7 +10,7 @@
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/traversal.hpp>
 
-#include "../../reference/chamfer.hpp"
+#include "../../reference/loss.hpp"
 #include "../../support/device.hpp"
 #include "../../support/floats.hpp"
 #include "../../support/gradient_check.hpp"
