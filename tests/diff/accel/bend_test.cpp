@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks walking actors, whose limbs move (kernels diff/accel/proxies,
 // diff/accel/bvh_refit).
-#include <cstring>
 #include <random>
 #include <vector>
 
@@ -30,15 +29,7 @@ protected:
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (GaitPhaseWindow& gait : surfels.gait)
             gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
-        Scene scene = wrap_background(surfels);
-        scene.models.clear();
-        scene.instances.clear();
-        std::uint32_t first = 0;
-        for (const std::uint32_t count : {900u, 300u, 400u, 0u, 100u, 300u}) {
-            scene.instances.push_back({std::uint32_t(scene.models.size()), ""});
-            scene.models.push_back({"model " + std::to_string(scene.models.size()), first, count});
-            first += count;
-        }
+        Scene scene = test::make_scene_of_sizes(surfels, {900, 300, 400, 0, 100, 300});
         for (const std::size_t m : {2u, 4u, 5u}) scene.models[m].stride_m = 1.4f;
         return scene;
     }
@@ -52,44 +43,28 @@ protected:
 TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     const Scene scene = make_walkers(PrimitiveType::surfel);
     const std::vector<SurfelRange> walkers{{kFirstWalker, 400}, {kFirstWalker + 400, 400}};
-    struct Placed {
-        DeviceScene scene;
-        Bvh bvh;
-        Stream stream;
-        void place(double turns) {
-            scene.stage_poses(stream, list_poses_at_phase(scene.layout(), turns));
-            scene.activate(stream, {}, glm::vec3(0.0f));
-        }
-        Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            place(0.0);
-            bvh.build_trees(stream, scene, {});
-            stream.submit_and_wait();
-        }
-        HostBvhCopy at(double turns, const std::vector<SurfelRange>& ranges) {
-            place(turns);
-            bvh.refit_trees(stream, scene, {}, ranges);
-            stream.submit_and_wait();
-            return bvh.download_bvh();
-        }
+    test::DeviceBvh some(device(), scene), all(device(), scene);
+    const auto refit_at = [&](test::DeviceBvh& built, double turns, const SurfelRanges& ranges) {
+        built.scene.stage_poses(built.stream, list_poses_at_phase(scene, turns));
+        return built.refit(ranges);
     };
-    Placed some(device(), scene), all(device(), scene);
+    for (test::DeviceBvh* built : {&some, &all}) {
+        built->scene.stage_poses(built->stream, list_poses_at_phase(scene, 0.0));
+        built->build();
+    }
     const HostBvhCopy before = some.bvh.download_bvh();
     // Runs several launches in a row, because no launch may leave data behind that
     // changes the next launch.
     for (const double turns : {0.3, 0.7, 0.0, 0.45}) {
-        const HostBvhCopy a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
-        ASSERT_EQ(a.nodes.size(), b.nodes.size());
-        EXPECT_EQ(std::memcmp(a.nodes.data(), b.nodes.data(), a.nodes.size() * sizeof(shared::BvhNode)), 0)
-            << turns << " turns";
+        const HostBvhCopy a = refit_at(some, turns, walkers), b = refit_at(all, turns, {{0, kSurfels}});
+        EXPECT_TRUE(test::are_equal(a.nodes, b.nodes)) << turns << " turns";
         EXPECT_EQ(a.boxes, b.boxes) << turns << " turns";
-        EXPECT_EQ(
-            std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)),
-            0);
+        EXPECT_TRUE(test::are_equal(a.top_nodes, b.top_nodes)) << turns << " turns";
     }
     Surfels elsewhere = scene.surfels;
     for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
     some.scene.surfel_parameters().upload(elsewhere);
-    const HostBvhCopy after = some.at(0.0, walkers);
+    const HostBvhCopy after = refit_at(some, 0.0, walkers);
     for (std::uint32_t i = 0; i < kSurfels; ++i) {  // surfels outside the requested range must not change
         if (test::compute_surfel_box(before, i).empty()) continue;
         EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;

@@ -4,7 +4,6 @@
 // bvh_cost).
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <random>
 #include <set>
@@ -16,6 +15,9 @@
 
 namespace relidar {
 namespace {
+
+using test::DeviceBvh;
+using test::make_scene_of_sizes;
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
@@ -36,44 +38,13 @@ Surfels make_random_surfels(std::uint32_t count, std::uint32_t seed = 1) {
     return s;
 }
 
-Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
-    Scene scene = wrap_background(surfels);
-    scene.models.clear();
-    scene.instances.clear();
-    std::uint32_t first = 0;
-    for (const std::uint32_t size : sizes) {
-        scene.instances.push_back({std::uint32_t(scene.models.size()), ""});
-        scene.models.push_back({"model " + std::to_string(scene.models.size()), first, size});
-        first += size;
-    }
-    return scene;
-}
-
 class BvhBuild : public test::DeviceTest {
 protected:
-    struct Built {
-        DeviceScene scene;
-        Bvh bvh;
-        Stream stream;
-        Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {}
-        HostBvhCopy build() {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.build_trees(stream, scene, {});
-            stream.submit_and_wait();
-            return bvh.download_bvh();
-        }
-        HostBvhCopy refit() {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.refit_trees(stream, scene, {}, {{0, scene.size()}});
-            stream.submit_and_wait();
-            return bvh.download_bvh();
-        }
-        double cost() {
-            bvh.measure_cost(stream);
-            stream.submit_commands();
-            return bvh.read_cost(stream).value();
-        }
-    };
+    static double compute_cost(DeviceBvh& built) {
+        built.bvh.measure_cost(built.stream);
+        built.stream.submit_commands();
+        return built.bvh.read_cost(built.stream).value();
+    }
 
     static void expect_valid_tree(const HostBvhCopy& host, const Scene& layout,
                                   const std::string& description) {
@@ -98,7 +69,7 @@ protected:
     }
 
     void expect_valid_tree(const Surfels& surfels, const std::string& description) {
-        Built built(device(), wrap_background(surfels));
+        DeviceBvh built(device(), wrap_background(surfels));
         expect_valid_tree(built.build(), built.scene.layout(), description);
     }
 };
@@ -140,7 +111,7 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
         if (i % 4 == 2) s.opacity_logit[i] = -30.0f;
         if (i % 4 == 3) s.mean[i].z = -kInf;
     }
-    Built built(device(), wrap_background(s));
+    DeviceBvh built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
     expect_valid_tree(host, built.scene.layout(), "a third is hidden");
     for (std::uint32_t i = 0; i < n; ++i) {
@@ -152,7 +123,8 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
     built.scene.surfel_parameters().upload(gone);
     expect_valid_tree(built.build(), built.scene.layout(), "all are hidden");
     built.scene.surfel_parameters().upload(make_random_surfels(n));
-    expect_valid_tree(built.refit(), built.scene.layout(), "all come back with a refit");
+    expect_valid_tree(built.refit({{0, built.scene.size()}}), built.scene.layout(),
+                      "all come back with a refit");
 }
 
 TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
@@ -168,44 +140,42 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     for (const std::uint32_t size : sizes) n += size;
     for (const std::vector<std::uint32_t>& some :
          {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
-        Built built(device(), scene_of(make_random_surfels(n), some));
+        DeviceBvh built(device(), make_scene_of_sizes(make_random_surfels(n), some));
         expect_valid_tree(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
     }
     // a surfel belongs to no model
-    EXPECT_THROW(Built(device(), scene_of(make_random_surfels(10), {4, 5})), DataError);
+    EXPECT_THROW(DeviceBvh(device(), make_scene_of_sizes(make_random_surfels(10), {4, 5})), DataError);
 }
 
 TEST_F(BvhBuild, RefitFollowsTheSurfels) {
     constexpr std::uint32_t n = 10'007;
     Surfels s = make_random_surfels(n);
-    Built built(device(), scene_of(s, {6000, 1, 0, 4006}));
+    DeviceBvh built(device(), make_scene_of_sizes(s, {6000, 1, 0, 4006}));
     const HostBvhCopy before = built.build();
-    const double cost = built.cost();
+    const double cost = compute_cost(built);
     std::mt19937 random(5);
     std::normal_distribution<float> normal;
     for (int step = 0; step < 3; ++step) {
         for (glm::vec3& mean : s.mean) mean += glm::vec3(normal(random), normal(random), normal(random));
         built.scene.surfel_parameters().upload(s);
-        const HostBvhCopy after = built.refit();
+        const HostBvhCopy after = built.refit({{0, built.scene.size()}});
         expect_valid_tree(after, built.scene.layout(), "refit");
         EXPECT_EQ(after.order, before.order);
         EXPECT_EQ(after.nodes.size(), before.nodes.size());
     }
-    const double refitted = built.cost();
+    const double refitted = compute_cost(built);
     EXPECT_GT(refitted, 1.2 * cost);
     expect_valid_tree(built.build(), built.scene.layout(), "rebuilt");
-    EXPECT_LT(built.cost(), 0.9 * refitted);
+    EXPECT_LT(compute_cost(built), 0.9 * refitted);
 }
 
 TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
-    const Scene scene = scene_of(make_random_surfels(20'000), {15'000, 20, 4'980});
-    Built a(device(), scene), b(device(), scene);
-    const HostBvhCopy first = a.build(), second = b.build(), third = a.build(), refitted = a.refit();
+    const Scene scene = make_scene_of_sizes(make_random_surfels(20'000), {15'000, 20, 4'980});
+    DeviceBvh a(device(), scene), b(device(), scene);
+    const HostBvhCopy first = a.build(), second = b.build(), third = a.build(),
+                      refitted = a.refit({{0, 20'000}});
     for (const HostBvhCopy& other : {second, third, refitted}) {
-        ASSERT_EQ(first.nodes.size(), other.nodes.size());
-        EXPECT_EQ(
-            std::memcmp(first.nodes.data(), other.nodes.data(), first.nodes.size() * sizeof(shared::BvhNode)),
-            0);
+        EXPECT_TRUE(test::are_equal(first.nodes, other.nodes));
         EXPECT_EQ(first.order, other.order);
         EXPECT_EQ(first.roots, other.roots);
     }
@@ -228,7 +198,7 @@ test::HostBox compute_expected_box(const Surfels& surfels, std::size_t index) {
 
 TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
     const Surfels s = make_random_surfels(2'000);
-    Built built(device(), wrap_background(s));
+    DeviceBvh built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
     int n_checked = 0;
     for (std::size_t i = 0; i < s.size(); ++i) {
@@ -246,7 +216,7 @@ TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
 TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     constexpr std::uint32_t n = 5'000;
     const Surfels s = make_random_surfels(n);
-    Built built(device(), wrap_background(s));
+    DeviceBvh built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
     std::mt19937 random(6);
     std::uniform_real_distribution<double> unit(0.0, 1.0);

@@ -2,7 +2,6 @@
 // Checks the tree over the instances (diff/accel/bvh_top) after instances were placed,
 // moved and removed.
 #include <algorithm>
-#include <cstring>
 #include <random>
 
 #include "../../support/device.hpp"
@@ -10,6 +9,8 @@
 
 namespace relidar {
 namespace {
+
+using test::DeviceBvh;
 
 Surfels make_some_surfels(std::uint32_t count, std::mt19937& random) {
     std::normal_distribution<float> normal;
@@ -47,28 +48,12 @@ Scene make_scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
 
 class BvhTop : public test::DeviceTest {
 protected:
-    struct Built {
-        DeviceScene scene;
-        Bvh bvh;
-        Stream stream;
-        Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.build_trees(stream, scene, {});
-            stream.submit_and_wait();
-        }
-        HostBvhCopy move(const std::vector<InstancePose>& poses) {
-            scene.stage_poses(stream, poses);
-            bvh.rebuild_top_level(stream, scene);
-            stream.submit_and_wait();
-            return bvh.download_bvh();
-        }
-        bool is_there(std::size_t index) const {
-            return scene.poses()[index].present &&
-                   scene.layout().models[scene.layout().instances[index].model].count > 0;
-        }
-    };
+    static bool is_there(const DeviceBvh& built, std::size_t index) {
+        const Scene& layout = built.scene.layout();
+        return built.scene.poses()[index].present && layout.models[layout.instances[index].model].count > 0;
+    }
 
-    static void check_node(const Built& built, const HostBvhCopy& host, std::uint32_t index,
+    static void check_node(const DeviceBvh& built, const HostBvhCopy& host, std::uint32_t index,
                            std::vector<int>& visits, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
         const auto slots = test::list_slots(host.top_nodes[index]);
@@ -90,7 +75,8 @@ protected:
 
     /// Computes the world box of an instance in double. The box contains the corners of
     /// all surfel boxes of the model at the pose of the instance.
-    static test::HostBox make_world_box(const Built& built, const HostBvhCopy& host, std::uint32_t instance) {
+    static test::HostBox make_world_box(const DeviceBvh& built, const HostBvhCopy& host,
+                                        std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const SurfelModel& model = layout.models[layout.instances[instance].model];
         test::HostBox box;
@@ -107,15 +93,15 @@ protected:
         return box;
     }
 
-    static void expect_valid_tree(const Built& built, const HostBvhCopy& host,
+    static void expect_valid_tree(const DeviceBvh& built, const HostBvhCopy& host,
                                   const std::string& description) {
         SCOPED_TRACE(description);
         std::vector<int> instance_visit_counts(host.top_order.size(), 0);
         test::HostBox real;
         check_node(built, host, 0, instance_visit_counts, real);
         for (std::size_t i = 0; i < instance_visit_counts.size(); ++i) {
-            EXPECT_EQ(instance_visit_counts[i], built.is_there(i) ? 1 : 0) << "instance " << i;
-            EXPECT_EQ(host.roots[i] == RELIDAR_BVH_NO_NODE, !built.is_there(i)) << "instance " << i;
+            EXPECT_EQ(instance_visit_counts[i], is_there(built, i) ? 1 : 0) << "instance " << i;
+            EXPECT_EQ(host.roots[i] == RELIDAR_BVH_NO_NODE, !is_there(built, i)) << "instance " << i;
         }
     }
 };
@@ -123,7 +109,8 @@ protected:
 TEST_F(BvhTop, EveryInstanceIsWhereItStands) {
     std::mt19937 random(1);
     for (const std::uint32_t n : {1u, 2u, 8u, 9u, 64u, 65u, 200u, 1000u}) {
-        Built built(device(), make_scene_of_instances(n, random));
+        DeviceBvh built(device(), make_scene_of_instances(n, random));
+        built.build();
         expect_valid_tree(built, built.move(make_random_poses(n, random)), std::to_string(n) + " instances");
         expect_valid_tree(built, built.move(make_random_poses(n, random, 1e5)),
                           std::to_string(n) + " instances, far away");
@@ -139,13 +126,13 @@ TEST_F(BvhTop, EveryInstanceIsWhereItStands) {
 
 TEST_F(BvhTop, MovesAreRepeatable) {
     std::mt19937 random(2);
-    Built built(device(), make_scene_of_instances(100, random));
+    DeviceBvh built(device(), make_scene_of_instances(100, random));
+    built.build();
     const std::vector<InstancePose> poses = make_random_poses(100, random);
     const HostBvhCopy a = built.move(poses);
     built.move(make_random_poses(100, random));
     const HostBvhCopy b = built.move(poses);
-    EXPECT_EQ(
-        std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
+    EXPECT_TRUE(test::are_equal(a.top_nodes, b.top_nodes));
     EXPECT_EQ(a.top_order, b.top_order);
 }
 

@@ -3,6 +3,7 @@
 
 #include <bit>
 #include <cmath>
+#include <cstring>
 
 #include <fmt/format.h>
 
@@ -113,6 +114,44 @@ std::string find_fault_of_tree(const HostBvhCopy& bvh, std::uint32_t root, const
         if (check.surfel_visit_counts[i] != 1)
             return fmt::format("surfel {} of {} is in no leaf", i, model.count);
     return "";
+}
+
+Scene make_scene_of_sizes(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
+    Scene scene = wrap_background(surfels);
+    scene.models.clear();
+    scene.instances.clear();
+    std::uint32_t first = 0;
+    for (const std::uint32_t size : sizes) {
+        scene.instances.push_back({std::uint32_t(scene.models.size()), ""});
+        scene.models.push_back({"model " + std::to_string(scene.models.size()), first, size});
+        first += size;
+    }
+    return scene;
+}
+
+HostBvhCopy DeviceBvh::build() {
+    scene.activate(stream, {}, glm::vec3(0.0f));
+    bvh.build_trees(stream, scene, {});
+    stream.submit_and_wait();
+    return bvh.download_bvh();
+}
+
+HostBvhCopy DeviceBvh::refit(const SurfelRanges& ranges) {
+    scene.activate(stream, {}, glm::vec3(0.0f));
+    bvh.refit_trees(stream, scene, {}, ranges);
+    stream.submit_and_wait();
+    return bvh.download_bvh();
+}
+
+HostBvhCopy DeviceBvh::move(const std::vector<InstancePose>& poses) {
+    scene.stage_poses(stream, poses);
+    bvh.rebuild_top_level(stream, scene);
+    stream.submit_and_wait();
+    return bvh.download_bvh();
+}
+
+bool are_equal(const std::vector<shared::BvhNode>& a, const std::vector<shared::BvhNode>& b) {
+    return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(shared::BvhNode)) == 0;
 }
 
 bool meets(const HostRay& ray, const HostBox& box) {

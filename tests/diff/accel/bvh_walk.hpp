@@ -50,6 +50,23 @@ std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node);
 std::string find_fault_of_tree(const HostBvhCopy& bvh, std::uint32_t root, const SurfelModel& model,
                                std::vector<int>& visits);
 
+/// Returns a scene with a model and an instance for each consecutive range of surfels.
+Scene make_scene_of_sizes(const Surfels& surfels, const std::vector<std::uint32_t>& sizes);
+
+/// Scene on the device with its trees.
+struct DeviceBvh {
+    DeviceScene scene;
+    Bvh bvh;
+    Stream stream;
+
+    DeviceBvh(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {}
+    HostBvhCopy build();
+    HostBvhCopy refit(const SurfelRanges& ranges);
+    HostBvhCopy move(const std::vector<InstancePose>& poses);
+};
+
+bool are_equal(const std::vector<shared::BvhNode>& a, const std::vector<shared::BvhNode>& b);
+
 struct HostRay {
     glm::dvec3 origin, direction;
 };

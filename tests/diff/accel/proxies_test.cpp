@@ -95,51 +95,29 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     }
 }
 
+/// Rays just inside of the rim must hit, and rays just outside must not.
+void expect_rim(Device& device, const Surfels& surfel, float opacity, const ImageModel& model = {}) {
+    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
+        Renderer renderer(device, wrap_background(surfel), model, {.accel = {.proxy = proxy}});
+        renderer.update(glm::vec3(0.0f));
+        for (const auto& [factor, expected] : {std::pair{0.999, 1u}, {1.001, 0u}})
+            for (const std::uint32_t n :
+                 renderer.render_rays(make_rim_rays(opacity, factor, double(model.alpha_min))).hits)
+                EXPECT_EQ(n, expected) << "opacity " << opacity << ", alpha_min " << model.alpha_min;
+    }
+}
+
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
-    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
-        for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
-            Renderer renderer(device(), wrap_background(make_one_surfel(opacity)), {},
-                              {.accel = {.proxy = proxy}});
-            renderer.update(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
-                EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
-                EXPECT_EQ(n, 0u) << "opacity " << opacity;
-        }
+    for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f})
+        expect_rim(device(), make_one_surfel(opacity), opacity);
+    for (const float opacity : {0.005f, 0.1f, 0.999f})
+        expect_rim(device(), make_one_gaussian(opacity), opacity, {.primitive = PrimitiveType::gaussian});
+    for (const float alpha_min : {1e-4f, 0.05f})
+        expect_rim(device(), make_one_surfel(0.6f), 0.6f, {.alpha_min = alpha_min});
     // A surfel whose opacity is below the smallest blended opacity has no proxy.
     Renderer renderer(device(), wrap_background(make_one_surfel(1.0f / 256.0f)), {});
     renderer.update(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
-}
-
-TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
-    ImageModel model;
-    model.primitive = PrimitiveType::gaussian;
-    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
-        for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Renderer renderer(device(), wrap_background(make_one_gaussian(opacity)), model,
-                              {.accel = {.proxy = proxy}});
-            renderer.update(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
-                EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
-                EXPECT_EQ(n, 0u) << "opacity " << opacity;
-        }
-}
-
-TEST_F(Proxies, FollowTheCutOfTheImageModel) {
-    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
-        for (const float alpha_min : {1e-4f, 0.05f}) {
-            ImageModel model;
-            model.alpha_min = alpha_min;
-            Renderer renderer(device(), wrap_background(make_one_surfel(0.6f)), model,
-                              {.accel = {.proxy = proxy}});
-            renderer.update(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
-                EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
-            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
-                EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
-        }
 }
 
 TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
