@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Common header of all kernels of the library: the interface that kernels of programs
-// use, too, the specialisation constants, and optional features. A kernel that does not use
-// a feature also runs on devices without it.
+// use, too, the specialisation constants, and optional features. A kernel that does not
+// use a feature also runs on devices without it.
 #ifndef RELIDAR_INCLUDED_BASE_LIBRARY_KERNEL_GLSL
 #define RELIDAR_INCLUDED_BASE_LIBRARY_KERNEL_GLSL
 #extension GL_EXT_shader_atomic_float : enable

@@ -12,7 +12,6 @@
 #include "base/fail.hpp"
 
 #include "gpu/external_memory.hpp"
-#include "gpu/transfers.hpp"
 
 namespace relidar {
 

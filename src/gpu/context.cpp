@@ -13,9 +13,9 @@
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "base/fail.hpp"
+#include "gpu/buffer.hpp"
 #include "gpu/external_memory.hpp"
 #include "gpu/pipeline_cache.hpp"
-#include "gpu/transfers.hpp"
 #include "gpu/trust.hpp"
 
 namespace relidar::gpu {

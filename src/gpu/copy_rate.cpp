@@ -54,8 +54,6 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
 
 }  // namespace
 
-/// Returns bytes read and written per second. Starts with 256 MiB, which is larger than
-/// any cache, and tries smaller arrays if memory is short.
 std::optional<double> measure_bandwidth(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {

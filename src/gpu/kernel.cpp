@@ -325,4 +325,17 @@ KernelVariant atomic_variant(const Device& device, const KernelVariant& base_var
     return KernelVariant(base_variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }
 
+std::size_t validation_count(const Device& device) {
+    return device.impl().instance ? device.impl().instance->n_messages.load() : 0;
+}
+
+ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced)
+    : device_(device), before_(std::exchange(device.impl().forced, forced)) {}
+ForcedBehaviourScope::~ForcedBehaviourScope() { device_.impl().forced = before_; }
+
+bool should_coalesce(const Device& device) {
+    return device.impl().forced.coalesces.value_or(device.info().type != "CPU");
+}
+bool is_brute_force(const Device& device) { return device.impl().forced.brute_force; }
+
 }  // namespace relidar

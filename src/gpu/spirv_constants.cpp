@@ -7,7 +7,6 @@
 #include <optional>
 
 #include "gpu/spirv.hpp"
-#include "gpu/spirv_words.hpp"
 
 namespace relidar::gpu {
 

@@ -8,7 +8,6 @@
 // because `nothing` is a multiple of 256 (relidar/base/kernel.glsl).
 
 #include "gpu/spirv.hpp"
-#include "gpu/spirv_words.hpp"
 
 namespace relidar::gpu {
 

@@ -10,7 +10,6 @@
 #include <optional>
 
 #include "gpu/spirv.hpp"
-#include "gpu/spirv_words.hpp"
 
 namespace relidar::gpu {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Copies data between host and device through staging memory, at most 32 MiB at a time.
-#include "gpu/transfers.hpp"
+#include "gpu/buffer.hpp"
 
 #include <algorithm>
 #include <bit>

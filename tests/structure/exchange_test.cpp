@@ -13,7 +13,7 @@
 #include "exchange_coherent.h"
 #include "exchange_incoherent.h"
 #include "gpu/kernel.hpp"
-#include "gpu/spirv_words.hpp"
+#include "gpu/spirv.hpp"
 
 namespace relidar::structure {
 namespace {

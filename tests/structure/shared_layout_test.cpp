@@ -13,7 +13,6 @@
 
 #include "gpu/kernel.hpp"
 #include "gpu/spirv.hpp"
-#include "gpu/spirv_words.hpp"
 #include "shared_layouts.inc"
 
 namespace relidar::structure {

@@ -18,7 +18,6 @@
 #include "../traversal/shading.glsl"
 #include "../traversal/likelihood.glsl"
 #include "../../base/compensated.glsl"
-#include "facing_normal.glsl"
 #include "surfaces.glsl"
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"

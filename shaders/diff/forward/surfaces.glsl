@@ -1,9 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // Groups the hits of a ray into surfaces (docs/method.md M13). A new surface begins if
 // the distance to the previous hit exceeds a threshold. The hits are sorted by distance,
-// so one pass is enough to find the surface with the largest weight.
+// so one pass is enough to find the surface with the largest weight. Also computes the
+// normals at hits. Include this file after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
+RELIDAR_CONSTANT(uint, NORMAL, 0u);
+
+/// Returns the unit normal of a surfel in the world frame, with the sign that makes it
+/// face the sensor.
+vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
+    enter_instance(scene, ray, instance);
+    vec3 normal = scene.records.at[surfel].normal;
+    float side = exact_dot(normal, entered_direction) > 0.0 ? -1.0 : 1.0;
+    return side * rotate_to_world(scene, normal);
+}
+
 RELIDAR_CONSTANT(uint, MODE, 0u);
 
 struct Surfaces {

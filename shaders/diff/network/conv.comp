@@ -22,8 +22,18 @@ RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_CONSTANT(bool, STAGED, false);
 RELIDAR_PARAMS(ConvParams);
 #include "columns.glsl"
-#include "conv.glsl"
 #include "lanes.glsl"
+
+uint weight_index(uint out_channel, uint in_channel, uint tap) {
+    return params.transposed != 0u ? (in_channel * params.n_out + out_channel) * TAPS + (TAPS - 1u - tap)
+                                   : (out_channel * params.n_in + in_channel) * TAPS + tap;
+}
+
+void store_output(uint index, uint channel, float value) {
+    if (!is_null(params.bias)) value += params.bias.at[channel];
+    if (params.accumulate != 0u) value += params.to.values.at[index];
+    params.to.values.at[index] = value;
+}
 
 const uint kTileOutChannels = RELIDAR_CONV_OUT, kTileInChannels = RELIDAR_CONV_IN,
            kWeightRows = TAPS == 1u ? 1u : 3u, kValuesPerLane = (kTileOutChannels + LANES - 1u) / LANES;

@@ -72,7 +72,14 @@ float transmittance_limit(TraceScene scene, float transmittance_before) {
 #elif defined(RELIDAR_TRAVERSAL_SOFTWARE_BVH)
 #include "software_bvh.glsl"
 #else
-#include "brute_force.glsl"
+/// Tests every surfel of every instance. Tests compare the acceleration structures with
+/// this search.
+void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
+    for (uint instance = 0u; instance < scene.n_instances; ++instance) {
+        uint count = scene.instances.at[instance].n_surfels;
+        for (uint i = 0u; i < count; ++i) test_instance_surfel(scene, ray, previous_key, instance, i);
+    }
+}
 #endif
 
 void find_next_hits(TraceScene scene, Ray ray, HitKey previous_key, float min_transmittance) {

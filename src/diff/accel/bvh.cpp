@@ -325,8 +325,6 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     rebuild_top_level(stream, scene);
 }
 
-/// Updates the boxes of the models in `r` without changing their trees, for surfels that
-/// have moved.
 void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& r) {
     for (const auto& [first, count] : r) {
         if (count == 0) continue;

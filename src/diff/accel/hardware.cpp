@@ -316,8 +316,6 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 
 RayQueryAccel::~RayQueryAccel() = default;
 
-/// Records the build or refit of the models whose surfels are in `ranges`, and then of
-/// the top level, which contains their boxes.
 void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                                  const SurfelRanges& ranges, bool refit_only) {
     Impl& a = *impl_;

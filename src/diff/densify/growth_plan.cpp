@@ -5,8 +5,6 @@
 
 namespace relidar {
 
-/// Returns the number of new surfels that the first surfels with this total weight get.
-/// Rounding cumulative numbers distributes n_new copies evenly, with a random phase.
 std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) const {
     return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }

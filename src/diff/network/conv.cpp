@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "diff/network/conv.hpp"
+#include "diff/network/layers.hpp"
 
 #include <algorithm>
 

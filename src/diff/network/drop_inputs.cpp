@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "diff/network/drop_inputs.hpp"
+#include "diff/network/drop_network.hpp"
 
 #include <algorithm>
 #include <cmath>
-
-#include "diff/network/drop_network.hpp"
 
 namespace relidar::network {
 namespace {
@@ -25,8 +23,6 @@ Joined upload_joined_values(Device& device, std::span<const RayDropImage> images
 
 }  // namespace
 
-/// Returns scale and shift of each channel, so that its values over all images have the
-/// mean 0 and the standard deviation 1. A constant channel gets the scale 0.
 std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels) {
     std::vector<float> scale_shift;
     for (std::size_t c = 0; c < n_channels; ++c) {

@@ -56,8 +56,6 @@ std::size_t count_parameters(const RayDropNetworkOptions& options) {
 
 namespace network {
 
-/// Returns the shape of the network that the options describe, without parameters.
-/// Options override the predefined network.
 RayDropNetwork make_network(const RayDropNetworkOptions& options) {
     const NetworkPreset& preset = find_predefined(options.network);
     const int width = options.width > 0 ? options.width : int(preset.width);
@@ -102,9 +100,6 @@ std::uint32_t count_fixed_channels(const RayDropNetwork& network) {
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
-/// Throws an error if the size of an image does not match the network, or if a channel
-/// value is not finite.
-/// @param text start of the error message
 void check_image(const RayDropNetwork& network, const RayDropImage& image, const std::string& text) {
     const int side = network.min_image_size();
     if (image.rows < side || image.columns < side)
@@ -125,6 +120,43 @@ void check_image(const RayDropNetwork& network, const RayDropImage& image, const
             text, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
             at % std::size_t(image.columns), *bad);
     }
+}
+
+RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
+    : n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
+      lanes_(std::uint32_t(device.info().subgroup_size)),
+      kernel_(
+          device, "diff/network/drop_loss",
+          {{SpecialisationConstantId::LANES, lanes_}, {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}},
+          SubgroupRequirement::full),
+      partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
+
+void RayDropLoss::record_loss(Stream& s, std::size_t n, const RayDropLossArrays& a, std::size_t n_known) {
+    // One subgroup processes one part.
+    const std::uint32_t of_workgroup = kThreads / lanes_;
+    relidar::run(s, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
+                 {.logit = a.logit,
+                  .start = a.start,
+                  .target = a.target,
+                  .d_logit = a.d_logit,
+                  .probability = a.probability,
+                  .partial = partial_.address(),
+                  .n = std::uint32_t(n),
+                  .n_parts = n_parts_,
+                  .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
+}
+
+RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {
+    RayDropScore score;
+    const std::vector<float> partial = partial_.download();
+    // Each part has two sums: cross-entropies, and number of correct predictions.
+    for (std::size_t part = 0; part < n_parts_; ++part) {
+        score.entropy += double(partial[2 * part]);
+        score.accuracy += double(partial[2 * part + 1]);
+    }
+    score.entropy /= double(std::max<std::size_t>(n_known_pixels, 1));
+    score.accuracy /= double(std::max<std::size_t>(n_known_pixels, 1));
+    return score;
 }
 
 }  // namespace network

@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions for both training and inference of the ray-drop network. They compute the
-// shape of the network from the options, and they check images.
+// Functions for both training and inference of the ray-drop network: the shape of the
+// network, its inputs on the device, and the loss of its logits.
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
+#include <vector>
 
 #include <relidar/diff/network.hpp>
+
+#include "diff/network/layers.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar::network {
 
@@ -38,5 +43,90 @@ std::uint32_t count_fixed_channels(const RayDropNetwork& network);
 /// @param text text of the image for error messages
 /// @throws DataError if the image has the wrong size or values that are not finite
 void check_image(const RayDropNetwork& network, const RayDropImage& image, const std::string& text);
+
+/// Returns scale and shift of each input channel, [channels, 2]. They convert a channel
+/// to mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
+std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels);
+
+/// An image of a batch, and the number of columns by which its scene is rotated.
+struct RotatedSample {
+    std::uint32_t sample = 0, column_shift = 0;
+};
+
+/// Stores training images on the device. Copies selected images into batches, which are
+/// normalised and rotated around the sensor.
+class RayDropInputs {
+public:
+    RayDropInputs(Device& device, const RayDropNetwork& network);
+
+    void upload_images(Device& device, std::span<const RayDropImage> images);
+
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to);
+    /// Submits the kernel that creates a batch from images that are already on the
+    /// device. Does not update measured_drops(), because it is unknown which rays of
+    /// these images were dropped (had no return).
+    /// @param samples device address of images, [samples, channels, rows, columns]
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
+                    Address<float, shared::DropSamples> samples, const Tensor& to);
+
+    /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
+    /// columns]. A network with `residual` predicts a correction that is added to these
+    /// logits.
+    const Array<float, shared::StartLogits>& rendered_logits() const { return start_; }
+    /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
+    /// rows, columns]. Same values as RayDropImage::dropped.
+    const Array<float, shared::DropTargets>& measured_drops() const { return target_; }
+    bool has_measured() const { return targets_.size() > 0; }
+    std::size_t count_known(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
+
+private:
+    std::uint32_t n_channels_, n_fixed_, logit_channel_;
+    Kernel<shared::DropInputsParams> kernel_;
+    Array<float, shared::DropSamples> samples_;
+    Array<float, shared::SampleTargets> targets_;
+    Array<float, shared::StartLogits> start_;
+    Array<float, shared::DropTargets> target_;
+    Array<glm::vec2> scale_shift_;
+    std::vector<std::size_t> n_known_pixels_;
+
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, shared::DropInputsParams params,
+                    const Tensor& to);
+};
+
+struct RayDropScore {
+    double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
+    double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.
+};
+
+/// Arrays of n pixels that RayDropLoss reads and writes. Only `logit` must not be null.
+struct RayDropLossArrays {
+    Address<float, shared::DropLogits> logit;
+    Address<float, shared::StartLogits> start = {};  ///< added to the logits
+    /// 1 if the LiDAR measured no return for the ray, 0 if it measured a return, negative
+    /// if unknown
+    Address<float, shared::DropTargets> target = {};
+    Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
+    Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
+};
+
+/// Computes the probability that a ray has no return (ray drop) from the logits. Also
+/// computes the cross-entropy loss and its derivative.
+class RayDropLoss {
+public:
+    RayDropLoss(Device& device, std::size_t n_pixels);
+
+    /// @param n_known number of pixels with a known target; divides the derivative
+    void record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays, std::size_t n_known);
+    /// The last run must be finished.
+    RayDropScore read_loss(std::size_t n_known_pixels) const;
+
+private:
+    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
+    static constexpr std::size_t kPixelsOfPart = 2048;
+
+    std::uint32_t n_parts_, lanes_;
+    Kernel<shared::DropLossParams> kernel_;
+    Array<float, shared::PartSums> partial_;
+};
 
 }  // namespace relidar::network

@@ -7,8 +7,6 @@
 
 #include "base/assert.hpp"
 #include "base/fail.hpp"
-#include "diff/network/drop_inputs.hpp"
-#include "diff/network/drop_loss.hpp"
 #include "diff/network/drop_network.hpp"
 #include "diff/network/unet.hpp"
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "diff/network/resample.hpp"
+#include "diff/network/layers.hpp"
 
 #include "base/assert.hpp"
 

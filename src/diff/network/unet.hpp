@@ -10,10 +10,7 @@
 
 #include <relidar/diff/network.hpp>
 
-#include "diff/network/attention.hpp"
-#include "diff/network/conv.hpp"
-#include "diff/network/norm.hpp"
-#include "diff/network/resample.hpp"
+#include "diff/network/layers.hpp"
 
 namespace relidar::network {
 

@@ -102,10 +102,6 @@ void DifferentiableRenderer::record_backward() {
                                     renderer.view_origin_m(), *impl_->gradients);
 }
 
-/// Computes the gradients of a loss over the rays that were rendered last. Waits for the
-/// GPU.
-/// @param rendered_gradients dL/d(rendered), arrays with one entry per ray or empty
-/// arrays
 HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& rendered_gradients) {
     const RenderedBatch last = last_batch();
     const std::size_t n_rays = last.rays.n_rays;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/network/drop_loss with the double reference: mean, accuracy,
 // probabilities and derivatives.
-#include "diff/network/drop_loss.hpp"
+#include "diff/network/drop_network.hpp"
 
 #include "../../support/device.hpp"
 #include "gpu/stream.hpp"

@@ -6,17 +6,27 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <ostream>
 #include <random>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "../../reference/layers.hpp"
-#include "diff/network/tensor.hpp"
+#include "diff/network/layers.hpp"
 
 namespace relidar::test {
 
 using reference::ImageBatch;
+
+struct ImageCase {
+    network::ImageBatchSize grid;
+    int channels;
+};
+inline void PrintTo(const ImageCase& test_case, std::ostream* out) {
+    *out << test_case.grid.n << "x" << test_case.grid.rows << "x" << test_case.grid.columns << ", "
+         << test_case.channels;
+}
 
 inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t seed, double scale = 1.0,
                                               double offset = 0.0) {

@@ -2,27 +2,17 @@
 // Compares batch normalisation (diff/network/channel_sums, norm_finish, norm and
 // norm_vjp) with the double reference: values, derivatives, running mean and variance,
 // and dropout. Also tests values far from zero.
-#include "diff/network/norm.hpp"
+#include "diff/network/layers.hpp"
 
 #include "../../support/device.hpp"
-#include "gpu/stream.hpp"
 #include "images.hpp"
 
 namespace relidar {
 namespace {
 
 using network::ImageBatchSize, network::Norm, network::NormState, network::NormWeights;
+using NormCase = test::ImageCase;
 using test::OnDevice, test::compute_worst_error;
-
-struct NormCase {
-    ImageBatchSize grid;
-    int channels;
-};
-
-void PrintTo(const NormCase& test_case, std::ostream* out) {
-    *out << test_case.grid.n << "x" << test_case.grid.rows << "x" << test_case.grid.columns << ", "
-         << test_case.channels;
-}
 
 class NormTest : public test::DeviceTest {};
 class NormSizes : public test::DeviceTest, public testing::WithParamInterface<NormCase> {};

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "check/checks.hpp"
-#include "diff/network/conv.hpp"
+#include "diff/network/layers.hpp"
 #include "gpu/kernel.hpp"
 
 #include "../../../tests/reference/layers.hpp"
