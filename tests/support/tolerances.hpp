@@ -34,9 +34,5 @@ inline double compute_sigmoid_error(double sigmoid, double value) {
 /// Tolerance of kernel values against the double reference: normalised mean squared
 /// error.
 inline constexpr double kKernelNmse = 1e-7;
-/// Tolerance of the published implementation (float, GPU) against a double renderer. The
-/// largest measured difference is 7e-4 m, on a ray of 68 m.
-inline constexpr double kPeerDepth_m = 1e-3;
-inline constexpr double kPeerChannel = 2e-5;
 
 }  // namespace relidar::test

@@ -282,14 +282,18 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     street = street.reorder(kd_tree_order(street.mean));
     const RenderedRayValues r =
         render_once(device(), wrap_background(street), {}, rays, {.trace = {.chunk = 64}});
-    const std::vector<float> depth = find(arrays, "depth").to_floats(),
-                             intensity = find(arrays, "intensity").to_floats(),
-                             t = find(arrays, "T").to_floats();
+    const std::vector<float> depth = find(arrays, "depth").to_floats();
+    const std::pair<std::vector<float>, const std::vector<float>*> channels[] = {
+        {find(arrays, "intensity").to_floats(), &r.intensity},
+        {find(arrays, "weight").to_floats(), &r.weight},
+        {find(arrays, "hit_logit").to_floats(), &r.hit_logit},
+        {find(arrays, "drop_logit").to_floats(), &r.drop_logit},
+        {find(arrays, "T").to_floats(), &r.transmittance}};
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
         equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f &&
-                 std::abs(r.intensity[i] - intensity[i]) <= 1e-4f &&
-                 std::abs(r.transmittance[i] - t[i]) <= 1e-4f;
+                 std::ranges::all_of(
+                     channels, [&](const auto& c) { return std::abs((*c.second)[i] - c.first[i]) <= 1e-4f; });
     std::printf("%zu of %zu rays differ from the image by others\n", rays.size() - equal, rays.size());
     EXPECT_GE(double(equal), 0.999 * double(rays.size()));
 }
