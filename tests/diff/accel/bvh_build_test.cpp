@@ -6,7 +6,6 @@
 #include <cmath>
 #include <limits>
 #include <random>
-#include <set>
 
 #include <relidar/base/error.hpp>
 
@@ -211,32 +210,6 @@ TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
         ++n_checked;
     }
     EXPECT_GT(n_checked, 1'500);
-}
-
-TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
-    constexpr std::uint32_t n = 5'000;
-    const Surfels s = make_random_surfels(n);
-    DeviceBvh built(device(), wrap_background(s));
-    const HostBvhCopy host = built.build();
-    std::mt19937 random(6);
-    std::uniform_real_distribution<double> unit(0.0, 1.0);
-    std::normal_distribution<double> normal;
-    std::size_t n_hits = 0, n_visits = 0;
-    for (int r = 0; r < 500; ++r) {
-        const test::HostRay ray{{40.0 * unit(random), 20.0 * unit(random), 5.0 * unit(random)},
-                                {normal(random), normal(random), normal(random)}};
-        std::set<std::uint32_t> expected, reached_surfels;
-        for (std::uint32_t i = 0; i < n; ++i)
-            if (test::meets(ray, test::compute_surfel_box(host, i))) expected.insert(i);
-        n_visits += test::walk(host.nodes, host.roots[0], ray, [&](std::uint32_t entry) {
-            if (test::meets(ray, test::compute_surfel_box(host, host.order[entry])))
-                reached_surfels.insert(host.order[entry]);
-        });
-        EXPECT_EQ(reached_surfels, expected) << "ray " << r;
-        n_hits += expected.size();
-    }
-    EXPECT_GT(n_hits, 1'000u);
-    EXPECT_LT(n_visits, 500u * host.nodes.size() / 4);  // the tree must cull most nodes
 }
 
 }  // namespace

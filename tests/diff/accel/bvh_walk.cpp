@@ -154,34 +154,4 @@ bool are_equal(const std::vector<shared::BvhNode>& a, const std::vector<shared::
     return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(shared::BvhNode)) == 0;
 }
 
-bool meets(const HostRay& ray, const HostBox& box) {
-    if (box.empty()) return false;
-    double t_near = 0.0, t_far = HUGE_VAL;
-    for (int c = 0; c < 3; ++c) {
-        const double a = (box.low[c] - ray.origin[c]) / ray.direction[c],
-                     b = (box.high[c] - ray.origin[c]) / ray.direction[c];
-        t_near = std::max(t_near, std::min(a, b));
-        t_far = std::min(t_far, std::max(a, b));
-    }
-    return t_near <= t_far;
-}
-
-std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
-                 const std::function<void(std::uint32_t)>& leaf) {
-    std::size_t visits = 0;
-    std::vector<std::uint32_t> stack{root};
-    while (!stack.empty()) {
-        const shared::BvhNode& node = nodes.at(stack.back());
-        stack.pop_back();
-        ++visits;
-        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = list_slots(node);
-        for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
-            if (!(slots[s].inner || slots[s].count) || !meets(ray, decode_box(node, s))) continue;
-            if (slots[s].inner) stack.push_back(slots[s].child);
-            for (std::uint32_t k = 0; k < slots[s].count; ++k) leaf(slots[s].first + k);
-        }
-    }
-    return visits;
-}
-
 }  // namespace relidar::test

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the software acceleration structure on the host. Decodes its boxes, checks
-// properties that every tree must have, and traverses the tree along rays.
+// Reads the software acceleration structure on the host. Decodes its boxes, and checks
+// properties that every tree must have.
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
-#include <functional>
 #include <string>
 #include <vector>
 
@@ -66,18 +66,5 @@ struct DeviceBvh {
 };
 
 bool are_equal(const std::vector<shared::BvhNode>& a, const std::vector<shared::BvhNode>& b);
-
-struct HostRay {
-    glm::dvec3 origin, direction;
-};
-
-bool meets(const HostRay& ray, const HostBox& box);
-
-/// Traverses the tree from `root` through every node whose decoded box the ray hits.
-/// @param leaf function that is called with each entry of `order` that the traversal
-/// reaches
-/// @return number of visited nodes
-std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
-                 const std::function<void(std::uint32_t)>& leaf);
 
 }  // namespace relidar::test
