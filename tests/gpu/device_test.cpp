@@ -120,18 +120,6 @@ TEST_F(Gpu, MemoryLimitIsKept) {
     EXPECT_THROW(Array<float>(by_environment, 1 << 19, "2 MiB"), DeviceError);
 }
 
-TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
-    Array<std::uint32_t> array(device(), 100, "test");
-    Stream stream(device(), true);
-    for (std::uint32_t i = 0; i < 20; ++i) {
-        stream.fill(array, i);
-        stream.submit_commands();
-    }
-    stream.submit_and_wait();
-    EXPECT_EQ(array.download(), std::vector<std::uint32_t>(100, 19u));
-    EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 20u : 0u);
-}
-
 TEST_F(Gpu, TimesKeepTheLastLaunchesAndTheTotalsOfAll) {
     KernelTimes times, later;
     for (int i = 0; i < KernelTimes::kMaxTimes + 3; ++i) times.add_launch_time("fill", i < 3 ? 5.0 : 1.0);

@@ -130,18 +130,6 @@ TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
                      "poses, SH along sensor -> mean, an actor in the background");
 }
 
-TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
-    expect_agreement(ShDirection::ray,
-                     {.seed = 43,
-                      .background_surfels = 60,
-                      .actor_surfels = 90,
-                      .actor_instances = 1,
-                      .rays = 40,
-                      .opacity_low = 0.02,
-                      .opacity_high = 0.2},
-                     "poses, transparent, 90 surfels an actor");
-}
-
 TEST_F(PoseGradient, WithTheLikelihood) {
     expect_agreement(ShDirection::ray, {.seed = 49, .rays = 60}, "poses, image and likelihood",
                      test::Outputs::all);
