@@ -131,16 +131,6 @@ TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
     EXPECT_TRUE(render(*calls).ok());
 }
 
-TEST_F(Load, ConnectionsThatBreakLeaveTheServerAlive) {
-    start(8);
-    for (int i = 0; i < 10; ++i) {
-        const auto doomed = stub();
-        Occupant occupant(*doomed);
-        occupant.leave();
-    }
-    EXPECT_TRUE(render(*stub()).ok());
-}
-
 TEST_F(Load, StopsWhileCallsAreInWork) {
     start(8);
     Occupant occupant(*calls);

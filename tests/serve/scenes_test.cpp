@@ -5,7 +5,6 @@
 #include <relidar/base/error.hpp>
 #include "gpu/forced.hpp"
 
-#include "../base/codecs/temporary_folder.hpp"
 #include "asset_catalogue.hpp"
 #include "scenes.hpp"
 #include "small_service.hpp"

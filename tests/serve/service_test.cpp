@@ -9,8 +9,6 @@
 
 #include "../../tools/network/loopback.hpp"
 #include "../../tools/view/frame.hpp"
-#include "../base/codecs/temporary_folder.hpp"
-#include "../support/drop_networks.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {
@@ -161,17 +159,6 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
     }
 }
 
-TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
-    start();
-    v1::RenderLidarRequest request = make_standing_request();
-    request.mutable_actors();
-    const double here = scan_of(request).unseen();
-    EXPECT_GT(here, 0.5) << "three quarters of a turn";
-    EXPECT_LT(here, 0.95);
-    set_path(request, {{0.45, 0.55}, {make_pose_at_x(500.0), make_pose_at_x(500.0)}});
-    EXPECT_EQ(scan_of(request).unseen(), 1.0);
-}
-
 TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
@@ -216,77 +203,6 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
         const auto &p = alone.points(), &e = both.points();
         ASSERT_GT(p.count(), 10u);
         EXPECT_EQ(p.SerializeAsString(), e.SerializeAsString());
-    }
-}
-
-/// The sensor drives towards the wall at 20 m/s. In a motion-compensated log, points of
-/// the log's sensor must have time 0. Points of another sensor must have their firing
-/// times.
-TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
-    relidar::Run run = make_small_run(folder / "small");
-    run.sequence.rolling_shutter = false;
-    save_run(run);
-    start();
-    constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
-    const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
-    v1::RenderLidarRequest request = make_standing_request();
-    set_path(request, {{0.4, kEnd_s}, {make_pose_at_x(sensor_x(0.4)), make_pose_at_x(sensor_x(kEnd_s))}});
-    request.set_time_s(kTime_s);
-    request.mutable_actors();
-    for (const bool is_native : {true, false}) {
-        request.mutable_sensor()->set_name(is_native ? "native" : "VLP-16:360x10");
-        for (const bool beside_image : {true, false}) {
-            request.mutable_wanted()->set_range_image(beside_image);
-            request.mutable_wanted()->set_drop_probability(beside_image);
-            const v1::LidarScan scan = scan_of(request);
-            const std::vector<glm::vec3> points = values<glm::vec3>(scan.points().xyz_m());
-            const std::vector<float> times_s = values<float>(scan.points().time_s());
-            const std::vector<std::uint16_t> rings = values<std::uint16_t>(scan.points().ring());
-            ASSERT_GT(points.size(), 10u);
-            EXPECT_EQ(scan.time_s(), kTime_s);
-            float latest_s = 0.0f;
-            for (std::size_t i = 0; i < points.size(); ++i) {
-                const double end_m = sensor_x(kEnd_s), fired_m = sensor_x(kTime_s + double(times_s[i]));
-                EXPECT_NEAR(double(points[i].x) + end_m, kWall_m, 1e-3);
-                const glm::dvec3 ray = glm::dvec3(points[i]) + glm::dvec3(end_m - fired_m, 0.0, 0.0);
-                // The lasers of a VLP-16 meet 41.9 mm in front of its axis.
-                const double beam_rad =
-                                 is_native ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0,
-                             up_m = is_native ? 0.0 : -0.0419 * std::tan(beam_rad),
-                             elevation = std::atan2(ray.z - up_m, std::hypot(ray.x, ray.y)),
-                             azimuth = std::atan2(ray.y, ray.x);
-                EXPECT_NEAR(elevation, beam_rad, 3e-4) << i;
-                if (is_native) EXPECT_EQ(times_s[i], 0.0f);
-                else
-                    EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3)
-                        << "a head that turns clockwise";
-                latest_s = std::max(latest_s, std::abs(times_s[i]));
-            }
-            EXPECT_EQ(latest_s > 0.01f, !is_native);
-        }
-    }
-}
-
-/// The image and the points must have the same number of returns. Uses a network that
-/// predicts a return for every ray, and a sensor for which most rays hit nothing.
-TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
-    relidar::Run run = make_small_run(folder / "small");
-    run.config.refine.enabled = true;
-    run.drop_network = test::make_network_that_never_drops();
-    save_run(run);
-    start();
-    v1::RenderLidarRequest request = make_standing_request();
-    for (const char* sensor : {"", "VLP-16:90x10"}) {
-        if (sensor[0] != 0) request.mutable_sensor()->set_name(sensor);
-        const v1::LidarScan scan = scan_of(request);
-        const std::vector<float> drop = values<float>(scan.image().drop_probability());
-        const auto n = std::uint32_t(std::ranges::count_if(drop, [](float p) { return p < 0.5f; }));
-        EXPECT_GT(n, 10u);
-        EXPECT_LT(n, scan.rays() / 2) << "most rays meet nothing";
-        EXPECT_EQ(scan.points().count(), n);
-        EXPECT_EQ(scan.returned(), n);
-        v1::RenderLidarRequest alone = request;
-        EXPECT_EQ(scan_of(merge(alone, kPointsAlone)).points().count(), n);
     }
 }
 

@@ -12,14 +12,13 @@
 #include <string>
 #include <vector>
 
-#include <stdlib.h>
-
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
 #include <google/protobuf/util/message_differencer.h>
 
 #include <relidar/run/run.hpp>
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "client.hpp"
 #include "geometry_messages.hpp"
@@ -86,23 +85,17 @@ inline Run make_small_run(const std::filesystem::path& folder) {
 class ServiceTest : public test::DeviceTest {
 protected:
     using Stub = v1::RenderService::Stub;
-    std::filesystem::path folder;         ///< folder of the runs
-    std::vector<std::string> assets;      ///< folders of the assets
-    std::optional<std::string> channels;  ///< channels of all scans
-    Weather weather;                      ///< weather of scans whose request has no weather
+    const ScratchFolder scratch;
+    const std::filesystem::path folder = scratch.path;  ///< folder of the runs
+    std::vector<std::string> assets;                    ///< folders of the assets
+    std::optional<std::string> channels;                ///< channels of all scans
+    Weather weather;                                    ///< weather of scans whose request has no weather
     std::optional<PoseTransformOrder> sensorsim;
     std::optional<ScanServer> server;
     std::unique_ptr<Stub> calls;  ///< a connection to the server
 
-    void SetUp() override {
-        DeviceTest::SetUp();
-        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-serve-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
-    }
     void TearDown() override {
         server.reset();
-        std::filesystem::remove_all(folder);
         DeviceTest::TearDown();
     }
 

@@ -9,7 +9,6 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/render.hpp>
 
-#include "../base/codecs/temporary_folder.hpp"
 #include "asset_catalogue.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
@@ -290,7 +289,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
     EXPECT_TRUE(scenes.spawned().list_occupied(0).empty());
-    EXPECT_EQ(scenes.spawned().slot_count(0), 0u);
+    EXPECT_TRUE(scenes.spawned().list_all_slots(0).empty());
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
     EXPECT_EQ(scenes.spawned().list_occupied(0).size(), 1u);
@@ -301,7 +300,7 @@ TEST(SpawnedPlaces, AreUsedAgain) {
     const SpawnedModelSource car{false, "car"}, van{true, "van"};
     for (std::size_t i = 0; i < 5; ++i)
         EXPECT_EQ(actors.assign_slots(1, {{fmt::format("{}", i), car}})[0].position, i);
-    EXPECT_EQ(actors.slot_count(0), 0u) << "of another scene";
+    EXPECT_TRUE(actors.list_all_slots(0).empty()) << "of another scene";
     actors.remove_actors(1, {"1", "3"});
     EXPECT_EQ(actors.assign_slots(1, {{"v", van}})[0].position, 5u) << "a place keeps its source";
     EXPECT_EQ(actors.assign_slots(1, {{"c", car}})[0].position, 1u);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the viewer's server against arbitrary clients on the network.
-#include <filesystem>
-#include <fstream>
 #include <future>
 #include <sstream>
 
@@ -9,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include "../../tools/view/server.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "raw_client.hpp"
 
 namespace relidar::view {
@@ -121,27 +120,17 @@ TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
     EXPECT_TRUE(head.ends_with("\r\n\r\n"));
 }
 
-class InTemporaryFolder {
-public:
-    InTemporaryFolder() {
-        std::filesystem::create_directories(folder_);
-        std::filesystem::current_path(folder_);
-    }
-    ~InTemporaryFolder() {
-        std::filesystem::current_path(before_);
-        std::filesystem::remove_all(folder_);
-    }
-    InTemporaryFolder(const InTemporaryFolder&) = delete;
-    InTemporaryFolder& operator=(const InTemporaryFolder&) = delete;
+struct WorkingFolder {
+    const ScratchFolder scratch;
+    const std::filesystem::path before = std::filesystem::current_path();
 
-private:
-    const std::filesystem::path before_ = std::filesystem::current_path();
-    const std::filesystem::path folder_ = std::filesystem::path(testing::TempDir()) / "relidar_view_server";
+    WorkingFolder() { std::filesystem::current_path(scratch.path); }
+    ~WorkingFolder() { std::filesystem::current_path(before); }
 };
 
 TEST(ViewServer, ServesNothingElse) {
     const Echo echo;
-    const InTemporaryFolder here;
+    const WorkingFolder here;
     std::ofstream("main.css") << "a file beside the program";
     std::istringstream paths(R"(/main.css /../main.js /./main.js //main.js /../../../../etc/passwd /main.js/
         /%2e%2e/%2e%2e/etc/passwd /..%2f..%2fetc/passwd /..\..\etc\passwd /main.js%00.html /MAIN.JS

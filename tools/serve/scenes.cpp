@@ -116,9 +116,9 @@ void SceneSet::spawn_missing(std::size_t scene) {
 /// has no effect.
 std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
-    const std::size_t n_before = spawned_.slot_count(scene);
+    const std::size_t n_before = spawned_.list_all_slots(scene).size();
     std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene)) return occupied_slots;
+    if (loaded.renderer && loaded.n_slots == spawned_.list_all_slots(scene).size()) return occupied_slots;
     // Also unloads the scene. The next request loads it again, without the actors that
     // could not be added.
     const auto undo = [&] {

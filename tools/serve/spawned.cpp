@@ -46,11 +46,6 @@ std::vector<SpawnSlot> SpawnedActorRegistry::list_occupied(std::size_t scene) co
     return all;
 }
 
-std::size_t SpawnedActorRegistry::slot_count(std::size_t scene) const {
-    const std::lock_guard lock(mutex_);
-    return scenes_[scene].size();
-}
-
 std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
                                                           const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);

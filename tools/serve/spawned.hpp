@@ -54,7 +54,6 @@ public:
     std::vector<SpawnSlot> assign_slots(std::size_t scene, const std::vector<ActorToSpawn>& actors);
     void remove_actors(std::size_t scene, const std::vector<std::string>& names);
     void undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots, std::size_t n_before);
-    std::size_t slot_count(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;

@@ -58,18 +58,16 @@ const Json& required_list(const Json& message, const char* member) {
     return *list;
 }
 
-std::uint32_t require_uint32(const Json& value, const char* where) {
+std::uint32_t read_uint32(const Json& value, const char* where) {
     if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
         fail<UsageError>(
             "cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"", where);
     return value.get<std::uint32_t>();
 }
 
-std::uint32_t required_uint32(const Json& object, const char* member_name) {
-    const auto member = object.find(member_name);
-    if (member == object.end())
-        fail<UsageError>("cannot read the message: the field \"{}\" is missing", member_name);
-    return require_uint32(*member, member_name);
+std::uint32_t required_uint32(const Json& object, const char* name) {
+    const auto member = object.find(name);
+    return read_uint32(member == object.end() ? Json() : *member, name);
 }
 
 }  // namespace
@@ -130,7 +128,7 @@ void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {
         for (const Json& id : required_list(message, "subscriptionIds"))
-            client.subscriptions.erase(require_uint32(id, "subscriptionIds"));
+            client.subscriptions.erase(read_uint32(id, "subscriptionIds"));
     } else {
         throw UsageError(
             "cannot read the message: expected \"subscribe\" or \"unsubscribe\" in the field \"op\"");
