@@ -3,7 +3,6 @@
 order. Every public name must have a docstring."""
 import ast
 import pathlib
-import re
 import unittest
 
 import relidar
@@ -12,50 +11,25 @@ STUBS = ast.parse((pathlib.Path(relidar.__file__).parent / "__init__.pyi").read_
 UNDOCUMENTED = {"__init__", "__getitem__", "__setitem__", "__len__", "__repr__"}
 
 
-def stub_arguments(function):
-    """Returns arguments in the notation of pybind11: ["self", "track", "*", "overwrite=False"]."""
+def list_arguments(function):
+    """Returns names and defaults: ["track", "*", "overwrite=False"]."""
     def plain(argument, default):
         return argument.arg + ("" if default is None else "=" + ast.unparse(default))
 
     a = function.args
     defaults = [None] * (len(a.args) - len(a.defaults)) + a.defaults
-    listed = [plain(x, d) for x, d in zip(a.args, defaults)]
+    listed = [plain(x, d) for x, d in zip(a.args, defaults) if x.arg != "self"]
     return listed + (["*"] if a.kwonlyargs else []) + [plain(x, d) for x, d in zip(a.kwonlyargs, a.kw_defaults)]
 
 
-def split_arguments(text):
-    """Splits an argument list at the commas outside of brackets."""
-    parts, depth, part = [], 0, ""
-    for c in text:
-        depth += (c in "[({<") - (c in "])}>")
-        if c == "," and depth == 0:
-            parts.append(part.strip())
-            part = ""
-        else:
-            part += c
-    return parts + ([part.strip()] if part.strip() else [])
+def read_signature(function):
+    """Parses the signature that pybind11 writes into the first line of the docstring."""
+    return ast.parse(f"def {function.__doc__.splitlines()[0]}: ...").body[0]
 
 
-def module_arguments(function):
-    """Returns the arguments of a bound function. pybind11 writes its signature into the first line
-    of the docstring."""
-    line = function.__doc__.splitlines()[0]
-    text = line[line.index("(") + 1 : line.rindex(") ->")]
-    arguments = []
-    for part in split_arguments(text):
-        name, _, rest = part.partition(":")
-        default = re.search(r" = (.*)$", rest)
-        arguments.append(name + ("=" + default.group(1) if default else ""))
-    return arguments
-
-
-def stub_members(node):
-    """Returns functions and properties of a class or of the module in the stubs."""
+def stub_functions(node):
+    """Returns functions of a class or of the module in the stubs."""
     return {item.name: item for item in node.body if isinstance(item, ast.FunctionDef)}
-
-
-def is_property(function):
-    return any(isinstance(d, ast.Name) and d.id == "property" for d in function.decorator_list)
 
 
 def public_names(thing):
@@ -64,10 +38,7 @@ def public_names(thing):
 
 class Stubs(unittest.TestCase):
     def check_function(self, where, stub, function):
-        expected, actual = stub_arguments(stub), module_arguments(function)
-        if expected and expected[0] == "self":
-            expected, actual = expected[1:], actual[1:]
-        self.assertEqual([x.replace("'", '"') for x in expected], [x.replace("'", '"') for x in actual], where)
+        self.assertEqual(list_arguments(stub), list_arguments(read_signature(function)), where)
 
     def check_documented(self, where, function):
         signature, _, text = function.__doc__.partition("\n")
@@ -75,7 +46,7 @@ class Stubs(unittest.TestCase):
         self.assertTrue(text.strip(), f"{where} has no docstring")
 
     def test_functions_have_the_same_arguments(self):
-        stubs = stub_members(STUBS)
+        stubs = stub_functions(STUBS)
         bound = {name for name in public_names(relidar) if type(getattr(relidar, name)).__name__ == "builtin_function_or_method"}
         self.assertEqual(set(stubs), bound)
         for name, stub in stubs.items():
@@ -90,20 +61,18 @@ class Stubs(unittest.TestCase):
 
     def check_class(self, name, node, bound):
         self.assertTrue(bound.__doc__, f"{name} has no docstring")
-        members = stub_members(node)
         if issubclass(bound, Exception):
             self.assertEqual([ast.unparse(base) for base in node.bases], [base.__name__ for base in bound.__bases__])
             return
-        listed = {m for m in members if not m.startswith("_")}
-        self.assertEqual(listed, public_names(bound), name)
-        for member, stub in members.items():
-            where, value = f"{name}.{member}", vars(bound)[member]
-            if is_property(stub):
-                self.assertIsInstance(value, property, where)
-            else:
-                self.check_function(where, stub, getattr(bound, member))
-                if member not in UNDOCUMENTED:
-                    self.check_documented(where, getattr(bound, member))
+        functions = stub_functions(node)
+        properties = {item.target.id for item in node.body if isinstance(item, ast.AnnAssign)}
+        self.assertEqual({name for name, value in vars(bound).items() if isinstance(value, property)}, properties, name)
+        self.assertEqual({m for m in functions if not m.startswith("_")}, public_names(bound) - properties, name)
+        for member, stub in functions.items():
+            where, function = f"{name}.{member}", getattr(bound, member)
+            self.check_function(where, stub, function)
+            if member not in UNDOCUMENTED:
+                self.check_documented(where, function)
 
 
 if __name__ == "__main__":

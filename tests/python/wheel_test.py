@@ -45,7 +45,7 @@ class Wheel(unittest.TestCase):
         site = self.path / "site"
         subprocess.run([*PIP, "install", "--no-index", "--no-deps", "--target", str(site), str(wheels[0])], check=True)
         self.assertEqual(sorted(p.name.split(".")[0] for p in (site / "relidar").iterdir() if p.is_file()),
-                         ["__init__", "__init__", "_relidar", "py", "scan_dataset", "torch"])
+                         ["__init__", "__init__", "_losses", "_relidar", "py", "scan_dataset", "torch"])
         out = subprocess.run([sys.executable, "-B", "-c", PROGRAM], env=dict(os.environ, PYTHONPATH=str(site)), cwd=self.path, check=True,
                              capture_output=True, text=True).stdout.split()
         self.assertEqual(out, [str(site / "relidar"), relidar.__version__, relidar.__version__, "2"])

@@ -2,8 +2,7 @@
 #include "arrays.hpp"
 
 #include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::python {
 namespace {
@@ -61,15 +60,14 @@ void check_dtype(const py::handle& object, const std::string& where, const py::d
                  const NumpyShape& shape) {
     const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     if (!py::isinstance<py::array>(object)) {
-        throw DataError(fmt::format("{}: found an object of type {}, expected {}", where,
-                                    std::string(py::str(py::type::handle_of(object).attr("__name__"))),
-                                    expected));
+        fail("{}: found an object of type {}, expected {}", where,
+             std::string(py::str(py::type::handle_of(object).attr("__name__"))), expected);
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
     if (!array.dtype().equal(dtype) || !has_shape(array, shape)) {
         const NumpyShape actual_shape(array.shape(), array.shape() + array.ndim());
-        throw DataError(fmt::format("{}: found {} {}, expected {}", where, format_dtype(array.dtype()),
-                                    format_shape(actual_shape), expected));
+        fail("{}: found {} {}, expected {}", where, format_dtype(array.dtype()), format_shape(actual_shape),
+             expected);
     }
 }
 
@@ -82,10 +80,10 @@ void check_array(const py::handle& object, const std::string& where, const py::d
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
     if (!ordered || !aligned)
-        throw DataError(
-            fmt::format("{}: found an array that is not contiguous, expected {} in C order; "
-                        "numpy.ascontiguousarray() converts it",
-                        where, expected));
+        fail(
+            "{}: found an array that is not contiguous, expected {} in C order; "
+            "numpy.ascontiguousarray() converts it",
+            where, expected);
 }
 
 }  // namespace relidar::python

@@ -28,14 +28,6 @@ py::array move_to_numpy(std::vector<Element>&& values, const NumpyShape& shape) 
     return py::array(py::dtype::of<Number>(), shape, owned_values->data(), owner);
 }
 
-template <class Number, class Element>
-py::array read_only_view(const std::vector<Element>& values, const NumpyShape& shape,
-                         const py::handle& owner) {
-    py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
-    array.attr("setflags")(py::arg("write") = false);
-    return array;
-}
-
 py::array to_numpy(NamedArray&& npz_array);
 py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays);
 

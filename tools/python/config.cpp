@@ -1,29 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "config.hpp"
+#include "conversions.hpp"
 
 #include <algorithm>
 
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
+#include <relidar/run/config.hpp>
+#include "base/fail.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
 namespace {
-
-namespace py = pybind11;
 
 std::string setting_text(const std::string& key, const py::handle& value) {
     if (py::isinstance<py::str>(value)) return value.cast<std::string>();
     if (py::isinstance<py::bool_>(value)) return value.cast<bool>() ? "true" : "false";
     if (py::isinstance<py::int_>(value) || py::isinstance<py::float_>(value)) return py::repr(value);
     if (py::hasattr(value, "__fspath__")) return value.cast<std::filesystem::path>().string();
-    throw UsageError(
-        fmt::format("setting {}: found a value of type {}, expected str, bool, int, float or a path", key,
-                    std::string(py::str(py::type::handle_of(value).attr("__name__")))));
+    fail<UsageError>("setting {}: found a value of type {}, expected str, bool, int, float or a path", key,
+                     std::string(py::str(py::type::handle_of(value).attr("__name__"))));
 }
 
 /// Returns a setting. For an unknown name, the error suggests similar names.
@@ -33,9 +29,8 @@ ConfigKey existing_key(const Config& config, const std::string& key) {
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
-    throw UsageError(
-        fmt::format("setting {}: unknown key{}", key,
-                    did_you_mean(key, names, "", ", expected one of the names in Config.values()")));
+    fail<UsageError>("setting {}: unknown key{}", key,
+                     did_you_mean(key, names, "", ", expected one of the names in Config.values()"));
 }
 
 Config make_config(const std::string& preset, const py::dict& settings) {

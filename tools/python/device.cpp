@@ -6,6 +6,7 @@
 #include <pybind11/stl.h>
 
 #include <relidar/diff/first_use.hpp>
+#include "base/fail.hpp"
 #include "integers.hpp"
 #include "module.hpp"
 
@@ -21,9 +22,9 @@ SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string&
                          IntegerArgument<std::uint64_t, "memory_limit_bytes"> memory_limit_bytes,
                          bool enable_validation, bool share_memory) {
     if (index < -1)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot open a device: found the index {}, expected an index of relidar.devices(), or -1",
-            index.value));
+            index.value);
     DeviceOptions options;
     options.index = index;
     options.traversal = parse_backend(traversal);

@@ -59,8 +59,15 @@ template <class Made>
 class DeviceObject {
 public:
     DeviceObject() = default;
-    DeviceObject(SharedDevice device, std::unique_ptr<Made> made)
-        : device_(std::move(device)), made_(std::move(made)) {}
+    /// Creates an object on a device, which is locked meanwhile.
+    template <class... Arguments>
+    static DeviceObject create(SharedDevice device, const Arguments&... arguments) {
+        DeviceObject object;
+        const DeviceLock lock(*device);
+        object.made_ = std::make_unique<Made>(device->device, arguments...);
+        object.device_ = std::move(device);
+        return object;
+    }
     DeviceObject(DeviceObject&&) noexcept = default;
     DeviceObject& operator=(DeviceObject&& other) noexcept {
         std::swap(device_, other.device_);
@@ -80,10 +87,14 @@ public:
         }
     }
 
-    Made& operator*() { return *made_; }
+    /// Calls a function with the object while the device is locked.
+    template <class Call>
+    auto use(const Call& call) {
+        const DeviceLock lock(*device_);
+        return call(*made_);
+    }
     Made* operator->() { return made_.get(); }
     explicit operator bool() const { return made_ != nullptr; }
-    LockableDevice& opened() { return *device_; }
     const SharedDevice& device() const { return device_; }
 
 private:

@@ -6,16 +6,13 @@
 
 #include <pybind11/stl.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
+#include "conversions.hpp"
 #include "device_array.hpp"
 #include "integers.hpp"
 #include "module.hpp"
-#include "poses.hpp"
 #include "run.hpp"
-#include "scene.hpp"
 
 namespace relidar::python {
 namespace {
@@ -29,6 +26,14 @@ struct PythonRenderer {
     Array<DeviceRay> rays;
     Array<shared::DeviceTarget> measured;
     float likelihood_scale_m = 0.0f;  ///< 0 if the renderer does not compute likelihoods.
+
+    Renderer& drawn() { return differentiable->renderer(); }
+    const SharedDevice& device() const { return differentiable.device(); }
+    /// Calls a function with the renderer while the device is locked.
+    template <class Call>
+    auto use(const Call& call) {
+        return differentiable.use([&](DifferentiableRenderer& both) { return call(both.renderer()); });
+    }
 };
 
 std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
@@ -44,15 +49,9 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     if (margin) std::tie(options.accel.margin_scale, options.accel.margin_m) = *margin;
     const GradientOptions gradients{
         backward_options(settings), {.rays = for_rays, .poses = for_poses}, !sparse};
-    device = device_or_default(device);
-    std::unique_ptr<DifferentiableRenderer> made;
-    // Holds the lock only while the renderer uses the device.
-    {
-        const DeviceLock use(*device);
-        made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
-    }
     auto held = std::make_unique<PythonRenderer>();
-    held->differentiable = DeviceObject<DifferentiableRenderer>(device, std::move(made));
+    held->differentiable = DeviceObject<DifferentiableRenderer>::create(device_or_default(std::move(device)),
+                                                                        scene, image, options, gradients);
     held->placed.resize(scene.instances.size());
     if (options.trace.likelihood) held->likelihood_scale_m = options.trace.likelihood->scale_m;
     return held;
@@ -67,11 +66,11 @@ glm::vec3 read_view(const py::object& view_origin) {
 /// @param refit if true, also updates the acceleration structure
 void place_instances(PythonRenderer& renderer, std::vector<InstancePose>&& placed, const glm::vec3& view,
                      bool refit) {
-    const DeviceLock use(renderer.differentiable.opened());
-    Renderer& drawn = renderer.differentiable->renderer();
-    // With SH directions of rays, only update() computes the values that rays read.
-    if (refit || drawn.model().sh_direction == ShDirection::ray) drawn.update(placed, view);
-    else drawn.record_poses(placed, view);
+    renderer.use([&](Renderer& drawn) {
+        // With SH directions of rays, only update() computes the values that rays read.
+        if (refit || drawn.model().sh_direction == ShDirection::ray) drawn.update(placed, view);
+        else drawn.record_poses(placed, view);
+    });
     renderer.placed = std::move(placed);
 }
 
@@ -81,9 +80,8 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
     std::vector<InstancePose> placed = renderer.placed;
     const auto check_count = [&](std::size_t found, const char* text) {
         if (found != placed.size())
-            throw DataError(
-                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene", text,
-                            found, placed.size()));
+            fail("{}: found {} entries, expected {}, one for each instance of the scene", text, found,
+                 placed.size());
     };
     if (!poses.is_none()) {
         const std::vector<Pose> model_poses = to_poses(poses, "poses");
@@ -94,8 +92,7 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    const glm::vec3 view =
-        view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m() : read_view(view_origin);
+    const glm::vec3 view = view_origin.is_none() ? renderer.drawn().view_origin_m() : read_view(view_origin);
     place_instances(renderer, std::move(placed), view, refit);
 }
 
@@ -105,10 +102,10 @@ void place_frame(PythonRenderer& renderer, const LoadedRun& run,
                  bool refit) {
     const Log& log = run.run.sequence;
     if (position >= log.frames.size())
-        throw UsageError(fmt::format("place_frame: found the position {}, expected at most {}",
-                                     position.value, log.frames.size() - 1));
+        fail<UsageError>("place_frame: found the position {}, expected at most {}", position.value,
+                         log.frames.size() - 1);
     const Frame& frame = log.frames[position];
-    const Scene& layout = renderer.differentiable->renderer().scene().layout();
+    const Scene& layout = renderer.drawn().scene().layout();
     std::vector<InstancePose> placed = pose_instances(layout, log, timing_of(frame));
     const Pose& mounting = log.lidar_of(frame).vehicle_from_sensor;
     glm::vec3 view(log.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation);
@@ -121,14 +118,9 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     const WorldRays rays{copy_array<float, glm::vec3>(origins, "origins", {kAnyLength, 3}),
                          copy_array<float, glm::vec3>(directions, "directions", {kAnyLength, 3})};
     if (rays.origin.size() != rays.direction.size())
-        throw DataError(
-            fmt::format("directions: found {} directions and {} origins, expected the same number",
-                        rays.direction.size(), rays.origin.size()));
-    RenderedRayValues r;
-    {
-        const DeviceLock use(renderer.differentiable.opened());
-        r = renderer.differentiable->renderer().render_rays(rays);
-    }
+        fail("directions: found {} directions and {} origins, expected the same number",
+             rays.direction.size(), rays.origin.size());
+    RenderedRayValues r = renderer.use([&](Renderer& drawn) { return drawn.render_rays(rays); });
     // backward() needs this number for the shape of its gradients.
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
@@ -163,10 +155,10 @@ RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
         const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
                                         [&](const auto& p) { return p.first == name; });
         if (match == gradient_arrays.end())
-            throw UsageError(
-                fmt::format("the dict d_rendered has the unknown entry \"{}\"; expected only entries with "
-                            "the names " RELIDAR_IMAGE_VALUES(RELIDAR_NAME) "which are the rendered values",
-                            name));
+            fail<UsageError>(
+                "the dict d_rendered has the unknown entry \"{}\"; expected only entries with "
+                "the names " RELIDAR_IMAGE_VALUES(RELIDAR_NAME) "which are the rendered values",
+                name);
         *match->second =
             copy_array<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
@@ -176,11 +168,8 @@ RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
 /// Computes the gradients of the last forward pass from dL/d(value) of each ray.
 py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values) {
     const RenderedGradients d = read_gradients(gradients_of_values, renderer.n_rays);
-    HostGradients gradients;
-    {
-        const DeviceLock use(renderer.differentiable.opened());
-        gradients = renderer.differentiable->backpropagate(d);
-    }
+    HostGradients gradients =
+        renderer.differentiable.use([&](DifferentiableRenderer& both) { return both.backpropagate(d); });
     const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
     const std::size_t n = gradients.surfels.size();
     py::dict dict = to_array_dict(std::move(gradients.surfels));
@@ -197,16 +186,11 @@ py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values)
 
 void upload_surfels(PythonRenderer& renderer, const py::dict& arrays) {
     const Surfels surfels = read_surfels(arrays);
-    const DeviceLock use(renderer.differentiable.opened());
-    renderer.differentiable->renderer().upload_surfels(surfels);
+    renderer.use([&](Renderer& drawn) { drawn.upload_surfels(surfels); });
 }
 
 py::dict download_surfels(PythonRenderer& renderer) {
-    Scene scene;
-    {
-        const DeviceLock use(renderer.differentiable.opened());
-        scene = renderer.differentiable->renderer().download_scene();
-    }
+    Scene scene = renderer.use([](Renderer& drawn) { return drawn.download_scene(); });
     return to_array_dict(std::move(scene.surfels));
 }
 
@@ -222,23 +206,19 @@ py::dict wrap_surfels(const SharedDevice& device, const SurfelArrays& arrays) {
 }
 
 py::dict device_parameters(PythonRenderer& renderer) {
-    {
-        const DeviceLock use(renderer.differentiable.opened());
-        renderer.differentiable->renderer().stream().submit_and_wait();
-    }
-    return wrap_surfels(renderer.differentiable.device(),
-                        renderer.differentiable->renderer().scene().surfel_parameters());
+    renderer.use([](Renderer& drawn) { drawn.stream().submit_and_wait(); });
+    return wrap_surfels(renderer.device(), renderer.drawn().scene().surfel_parameters());
 }
 
 /// Returns the memory of n structs for forward_device(). The memory never shrinks.
 template <class Row>
 DeviceArray reserve_rows(PythonRenderer& renderer, Array<Row>& rows, std::uint32_t n, const Row& initial) {
-    if (rows.size() < n) {
-        const DeviceLock use(renderer.differentiable.opened());
-        renderer.differentiable->renderer().stream().submit_and_wait();
-        rows = {renderer.differentiable.opened().device, std::vector<Row>(n, initial), "rays"};
-    }
-    return wrap_array<float>(renderer.differentiable.device(), rows, {py::ssize_t(n), sizeof(Row) / 4});
+    if (rows.size() < n)
+        renderer.use([&](Renderer& drawn) {
+            drawn.stream().submit_and_wait();
+            rows = {renderer.device()->device, std::vector<Row>(n, initial), "rays"};
+        });
+    return wrap_array<float>(renderer.device(), rows, {py::ssize_t(n), sizeof(Row) / 4});
 }
 
 /// Fails if a ray was not traced completely. Copies nothing if the host can read the
@@ -256,40 +236,36 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     const std::size_t n_written =
         measured ? std::min(renderer.rays.size(), renderer.measured.size()) : renderer.rays.size();
     if (n == 0 || n > n_written)
-        throw UsageError(fmt::format("cannot render {} rays: expected 1 to {}, the rows of device_rays(){}",
-                                     n.value, n_written, measured ? " and device_measured()" : ""));
+        fail<UsageError>("cannot render {} rays: expected 1 to {}, the rows of device_rays(){}", n.value,
+                         n_written, measured ? " and device_measured()" : "");
     if (measured && renderer.likelihood_scale_m == 0.0f)
         throw UsageError("cannot compute likelihoods: found loss.likelihood=0, expected a value above 0");
     if (columns != 0 && n % columns != 0)
-        throw UsageError(
-            fmt::format("cannot render {} rays in {} columns: expected a multiple", n.value, columns.value));
-    RenderedBatch batch;
-    {
-        const DeviceLock use(renderer.differentiable.opened());
+        fail<UsageError>("cannot render {} rays in {} columns: expected a multiple", n.value, columns.value);
+    renderer.use([&](Renderer& drawn) {
         // 0, 1: the first ray is ray 0, and the stride between rays is 1.
-        renderer.differentiable->renderer().record_forward(
-            {&renderer.rays, 0, 1, n, columns, measured ? &renderer.measured : nullptr});
-        renderer.differentiable->renderer().stream().submit_and_wait();
-        check_truncation(renderer.differentiable->renderer());
-        batch = renderer.differentiable->last_batch();
-    }
+        drawn.record_forward({&renderer.rays, 0, 1, n, columns, measured ? &renderer.measured : nullptr});
+        drawn.stream().submit_and_wait();
+        check_truncation(drawn);
+    });
     renderer.n_rays = n;
-    const SharedDevice& device = renderer.differentiable.device();
+    const RenderedBatch batch = renderer.differentiable->last_batch();
+    const auto member = [&]<class Number>(Number, std::size_t member_bytes) {
+        return wrap_member<Number>(renderer.device(), *batch.rendered, member_bytes, n);
+    };
     using shared::RenderedRay;
     py::dict dict;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, name), n);
+    dict[#name] = member(0.0f, offsetof(RenderedRay, name));
     RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] =
-        wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, transmittance), n);
-    dict["median_depth"] =
-        wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, median_depth), n);
-    dict["hits"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, n_hits), n);
-    dict["instance"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, instance), n);
+    dict["transmittance"] = member(0.0f, offsetof(RenderedRay, transmittance));
+    dict["median_depth"] = member(0.0f, offsetof(RenderedRay, median_depth));
+    dict["hits"] = member(std::int32_t(), offsetof(RenderedRay, n_hits));
+    dict["instance"] = member(std::int32_t(), offsetof(RenderedRay, instance));
     // The caller writes dL/d(value) here before it calls backward_device().
-    dict["d_rendered"] =
-        wrap_array<float>(device, *batch.upstream, {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});
+    dict["d_rendered"] = wrap_array<float>(renderer.device(), *batch.upstream,
+                                           {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});
     return dict;
 }
 
@@ -298,13 +274,12 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
 py::dict backward_device(PythonRenderer& renderer) {
     if (renderer.n_rays == 0)
         throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
-    {
-        const DeviceLock use(renderer.differentiable.opened());
-        renderer.differentiable->record_backward();
-        renderer.differentiable->renderer().stream().submit_and_wait();
-    }
+    renderer.differentiable.use([](DifferentiableRenderer& both) {
+        both.record_backward();
+        both.renderer().stream().submit_and_wait();
+    });
     const DeviceGradients& g = renderer.differentiable->gradients();
-    const SharedDevice& device = renderer.differentiable.device();
+    const SharedDevice& device = renderer.device();
     py::dict dict = wrap_surfels(device, g.surfels);
     // PyTorch has no uint32.
     dict["touched"] = wrap_array<std::int32_t>(device, g.touched, {py::ssize_t(g.surfels.n)});
@@ -333,7 +308,7 @@ void bind_renderer(py::module_& module) {
              "margin: (factor, metres) by which the boxes of surfels are larger in the ray-tracing tree, so that surfels may grow and move before it must be\n"
              "    updated; None: only for rounding errors\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
-        .def_property_readonly("device", [](const PythonRenderer& renderer) { return renderer.differentiable.device(); }, "The device of the renderer.")
+        .def_property_readonly("device", [](const PythonRenderer& renderer) { return renderer.device(); }, "The device of the renderer.")
         .def_readonly("likelihood_scale_m", &PythonRenderer::likelihood_scale_m, "Scale s of likelihoods, metres; 0: they are not computed.")
         .def("place", &set_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(), py::kw_only(), py::arg("refit") = true,

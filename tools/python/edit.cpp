@@ -5,13 +5,10 @@
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/edit.hpp>
-#include "config.hpp"
+#include "base/fail.hpp"
+#include "conversions.hpp"
 #include "module.hpp"
-#include "poses.hpp"
 #include "run.hpp"
 
 namespace relidar::python {
@@ -33,20 +30,21 @@ struct EditedRun {
 
     /// Applies an edit and adds it to the history. The edit works on a copy, so that the
     /// run does not change if the edit fails.
-    EditedRun& apply(const std::string& entry,
-                     const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
-        driving = edit_scene_with_log(driving);
+    template <class Edit, class... Arguments>
+    EditedRun& apply(const std::string& entry, Edit edit, const Arguments&... arguments) {
+        driving = edit(driving, arguments...);
         run.edits.push_back({origin, entry});
         return *this;
     }
 
     /// Applies an edit that can change the times at which an actor is present. Warns if
     /// the actor is then missing in more frames of the log.
-    EditedRun& apply_to_actor(const std::string& entry, const std::string& name,
-                              const std::function<SceneWithLog(SceneWithLog)>& edit) {
-        const BoxTrack* box = find_box(driving.sequence, name);
+    template <class Edit, class Argument>
+    EditedRun& apply_in_time(const std::string& entry, Edit edit, const std::string& track,
+                             const Argument& argument) {
+        const BoxTrack* box = find_box(driving.sequence, track);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply(entry, edit);
+        apply(entry, edit, track, argument);
         if (const std::string note = describe_absence(before, driving.sequence); !note.empty())
             show_warning(note);
         return *this;
@@ -66,38 +64,34 @@ std::string format_vector(const glm::dvec3& vector) {
 EditedRun& keep_part(EditedRun& edited, const std::string& kept_part_name) {
     if (kept_part_name == "background") return edited.apply("keep background", remove_actors);
     if (kept_part_name == "actors") return edited.apply("keep actors", remove_background);
-    throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part_name));
+    fail<UsageError>("keep(): found \"{}\", expected background or actors", kept_part_name);
 }
 
-EditedRun& move_actor(EditedRun& edited, const std::string& name, const py::object& pose) {
+EditedRun& move_actor(EditedRun& edited, const std::string& track, const py::object& pose) {
     const Pose box_from_moved = to_pose(pose, "pose");
-    return edited.apply(
-        fmt::format("move {}:{}", name, format_vector(box_from_moved.translation)),
-        [&](SceneWithLog driving) { return move_track(std::move(driving), name, box_from_moved); });
+    return edited.apply(fmt::format("move {}:{}", track, format_vector(box_from_moved.translation)),
+                        move_track, track, box_from_moved);
 }
 
-EditedRun& replace_track(EditedRun& edited, const std::string& name, const py::object& track) {
-    const PoseTrack poses = to_track(track, "trajectory", 0.0);
-    return edited.apply_to_actor(
-        fmt::format("follow {}: {} poses", name, poses.pose.size()), name,
-        [&](SceneWithLog driving) { return replace_track(std::move(driving), name, poses); });
+EditedRun& follow_trajectory(EditedRun& edited, const std::string& track, const py::object& trajectory) {
+    const PoseTrack poses = to_track(trajectory, "trajectory", 0.0);
+    return edited.apply_in_time(fmt::format("follow {}: {} poses", track, poses.pose.size()), replace_track,
+                                track, poses);
 }
 
-EditedRun& copy_actor(EditedRun& edited, const std::string& name, const py::object& pose, double speed_mps) {
+EditedRun& copy_actor(EditedRun& edited, const std::string& track, const py::object& pose, double speed_mps) {
     const NewActorMotion start{to_pose(pose, "pose"), speed_mps};
     return edited.apply(
-        fmt::format("copy {}@{}:{:.6g}", name, format_vector(start.dataset_from_box.translation), speed_mps),
-        [&](SceneWithLog driving) { return copy_track(std::move(driving), name, start); });
+        fmt::format("copy {}@{}:{:.6g}", track, format_vector(start.dataset_from_box.translation), speed_mps),
+        copy_track, track, start);
 }
 
-EditedRun& insert_actor(EditedRun& edited, const LoadedRun& other, const std::string& name,
+EditedRun& insert_actor(EditedRun& edited, const LoadedRun& other, const std::string& track,
                         const py::object& pose, double speed_mps) {
     const NewActorMotion start{to_pose(pose, "pose"), speed_mps};
-    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), name,
-                                         format_vector(start.dataset_from_box.translation), speed_mps);
-    return edited.apply(said, [&](SceneWithLog driving) {
-        return insert_track(std::move(driving), other.run.driving_scene(), name, start);
-    });
+    const std::string entry = fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track,
+                                          format_vector(start.dataset_from_box.translation), speed_mps);
+    return edited.apply(entry, insert_track, other.run.driving_scene(), track, start);
 }
 
 std::unique_ptr<LoadedRun> save_edited_run(const EditedRun& edited, const fs::path& folder, bool overwrite) {
@@ -118,9 +112,7 @@ void bind_edit_class(py::module_& module) {
         .def(
             "remove",
             [](EditedRun& edits, const std::string& track) -> EditedRun& {
-                return edits.apply("remove " + track, [&](SceneWithLog driving) {
-                    return remove_track(std::move(driving), track);
-                });
+                return edits.apply("remove " + track, remove_track, track);
             },
             py::arg("track"), same, "Removes an actor. Rays then hit the surfaces behind it.")
         .def("move", &move_actor, py::arg("track"), py::arg("pose"), same,
@@ -131,31 +123,27 @@ void bind_edit_class(py::module_& module) {
         .def(
             "classify",
             [](EditedRun& edits, const std::string& track, const std::string& name) -> EditedRun& {
-                return edits.apply(fmt::format("class {}={}", track, name), [&](SceneWithLog driving) {
-                    return classify_track(std::move(driving), track, name);
-                });
+                return edits.apply(fmt::format("class {}={}", track, name), classify_track, track, name);
             },
             py::arg("track"), py::arg("name"), same,
             "Sets the class of an actor, or of a labelled object in the background, in all labels.")
         .def(
             "retime",
             [](EditedRun& edits, const std::string& track, double seconds) -> EditedRun& {
-                return edits.apply_to_actor(
-                    fmt::format("retime {}:{:.6g}", track, seconds), track,
-                    [&](SceneWithLog driving) { return delay_track(std::move(driving), track, seconds); });
+                return edits.apply_in_time(fmt::format("retime {}:{:.6g}", track, seconds), delay_track,
+                                           track, seconds);
             },
             py::arg("track"), py::arg("seconds"), same,
             "Delays all motion of an actor by this time in seconds.")
         .def(
             "speed",
             [](EditedRun& edits, const std::string& track, double factor) -> EditedRun& {
-                return edits.apply_to_actor(
-                    fmt::format("speed {}={:.6g}", track, factor), track,
-                    [&](SceneWithLog driving) { return scale_speed(std::move(driving), track, factor); });
+                return edits.apply_in_time(fmt::format("speed {}={:.6g}", track, factor), scale_speed, track,
+                                           factor);
             },
             py::arg("track"), py::arg("factor"), same,
             "Multiplies the speed of an actor along its path, which begins at the same time.")
-        .def("follow", &replace_track, py::arg("track"), py::arg("trajectory"), same,
+        .def("follow", &follow_trajectory, py::arg("track"), py::arg("trajectory"), same,
              "Replaces the trajectory of an actor.\n\n"
              "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, n >= 2")
         .def("copy", &copy_actor, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,

@@ -20,10 +20,10 @@ Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optiona
         const py::gil_scoped_release others_run;
         return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
     }
-    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
-    const DeviceLock use(renderer.opened());
-    renderer->show_instances(std::vector<bool>(run.scene.instances.size(), true));
-    return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
+    return loaded.get_renderer().use([&](ScanRenderer& renderer) {
+        renderer.show_instances(std::vector<bool>(run.scene.instances.size(), true));
+        return evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    });
 }
 
 py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,

@@ -11,8 +11,9 @@ namespace relidar::python {
 /// computes, otherwise as a number after adding to the gradients.
 class PythonLoss final : public Loss {
 public:
-    /// The caller must hold the GIL, here and in the destructor.
-    PythonLoss(SharedDevice device, PythonCallGuard& python_calls, py::function function);
+    /// The caller must hold the GIL in the destructor.
+    PythonLoss(SharedDevice device, PythonCallGuard& python_calls, py::function function)
+        : device_(std::move(device)), python_calls_(python_calls), function_(std::move(function)) {}
     /// Waits for the device, because other libraries do not know its order of work. Then
     /// calls the function.
     /// @throws UsageError after an exception of the function, which `python_calls` stores
@@ -23,11 +24,7 @@ private:
     SharedDevice device_;
     PythonCallGuard& python_calls_;
     py::function function_;
-    py::object torch_, tensors_;  ///< the modules torch and relidar.torch, null without torch
 
-    py::object to_tensor(const py::object& array) const;
-    py::object make_batch(const RenderedBatch& rendered, const TargetBatch& targets,
-                          const py::object& d_rendered) const;
     void call_function(const RenderedBatch& rendered, const TargetBatch& targets,
                        const LossTermRow& terms) const;
 };

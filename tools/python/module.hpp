@@ -7,7 +7,6 @@
 
 namespace relidar::python {
 
-void bind_errors(pybind11::module_& module);
 void bind_device(pybind11::module_& module);
 void bind_device_array(pybind11::module_& module);
 void bind_config(pybind11::module_& module);

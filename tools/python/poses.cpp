@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "poses.hpp"
+#include "conversions.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
+#include "base/fail.hpp"
 
-#include <relidar/base/error.hpp>
 #include "module.hpp"
 
 namespace relidar::python {
@@ -45,12 +45,6 @@ Pose read_pose(const double* matrix, const std::string& where) {
     return {glm::normalize(glm::quat_cast(rotation)), {matrix[3], matrix[7], matrix[11]}};
 }
 
-void write_pose(const Pose& pose, double* output) {
-    const glm::dmat4 columns = to_matrix(pose);
-    for (int row = 0; row < 4; ++row)
-        for (int column = 0; column < 4; ++column) *output++ = columns[column][row];
-}
-
 }  // namespace
 
 Pose to_pose(const py::handle& matrix, const std::string& where) {
@@ -73,28 +67,32 @@ PoseTrack to_track(const py::handle& object, const std::string& where, double ti
     if (!py::isinstance<py::tuple>(object)) return {{time_s}, {to_pose(object, where)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
-        throw DataError(fmt::format(
-            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", where,
-            pair.size()));
+        fail("{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", where,
+             pair.size());
     PoseTrack track{copy_array<double, double>(pair[0], where + ": times", {kAnyLength}),
                     to_poses(pair[1], where + ": poses")};
     if (track.time_s.size() != track.pose.size())
-        throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
-                                    where, track.time_s.size(), track.pose.size()));
+        fail("{}: found {} times and {} poses, expected the same number of both", where, track.time_s.size(),
+             track.pose.size());
     return track;
 }
 
+void append_pose(std::vector<double>& numbers, const Pose& pose) {
+    // GLM stores a matrix by columns, numpy by rows.
+    const glm::dmat4 columns = to_matrix(pose);
+    for (int row = 0; row < 4; ++row)
+        for (int column = 0; column < 4; ++column) numbers.push_back(columns[column][row]);
+}
+
 py::array pose_matrix(const Pose& pose) {
-    std::vector<double> numbers(16);
-    write_pose(pose, numbers.data());
+    std::vector<double> numbers;
+    append_pose(numbers, pose);
     return move_to_numpy<double>(std::move(numbers), {4, 4});
 }
 
 py::tuple to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
-    std::vector<double> numbers(16 * track.pose.size());
-    for (std::size_t i = 0; i < track.pose.size(); ++i)
-        write_pose({track.pose[i].rotation, track.pose[i].translation + position_offset_m},
-                   numbers.data() + 16 * i);
+    std::vector<double> numbers;
+    for (const Pose& pose : shift_track(track, position_offset_m).pose) append_pose(numbers, pose);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
     return py::make_tuple(move_to_numpy<double>(std::vector<double>(track.time_s), {n}),
                           move_to_numpy<double>(std::move(numbers), {n, 4, 4}));

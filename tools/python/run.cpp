@@ -14,13 +14,11 @@
 #include <relidar/simulate/device_points.hpp>
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"
-#include "config.hpp"
+#include "base/fail.hpp"
+#include "conversions.hpp"
 #include "device_array.hpp"
 #include "integers.hpp"
 #include "module.hpp"
-#include "poses.hpp"
-#include "scene.hpp"
-#include "sensors.hpp"
 #include "sequence.hpp"
 
 namespace relidar::python {
@@ -50,8 +48,7 @@ void check_time(const PoseTrack& track, double time_s, double tolerance_s, const
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
-        throw UsageError(
-            fmt::format("{}: found {} s, expected a time from {} to {} s", where, time_s, begin_s, end_s));
+        fail<UsageError>("{}: found {} s, expected a time from {} to {} s", where, time_s, begin_s, end_s);
 }
 
 ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_single_poses_s) {
@@ -70,10 +67,8 @@ ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_singl
 }
 
 int find_nearest_frame(const Log& sequence, double time_s) {
-    const auto is_nearer = [&](const Frame& first, const Frame& second) {
-        return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
-    };
-    return std::min_element(sequence.frames.begin(), sequence.frames.end(), is_nearer)->index;
+    const auto distance_s = [&](const Frame& frame) { return std::abs(frame.time_s - time_s); };
+    return std::ranges::min_element(sequence.frames, {}, distance_s)->index;
 }
 
 /// Returns the request for a scan. Without a pose, the sensor follows the recorded path
@@ -121,10 +116,7 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
         times_s.push_back(box.time_s);
         shares.push_back(box.visible_share);
         points.push_back(std::int32_t(box.n_points));
-        // glm stores a matrix by columns, numpy by rows.
-        const glm::dmat4 columns = to_matrix(box.dataset_from_box);
-        for (int row = 0; row < 4; ++row)
-            for (int column = 0; column < 4; ++column) poses.push_back(columns[column][row]);
+        append_pose(poses, box.dataset_from_box);
     }
     const std::size_t n = boxes.size();
     return to_array_dict({make_text_array("track", tracks), make_text_array("category", categories),
@@ -159,21 +151,16 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     ScanOutputOptions format = default_options(run, sensor);
     if (arguments.frame == "sensor") format.frame = PointCoordinateFrame::sensor;
     else if (arguments.frame == "world") format.frame = PointCoordinateFrame::world;
-    else
-        throw UsageError(
-            fmt::format("argument frame: found \"{}\", expected sensor or world", arguments.frame));
+    else fail<UsageError>("argument frame: found \"{}\", expected sensor or world", arguments.frame);
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
-    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
-    RenderedScan scan;
-    {
-        const DeviceLock use(renderer.opened());
-        renderer->show_instances(shown);
-        renderer->set_weather(weather);
-        renderer->count_actor_rays(arguments.boxes);
-        scan = renderer->render(sensor, request, arguments.sample);
-        add_spawned(renderer->spawned(), format);
-    }
+    const RenderedScan scan = loaded.get_renderer().use([&](ScanRenderer& renderer) {
+        renderer.show_instances(shown);
+        renderer.set_weather(weather);
+        renderer.count_actor_rays(arguments.boxes);
+        add_spawned(renderer.spawned(), format);
+        return renderer.render(sensor, request, arguments.sample);
+    });
     py::dict arrays =
         to_array_dict(scan_arrays(scan, find_nearest_frame(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
@@ -186,16 +173,13 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
 py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const auto [request, sensor] = prepare_scan(arguments, run);
-    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
-    DevicePoints points;
-    {
-        const DeviceLock use(renderer.opened());
-        renderer->show_instances(std::vector<bool>(run.scene.instances.size(), true));
-        renderer->set_weather({});
-        renderer->submit_points(sensor, request, request.time_s, arguments.sample,
-                                ScanRenderer::SubmissionTiming::now, ScanRenderer::PointMemory::device);
-        points = renderer->wait_for_device_points();
-    }
+    const DevicePoints points = loaded.get_renderer().use([&](ScanRenderer& renderer) {
+        renderer.show_instances(std::vector<bool>(run.scene.instances.size(), true));
+        renderer.set_weather({});
+        renderer.submit_points(sensor, request, request.time_s, arguments.sample,
+                               ScanRenderer::SubmissionTiming::now, ScanRenderer::PointMemory::device);
+        return renderer.wait_for_device_points();
+    });
     using shared::ReturnedPoint;
     const SharedDevice& device = loaded.device;
     const auto add = [&]<class Number>(py::dict& arrays, const char* name, Number, std::size_t member_bytes,
@@ -219,10 +203,10 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
     const std::vector<Frame>&frames = run.sequence.frames, &scans = log.sequence.frames;
     if (position >= frames.size() || position >= scans.size() ||
         frames[position].index != scans[position].index)
-        throw UsageError(
-            fmt::format("cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
-                        "same frames in both",
-                        position.value, scans.size(), frames.size()));
+        fail<UsageError>(
+            "cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
+            "same frames in both",
+            position.value, scans.size(), frames.size());
     // Pose of the run, scan of the log.
     Frame frame = frames[position];
     frame.scan = scans[position].scan;
@@ -243,16 +227,14 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
 
 void spawn_actor(LoadedRun& run, const std::variant<std::string, LoadedRun*>& actor,
                  const std::string& name) {
-    DeviceObject<ScanRenderer>& renderer = run.get_renderer();
-    const DeviceLock use(renderer.opened());
-    if (const auto* track = std::get_if<std::string>(&actor)) renderer->spawn(*track, name);
-    else renderer->spawn(std::get<LoadedRun*>(actor)->run, name);
+    run.get_renderer().use([&](ScanRenderer& renderer) {
+        if (const auto* track = std::get_if<std::string>(&actor)) renderer.spawn(*track, name);
+        else renderer.spawn(std::get<LoadedRun*>(actor)->run, name);
+    });
 }
 
 void despawn_actor(LoadedRun& run, const std::string& name) {
-    DeviceObject<ScanRenderer>& renderer = run.get_renderer();
-    const DeviceLock use(renderer.opened());
-    renderer->despawn(name);
+    run.get_renderer().use([&](ScanRenderer& renderer) { renderer.despawn(name); });
 }
 
 /// Returns a copy of a run with other surfels of the same number and kind.
@@ -263,10 +245,9 @@ std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::di
     // The new surfels replace those of all blocks.
     scene = with_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
-        throw DataError(
-            fmt::format("with_surfels: found {} {}, expected {} {}, the same number and kind as in the run",
-                        surfels.size(), properties_of(surfels.primitive).label, scene.surfels.size(),
-                        properties_of(scene.surfels.primitive).label));
+        fail("with_surfels: found {} {}, expected {} {}, the same number and kind as in the run",
+             surfels.size(), properties_of(surfels.primitive).label, scene.surfels.size(),
+             properties_of(scene.surfels.primitive).label);
     scene.surfels = std::move(surfels);
     return changed;
 }
@@ -459,13 +440,7 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
 DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
     device = device_or_default(device);
-    std::unique_ptr<ScanRenderer> made;
-    {
-        // Other Python threads can run while this lock exists.
-        const DeviceLock use(*device);
-        made = std::make_unique<ScanRenderer>(device->device, run);
-    }
-    DeviceObject<ScanRenderer> fresh(device, std::move(made));
+    auto fresh = DeviceObject<ScanRenderer>::create(device, run);
     // keeps the renderer if another thread has created one during this call
     if (!renderer) renderer = std::move(fresh);
     return renderer;

@@ -5,8 +5,9 @@
 
 #include <fmt/ranges.h>
 #include <pybind11/stl.h>
+#include "base/fail.hpp"
 
-#include "config.hpp"
+#include "conversions.hpp"
 #include "run.hpp"
 
 namespace relidar::python {
@@ -51,10 +52,10 @@ std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict&
 void save_run_in(LoadedRun& loaded, const fs::path& folder, bool overwrite) {
     Run& run = loaded.run;
     if (!overwrite && is_run_folder(folder))
-        throw UsageError(
-            fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
-                        "overwrite=True replaces the run",
-                        folder.string()));
+        fail<UsageError>(
+            "cannot save to {}: the folder already contains a run; expected a new folder; "
+            "overwrite=True replaces the run",
+            folder.string());
     const fs::path before = std::exchange(run.folder, folder);
     try {
         save_run(run);
@@ -94,8 +95,7 @@ std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
     if (state[3].is_none()) {
         auto loaded = load_run_with(folder, settings, nullptr);
         if (loaded->files_on_disk == state[2].cast<std::string>()) return loaded;
-        throw DataError(fmt::format("cannot unpickle the run {}: its files have changed since it was pickled",
-                                    folder.string()));
+        fail("cannot unpickle the run {}: its files have changed since it was pickled", folder.string());
     }
     const py::object temporary = make_temp_folder();
     for (const auto& [name, content] : py::dict(state[3]))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "scene.hpp"
+#include "conversions.hpp"
 
 #include <algorithm>
 
@@ -7,53 +7,33 @@
 
 #include <relidar/scene/device_scene.hpp>
 #include "arrays.hpp"
+#include "base/fail.hpp"
 #include "integers.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
 namespace {
 
-constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
-
-/// Calls `callback` for each parameter array of the surfels with its name, its values,
-/// and the shape of one surfel's values.
-template <class Set, class Callback>
-void for_each_array(Set& surfels, Callback&& callback) {
-    callback("mean", surfels.mean, NumpyShape{3});
-    callback("rotation", surfels.rotation, NumpyShape{4});
-    callback("log_scale", surfels.log_scale, NumpyShape{2});
-    callback("opacity_logit", surfels.opacity_logit, NumpyShape{});
-    callback("sh", surfels.sh, NumpyShape{kShChannels, kShCoefficients});
-    callback(kThirdScale.data(), surfels.log_scale_w, NumpyShape{});
-    callback(kGait.data(), surfels.gait, NumpyShape{5});
-}
-
-bool has_array(const Surfels& surfels, std::string_view name) {
-    if (name == kGait) return surfels.bends;
-    return name != kThirdScale || properties_of(surfels.primitive).third_scale;
-}
-
-NumpyShape array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
-    NumpyShape shape{n_rows};
-    shape.insert(shape.end(), row_shape.begin(), row_shape.end());
-    return shape;
+NumpyShape array_shape(const SurfelParameterGroup& group, std::size_t n) {
+    const std::vector<std::size_t> shape = group.array_shape(n);
+    return {shape.begin(), shape.end()};
 }
 
 /// Returns the surfel arrays without a copy. Each array keeps the Python scene alive.
 py::dict surfel_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
-    for_each_array(surfels, [&](const char* name, const auto& values, const NumpyShape& row) {
-        if (!has_array(surfels, name)) return;
-        dict[name] = read_only_view<float>(values, array_shape(static_cast<py::ssize_t>(surfels.size()), row),
-                                           scene_object);
-    });
+    for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used())) {
+        const py::array array(py::dtype::of<float>(), array_shape(group, surfels.size()),
+                              group.values(surfels).data(), scene_object);
+        array.attr("setflags")(py::arg("write") = false);
+        dict[group.name] = array;
+    }
     return dict;
 }
 
 std::uint32_t read_uint32(const py::dict& dict, const char* entry_name, const char* where) {
-    if (!dict.contains(entry_name))
-        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", where, entry_name));
+    if (!dict.contains(entry_name)) fail("{}: the dict has no entry \"{}\"", where, entry_name);
     return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", where, entry_name));
 }
 
@@ -102,43 +82,45 @@ py::list instance_dicts(const Scene& scene) {
 }  // namespace
 
 Surfels read_surfels(const py::dict& arrays) {
-    Surfels surfels;
     std::vector<std::string> names;
-    for_each_array(surfels,
-                   [&]<class Element>(const char* name, std::vector<Element>& values, const NumpyShape& row) {
-                       names.emplace_back(name);
-                       if (arrays.contains(name))
-                           values = copy_array<float, Element>(arrays[name], fmt::format("surfels: {}", name),
-                                                               array_shape(kAnyLength, row));
-                       else if (name != kThirdScale && name != kGait)
-                           throw DataError(
-                               fmt::format("surfels: the array \"{}\" is missing, expected mean, rotation, "
-                                           "log_scale, opacity_logit and sh",
-                                           name));
-                   });
+    for (const SurfelParameterGroup& group : kParameterGroups) names.emplace_back(group.name);
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
-        if (std::find(names.begin(), names.end(), text) == names.end())
-            throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
-                                         did_you_mean(text, names, "\""), fmt::join(names, ", ")));
+        if (std::ranges::find(names, text) == names.end())
+            fail<UsageError>("surfels: the array \"{}\" is unknown{} (known: {})", text,
+                             did_you_mean(text, names, "\""), fmt::join(names, ", "));
     }
     // Only 3D Gaussians have an array of third scales, so its presence decides the kind
     // of primitive.
     const auto kind =
-        std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
+        std::ranges::find(kPrimitives, arrays.contains("log_scale_w"), &PrimitiveProperties::third_scale);
+    Surfels surfels;
     surfels.primitive = kind->primitive;
-    surfels.bends = arrays.contains(kGait);
+    surfels.bends = arrays.contains("gait");
+    for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used())) {
+        if (!arrays.contains(group.name))
+            fail(
+                "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit and "
+                "sh",
+                group.name);
+        NumpyShape shape = array_shape(group, 0);
+        shape.front() = kAnyLength;
+        const py::object array = to_numpy(arrays[group.name]);
+        const auto values = array_values<float>(array, fmt::format("surfels: {}", group.name), shape);
+        group.resize(surfels, values.size());
+        std::ranges::copy(values, group.mutable_values(surfels).begin());
+    }
     surfels.check_lengths();
     return surfels;
 }
 
 py::dict to_array_dict(Surfels&& surfels) {
-    const auto n = static_cast<py::ssize_t>(surfels.size());
+    auto* owned = new Surfels(std::move(surfels));
+    const py::capsule owner(owned, [](void* p) { delete static_cast<Surfels*>(p); });
     py::dict dict;
-    for_each_array(surfels, [&](const char* name, auto& values, const NumpyShape& row) {
-        if (!has_array(surfels, name)) return;
-        dict[name] = move_to_numpy<float>(std::move(values), array_shape(n, row));
-    });
+    for (const SurfelParameterGroup& group : list_groups(owned->parameters_used()))
+        dict[group.name] = py::array(py::dtype::of<float>(), array_shape(group, owned->size()),
+                                     group.values(*owned).data(), owner);
     return dict;
 }
 

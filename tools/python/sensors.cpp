@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sensors.hpp"
+#include "conversions.hpp"
 
 #include <cmath>
 
 #include <pybind11/stl.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 #include "arrays.hpp"
+#include "base/fail.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
@@ -24,11 +24,10 @@ void check_rays(const RayTable& rays) {
         const float length = glm::length(rays.direction[i]);
         // The negated comparison also rejects NaN.
         if (!(std::abs(length - 1.0f) <= kMaxLengthError))
-            throw DataError(
-                fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
+            fail("sensor: directions: found length {} at ray {}, expected 1", length, i);
         // The sum is not finite if any of its numbers is not finite.
         if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
-            throw DataError(fmt::format("sensor: the origin or time of ray {} is not finite", i));
+            fail("sensor: the origin or time of ray {} is not finite", i);
     }
 }
 

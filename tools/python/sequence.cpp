@@ -9,10 +9,9 @@
 #include <relidar/run/stage_options.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"
+#include "conversions.hpp"
 #include "integers.hpp"
 #include "module.hpp"
-#include "poses.hpp"
-#include "sensors.hpp"
 
 namespace relidar::python {
 namespace {

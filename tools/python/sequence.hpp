@@ -28,25 +28,22 @@ pybind11::object track_dict(const Log& sequence, const std::vector<std::string>&
 /// @param get returns the Log of an Owner
 template <class Owner, class Get>
 void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
-    type.def_property_readonly(
-            "times", [get](const Owner& owner) { return frame_times(get(owner)); },
-            "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
-        .def_property_readonly(
-            "frame_numbers", [get](const Owner& owner) { return frame_numbers(get(owner)); },
-            "Frame numbers of the dataset, [frames] int32.")
-        .def_property_readonly(
-            "trajectory", [get](const Owner& owner) { return vehicle_path(get(owner)); },
-            "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, "
-            "in the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.")
-        .def_property_readonly(
-            "world_offset", [get](const Owner& owner) { return world_offset(get(owner)); },
-            "Origin of the scene's frame in the dataset's world, [3] float64, metres. Both have the same "
-            "axes.")
-        .def_property_readonly(
-            "mountings", [get](const Owner& owner) { return mounting_dict(get(owner)); },
-            "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
-            "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
-            "identity.");
+    const auto bind = [&](const char* name, pybind11::object (*value_of)(const Log&), const char* doc) {
+        type.def_property_readonly(
+            name, [get, value_of](const Owner& owner) { return value_of(get(owner)); }, doc);
+    };
+    bind("times", frame_times,
+         "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.");
+    bind("frame_numbers", frame_numbers, "Frame numbers of the dataset, [frames] int32.");
+    bind("trajectory", vehicle_path,
+         "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, "
+         "in the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.");
+    bind("world_offset", world_offset,
+         "Origin of the scene's frame in the dataset's world, [3] float64, metres. Both have the same axes.");
+    bind("mountings", mounting_dict,
+         "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
+         "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
+         "identity.");
 }
 
 }  // namespace relidar::python

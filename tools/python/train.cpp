@@ -87,16 +87,13 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
                   .losses = std::move(losses)});
 }
 
-void align_held_out(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
+/// Registers the held-out scans and learns the scatter of the intensities.
+void finish_run(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
+    const ScanCallbacks callbacks{{}, [&] { return !python_calls.can_continue(); }};
     const DeviceLock use(device);
-    register_held_out(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    register_held_out(device.device, run, callbacks);
     python_calls.rethrow();
-}
-
-void fit_noise(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
-    const DeviceLock use(device);
-    run.intensity_scatter =
-        learn_scatter(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    run.intensity_scatter = learn_scatter(device.device, run, callbacks);
     python_calls.rethrow();
 }
 
@@ -152,9 +149,10 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     }
     python.rethrow();
     move_result(run, result);
-    if (!result.interrupted) align_held_out(*device, run, python);
-    if (!result.interrupted) fit_noise(*device, run, python);
-    if (config.refine.enabled && !result.interrupted) train_drop_network(*device, run, arguments, python);
+    if (!result.interrupted) {
+        finish_run(*device, run, python);
+        if (config.refine.enabled) train_drop_network(*device, run, arguments, python);
+    }
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }

@@ -3,7 +3,7 @@
 # module itself. The docstrings describe their meaning.
 from collections.abc import Callable, Mapping, Sequence as _Sequence
 from os import PathLike
-from typing import Any, TypedDict
+from typing import Any, Final, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ _Arrays = dict[str, NDArray[Any]]
 _Track = tuple[_Double, _Double]
 _Pose = _Double | _Track
 _Progress = Callable[[str, float], object] | None
+_Sensor = str | Mapping[str, NDArray[Any]] | None
+_Actors = Mapping[str, _Pose] | None
 _Settings = Mapping[str, str | bool | int | float | PathLike[str]]
 
 class Error(Exception):
@@ -27,47 +29,30 @@ class DataError(Error, ValueError): ...
 class DeviceError(Error, RuntimeError): ...
 
 class DeviceInfo:
-    @property
-    def index(self) -> int: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def type(self) -> str: ...
-    @property
-    def driver(self) -> str: ...
-    @property
-    def api_version(self) -> str: ...
-    @property
-    def memory_bytes(self) -> int: ...
-    @property
-    def ray_query(self) -> bool: ...
-    @property
-    def software(self) -> bool: ...
-    @property
-    def why_not_usable(self) -> str: ...
+    index: Final[int]
+    name: Final[str]
+    type: Final[str]
+    driver: Final[str]
+    api_version: Final[str]
+    memory_bytes: Final[int]
+    ray_query: Final[bool]
+    software: Final[bool]
+    why_not_usable: Final[str]
 
 def devices() -> list[DeviceInfo]: ...
 
 class Device:
     def __init__(self, index: int = -1, traversal: str = "auto", *, memory_limit_bytes: int = 0, validation: bool = False, share_memory: bool = True) -> None: ...
-    @property
-    def info(self) -> DeviceInfo: ...
-    @property
-    def traversal(self) -> str: ...
-    @property
-    def peak_bytes(self) -> int: ...
-    @property
-    def transfers(self) -> dict[str, int]: ...
+    info: Final[DeviceInfo]
+    traversal: Final[str]
+    peak_bytes: Final[int]
+    transfers: Final[dict[str, int]]
 
 class DeviceArray:
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-    @property
-    def strides(self) -> tuple[int, ...]: ...
-    @property
-    def dtype(self) -> np.dtype[Any]: ...
-    @property
-    def is_shared(self) -> bool: ...
+    shape: Final[tuple[int, ...]]
+    strides: Final[tuple[int, ...]]
+    dtype: Final[np.dtype[Any]]
+    is_shared: Final[bool]
     def numpy(self) -> NDArray[Any]: ...
     def copy_from(self, values: Any) -> None: ...
     def __dlpack__(self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None, copy: Any = None) -> Any: ...
@@ -90,26 +75,16 @@ def rays(sensor: str, time: float = 0.0) -> _Arrays: ...
 
 class Sequence:
     def __len__(self) -> int: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def notes(self) -> list[str]: ...
-    @property
-    def config(self) -> Config: ...
-    @property
-    def times(self) -> _Double: ...
-    @property
-    def frame_numbers(self) -> NDArray[np.int32]: ...
-    @property
-    def trajectory(self) -> _Track: ...
-    @property
-    def world_offset(self) -> _Double: ...
-    @property
-    def boxes(self) -> dict[str, _Track]: ...
-    @property
-    def frame_lidars(self) -> list[str]: ...
-    @property
-    def mountings(self) -> dict[str, _Double]: ...
+    name: Final[str]
+    notes: Final[list[str]]
+    config: Final[Config]
+    times: Final[_Double]
+    frame_numbers: Final[NDArray[np.int32]]
+    trajectory: Final[_Track]
+    world_offset: Final[_Double]
+    boxes: Final[dict[str, _Track]]
+    frame_lidars: Final[list[str]]
+    mountings: Final[dict[str, _Double]]
     def rays(self, lidar: str = "") -> _Arrays: ...
     def scan(self, position: int) -> _Arrays: ...
 
@@ -121,17 +96,12 @@ def save_street(
 
 class Scene:
     def __init__(
-        self,
-        surfels: Mapping[str, _Float],
-        models: _Sequence[Mapping[str, Any]] | None = None,
-        instances: _Sequence[Mapping[str, Any]] | None = None,
+        self, surfels: Mapping[str, _Float], models: _Sequence[Mapping[str, Any]] | None = None,
+        instances: _Sequence[Mapping[str, Any]] | None = None
     ) -> None: ...
-    @property
-    def surfels(self) -> dict[str, _Float]: ...
-    @property
-    def models(self) -> list[dict[str, Any]]: ...
-    @property
-    def instances(self) -> list[dict[str, Any]]: ...
+    surfels: Final[dict[str, _Float]]
+    models: Final[list[dict[str, Any]]]
+    instances: Final[list[dict[str, Any]]]
     def __len__(self) -> int: ...
 
 class Run:
@@ -139,62 +109,33 @@ class Run:
     def load(folder: _Path, *, settings: _Settings = {}, device: Device | None = None) -> Run: ...
     def save(self, folder: _Path, *, overwrite: bool = False) -> None: ...
     def render(
-        self,
-        sensor: str | Mapping[str, NDArray[Any]] | None = None,
-        *,
-        pose: _Pose | None = None,
-        time: float | None = None,
-        actors: Mapping[str, _Pose] | None = None,
-        lidar: str = "",
-        only: _Sequence[str] = [],
-        sample: int | None = None,
-        frame: str = "sensor",
-        deskew: bool = False,
-        weather: str = "",
-        boxes: bool = False,
+        self, sensor: _Sensor = None, *, pose: _Pose | None = None, time: float | None = None, actors: _Actors = None, lidar: str = "",
+        only: _Sequence[str] = [], sample: int | None = None, frame: str = "sensor", deskew: bool = False, weather: str = "",
+        boxes: bool = False
     ) -> _Arrays: ...
     def points(
-        self,
-        sensor: str | Mapping[str, NDArray[Any]] | None = None,
-        *,
-        pose: _Pose | None = None,
-        time: float | None = None,
-        actors: Mapping[str, _Pose] | None = None,
-        lidar: str = "",
-        sample: int | None = None,
+        self, sensor: _Sensor = None, *, pose: _Pose | None = None, time: float | None = None, actors: _Actors = None, lidar: str = "",
+        sample: int | None = None
     ) -> dict[str, DeviceArray | _Double]: ...
-    def rays(self, sensor: str | Mapping[str, NDArray[Any]] | None = None, lidar: str = "") -> _Arrays: ...
+    def rays(self, sensor: _Sensor = None, lidar: str = "") -> _Arrays: ...
     def training_rays(self, sequence: Sequence, position: int) -> _Arrays: ...
     def spawn(self, actor: str | Run, name: str) -> None: ...
     def despawn(self, name: str) -> None: ...
     def with_surfels(self, surfels: Mapping[str, _Float]) -> Run: ...
     def edit(self) -> Edit: ...
-    @property
-    def folder(self) -> str: ...
-    @property
-    def config(self) -> Config: ...
-    @property
-    def scene(self) -> Scene: ...
-    @property
-    def surfels(self) -> dict[str, _Float]: ...
-    @property
-    def times(self) -> _Double: ...
-    @property
-    def frame_numbers(self) -> NDArray[np.int32]: ...
-    @property
-    def held_out(self) -> list[int]: ...
-    @property
-    def trajectory(self) -> _Track: ...
-    @property
-    def world_offset(self) -> _Double: ...
-    @property
-    def mountings(self) -> dict[str, _Double]: ...
-    @property
-    def actors(self) -> dict[str, _Track]: ...
-    @property
-    def categories(self) -> dict[str, str]: ...
-    @property
-    def edits(self) -> list[str]: ...
+    folder: Final[str]
+    config: Final[Config]
+    scene: Final[Scene]
+    surfels: Final[dict[str, _Float]]
+    times: Final[_Double]
+    frame_numbers: Final[NDArray[np.int32]]
+    held_out: Final[list[int]]
+    trajectory: Final[_Track]
+    world_offset: Final[_Double]
+    mountings: Final[dict[str, _Double]]
+    actors: Final[dict[str, _Track]]
+    categories: Final[dict[str, str]]
+    edits: Final[list[str]]
 
 class Edit:
     def remove(self, track: str) -> Edit: ...
@@ -210,33 +151,19 @@ class Edit:
     def save(self, folder: _Path, *, overwrite: bool = False) -> Run: ...
 
 class TrainProgress:
-    @property
-    def iteration(self) -> int: ...
-    @property
-    def n_iterations(self) -> int: ...
-    @property
-    def seconds(self) -> float: ...
-    @property
-    def iterations_per_second(self) -> float: ...
-    @property
-    def eta_s(self) -> float: ...
-    @property
-    def loss(self) -> float: ...
-    @property
-    def terms(self) -> dict[str, float]: ...
-    @property
-    def n_surfels(self) -> int: ...
+    iteration: Final[int]
+    n_iterations: Final[int]
+    seconds: Final[float]
+    iterations_per_second: Final[float]
+    eta_s: Final[float]
+    loss: Final[float]
+    terms: Final[dict[str, float]]
+    n_surfels: Final[int]
 
 def train(
-    sequence: Sequence,
-    config: Config | None = None,
-    *,
-    callback: Callable[[TrainProgress], object] | None = None,
-    note: Callable[[str], object] | None = None,
-    checkpoints: _Path | None = None,
-    resume: bool = False,
-    losses: _Sequence[Callable[[Any], Any]] = (),
-    device: Device | None = None,
+    sequence: Sequence, config: Config | None = None, *, callback: Callable[[TrainProgress], object] | None = None,
+    note: Callable[[str], object] | None = None, checkpoints: _Path | None = None, resume: bool = False,
+    losses: _Sequence[Callable[[Any], Any]] = (), device: Device | None = None
 ) -> Run: ...
 
 class _Scored(TypedDict):
@@ -257,10 +184,8 @@ class DifferentiableRenderer:
         self, scene: Scene, config: Config | None = None, *, poses: bool = False, rays: bool = False, sparse: bool = False,
         margin: tuple[float, float] | None = None, device: Device | None = None
     ) -> None: ...
-    @property
-    def device(self) -> Device: ...
-    @property
-    def likelihood_scale_m(self) -> float: ...
+    device: Final[Device]
+    likelihood_scale_m: Final[float]
     def place(
         self, poses: _Double | None = None, view_origin: _Double | None = None, present: _Sequence[bool] | None = None, *, refit: bool = True
     ) -> None: ...
