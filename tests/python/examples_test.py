@@ -7,7 +7,6 @@ import importlib.util
 import io
 import os
 import pathlib
-import sys
 import unittest
 
 import numpy as np

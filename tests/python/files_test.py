@@ -9,7 +9,7 @@ import unittest
 import numpy as np
 
 import relidar
-from common import FOLDER, TestCase, config, log, run, street
+from common import FOLDER, TestCase, log, run, street
 
 
 class Poses(TestCase):

@@ -3,7 +3,6 @@
 poses, actors and sensors of the caller, and the lifetime of arrays."""
 import gc
 import json
-import shutil
 import unittest
 
 import numpy as np
@@ -35,41 +34,16 @@ class Render(TestCase):
                 # rounded to float.
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
-    def test_points_have_the_bits_of_the_files(self):
-        """Passes the same poses as arrays and as a file. The points from Python and from a PLY file
-        must be equal."""
-        time = run().times[3]
-        times, way = np.array([time - 0.1, time + 0.1]), FOLDER / "way.csv"
-        places = np.array([[3.25, 0.5, 1.73], [5.5, 0.25, 1.73]])
-        way.write_text("time_s,x,y,z,yaw_deg\n" + "".join(f"{float(t)!r},{x},{y},{z},0\n" for t, (x, y, z) in zip(times, places)))
-        tool("render", run().folder, "--out", FOLDER / "points", "--trajectory", way, "--times", f"{float(time)!r}:{float(time)!r}:1",
-             "--sensor", "VLP-16:90x10", "--deskew", "--format", "ply")
-        header, _, body = (FOLDER / "points" / "frame_000000.ply").read_bytes().partition(b"end_header\n")
-        names = [line.split()[1:] for line in header.decode().splitlines() if line.startswith("property")]
-        kinds = {"float": "<f4", "uint16": "<u2", "int": "<i4"}
-        vertices = np.frombuffer(body, [(name, kinds[kind]) for kind, name in names])
-        scan = run().render("VLP-16:90x10", time=time, pose=(times, np.stack([relidar.pose(*place) for place in places])), deskew=True)
-        returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
-        self.assertGreater(np.count_nonzero(returned), 100)
-        for axis, name in enumerate("xyz"):
-            self.assert_same(scan["points"][returned][:, axis], np.ascontiguousarray(vertices[name]))
-
-    def test_boxes_contain_the_points_of_their_actors(self):
+    def test_boxes_count_the_points_of_their_actors(self):
         """Counts the points in each box. Also compares the boxes with those of the tool."""
         time, number = run().times[3], run().frame_numbers[3]
         scan = run().render(time=time, frame="world", boxes=True)
         boxes = scan["boxes"]
         self.assertGreater(boxes["points"].max(), 20)
         returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
-        points, instance = scan["points"][returned], scan["instance"][returned]
-        for i, track in enumerate(boxes["track"]):
-            of_actor = instance == list(scan["instance_names"]).index(track)
-            n = np.count_nonzero(of_actor)
-            self.assertEqual(boxes["points"][i], n)
-            in_box = np.abs(np.linalg.inv(boxes["pose"][i]) @ np.c_[points, np.ones(len(points))].T)[:3].T
-            larger, smaller = (np.all(in_box < boxes["size_m"][i] / 2 + margin, axis=1) for margin in (0.15, -0.15))
-            self.assertGreaterEqual(np.count_nonzero(larger & of_actor), 0.95 * n, track)
-            self.assertLessEqual(np.count_nonzero(smaller & ~of_actor), 0.05 * n, track)
+        instance = scan["instance"][returned]
+        for track, n_points in zip(boxes["track"], boxes["points"]):
+            self.assertEqual(n_points, np.count_nonzero(instance == list(scan["instance_names"]).index(track)))
         tool("render", run().folder, "--out", FOLDER / "boxes", "--frames", f"{number}:{number + 1}", "--boxes")
         written = json.loads((FOLDER / "boxes/scans.json").read_text())["scans"][0]["boxes"]
         self.assertEqual(list(boxes["track"]), [box["track"] for box in written])
@@ -80,27 +54,6 @@ class Render(TestCase):
         self.assertEqual(list(moved["track"]), [boxes["track"][0]])
         np.testing.assert_allclose(moved["pose"], boxes["pose"][:1], atol=1e-6)
         self.assertNotIn("boxes", run().render(time=time))
-
-    def test_a_ray_that_meets_nothing_gives_no_point(self):
-        """Follows the recipe of the README. The last bias of the network is far below 0, so that it
-        predicts a return for every ray."""
-        folder = FOLDER / "never_drops"
-        shutil.copytree(run().folder, folder)
-        data = bytearray((folder / "drop_network.safetensors").read_bytes())
-        begin = 8 + int.from_bytes(data[:8], "little")
-        first, last = json.loads(data[8:begin])["parameters"]["data_offsets"]
-        parameters = np.frombuffer(data, "<f4", (last - first) // 4, begin + first)
-        parameters[-4] = -80.0   # parameter groups start at multiples of four
-        (folder / "drop_network.safetensors").write_bytes(data)
-        position = run().held_out[0]
-        never_drops, time = relidar.Run.load(folder), run().times[position]
-        for sensor in (None, "VLP-16:90x10"):
-            scan = never_drops.render(time=time) if sensor is None else never_drops.render(sensor, time=time)
-            returned = scan["drop_prob"] < 0.5
-            self.assertTrue(np.any(scan["instance"] < 0))
-            self.assertTrue(np.all(returned[(scan["instance"] >= 0) & (scan["weight"] > 0.9) & (scan["median_range"] > 3)]))
-            self.assertTrue(np.all(scan["median_range"][returned] > 0) and np.all(scan["range"][returned] > 0))
-            self.assertTrue(np.all(scan["instance"][returned] >= 0))
 
     def test_trajectory_and_actors_of_the_log_are_the_default(self):
         time = run().times[3]
@@ -138,33 +91,6 @@ class Render(TestCase):
         driven = turned.render(time=time, pose=turned.trajectory)
         # a path of the caller has no recorded sweeps
         self.assert_same(driven["directions"], nominal["directions"])
-
-    def test_compensated_log(self):
-        """In a log without a rolling shutter, the log's sensor has no rolling shutter either and
-        reports this. A different sensor fires each ray at its firing time."""
-        time, speed = run().times[3], 13.0
-        folder = FOLDER / "compensated"
-        relidar.Run.load(run().folder).save(folder)
-        scene = json.loads((folder / "scene.json").read_text())
-        scene["rolling_shutter"] = False
-        (folder / "scene.json").write_text(json.dumps(scene))
-        times = np.array([time - 0.1, time + 0.1])
-        start = run().trajectory[1][3]
-        path = (times, np.stack([start @ relidar.pose(speed * (t - time), 0, 0) for t in times]))
-        compensated = relidar.Run.load(folder)
-        own = compensated.render(time=time, pose=path)
-        self.assertEqual((own["deskewed"].item(), np.abs(own["time"]).max()), (1, 0))
-        for name, settings in (("VLP-16", {}), ("native", {"sensor.rolling_shutter": True})):
-            loaded = relidar.Run.load(folder, settings=settings)
-            raw, deskewed = (loaded.render(name, time=time, pose=path, deskew=deskew) for deskew in (False, True))
-            self.assertEqual((raw["deskewed"].item(), deskewed["deskewed"].item()), (0, 1))
-            moved = deskewed["origin"] + deskewed["range"][..., None] * deskewed["directions"]
-            moved -= raw["origin"] + raw["range"][..., None] * raw["directions"]
-            expected = np.zeros_like(moved)
-            expected[..., 0] = speed * raw["time"]
-            met = raw["range"] > 0
-            self.assertGreater(np.ptp(raw["time"][met]), 0.08)
-            np.testing.assert_allclose(moved[met], expected[met], atol=1e-3)
 
     def test_times_outside_are_refused(self):
         render, times = run().render, run().times
@@ -244,12 +170,6 @@ class Render(TestCase):
         self.assertNotIn("source", clear)
         self.assertEqual(set(np.unique(fog["source"])) - {-1}, {0, 1})
         self.assert_same(fog["source"] == -1, fog["drop_prob"] == 1.0)
-        seen = (fog["source"] == 0) & (clear["drop_prob"] == 0.0)
-        self.assertGreater(seen.sum(), 100)
-        self.assert_same(fog["range"][seen], clear["range"][seen])
-        kept = np.exp(-2.0 * np.log(20.0) / 60.0 * clear["median_range"][seen])
-        step = 0.01   # the rendered intensities have the same steps as the intensities of the log
-        self.assertLess(np.abs(fog["intensity"][seen] - clear["intensity"][seen] * kept).max(), step)
         in_air = fog["source"] == 1
         self.assertTrue((fog["instance"][in_air] == -1).all())
         self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])

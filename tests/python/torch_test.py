@@ -252,22 +252,17 @@ class Torch(TestCase):
         without = relidar.torch.Scene(surfels, relidar.Config("paper"))
         self.assertRaises(relidar.UsageError, relidar.torch.render, without, rays, measured=torch.ones(2))
 
-    def test_likelihood_differences(self):
-        for direction in "ray", "surfel":
-            case = TorchCase(direction)
-            measured = case.render()["median_range"].detach() + 0.02
-            measured[::7] = 0
-            weight = torch.from_numpy(case.upstream["depth"])
+    def test_likelihood_is_rendered_again(self):
+        """With the measured ranges of its batch, after another batch was rendered."""
+        case = TorchCase()
+        measured = case.render()["median_range"].detach() + 0.02
 
-            def loss(rays=case.tensor, **arguments):
-                return (case.render(rays, measured=measured, **arguments)["likelihood"] * weight).double().sum()
+        def loss(rays=case.tensor):
+            return case.render(rays, measured=measured)["likelihood"].double().sum()
 
-            for name in "means", "quats", "scales", "opacities":
-                self.check_step(name, lambda x: loss(**{name: x}), getattr(case.scene, name), STEP / 10)
-            self.check_step("origins", lambda x: loss((x, case.tensor[:, 3:])), case.tensor[:, :3], STEP / 10)
-            first, again = case.scene.means, loss()
-            loss(case.tensor.flip(0))   # `again` is rendered again, with its measured ranges
-            self.assertTrue(torch.equal(*(torch.autograd.grad(each, first)[0] for each in (again, loss()))))
+        again = loss()
+        loss(case.tensor.flip(0))
+        self.assertTrue(torch.equal(*(torch.autograd.grad(each, case.scene.means)[0] for each in (again, loss()))))
 
     def test_training_scene(self):
         """Sparse gradients equal dense gradients. The tree is updated only after large changes, which changes no value."""

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Serves one WebSocket connection. Also has the state that all connections of a web server
-// share.
+// Serves one WebSocket connection. Also has the state that all connections of a web
+// server share.
 #pragma once
 
 #include <deque>
