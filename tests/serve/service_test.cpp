@@ -318,64 +318,42 @@ TEST_F(Service, SensorIsUploadedOnce) {
     EXPECT_EQ(scan.image().range_m(), scan_of(by_spec).image().range_m());
 }
 
-v1::RigSensor& mount(v1::RenderRigRequest& request, const std::string& name, double x_m, std::size_t n_rays) {
-    v1::RigSensor& sensor = *request.add_sensors();
-    sensor.set_name(name);
-    *sensor.mutable_sensor()->mutable_spec() = make_rays_ahead(n_rays);
-    sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(x_m);
-    return sensor;
-}
-
-std::vector<v1::RigScan> render_rig(v1::RenderService::Stub& calls, const v1::RenderRigRequest& request) {
-    grpc::ClientContext context;
-    const auto reader = calls.RenderRig(&context, request);
-    std::vector<v1::RigScan> scans;
-    for (v1::RigScan scan; reader->Read(&scan);) scans.push_back(scan);
-    EXPECT_TRUE(reader->Finish().ok());
-    return scans;
-}
-
-TEST_F(Service, RigIsAScanForEachOfItsSensors) {
-    start();
-    v1::RenderRigRequest request;
-    *request.mutable_rig() = make_standing_request();
-    request.mutable_rig()->mutable_actors();
-    mount(request, "front", 2.0, 1);
-    mount(request, "rear", -3.0, 1);
-    std::vector<std::string> received_scans;
-    for (const v1::RigScan& scan : render_rig(*calls, request))
-        received_scans.push_back(
-            fmt::format("{} {:.2f}", scan.name(), values<float>(scan.scan().image().range_m())[0]));
-    EXPECT_THAT(received_scans, testing::ElementsAre("front 8.00", "rear 13.00"));
-}
-
 /// Uses more sensors than are submitted to the device together. The scan of a remaining
-/// sensor must be computed on the host.
-TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
+/// sensor must be computed on the host. Sensors with an image are rendered one by one.
+TEST_F(Service, ScansOfARigAreThoseOfEachSensorAlone) {
     start();
-    v1::RenderRigRequest request;
-    *request.mutable_rig() = make_standing_request();
-    request.mutable_rig()->clear_wanted();
-    for (int i = 0; i < 13; ++i) {
-        v1::RigSensor& sensor = mount(request, std::to_string(i), 0.5 * i - 5.0, std::size_t(1 + i % 3));
-        if (i == 3) sensor.mutable_sensor()->set_name("rosette");
-    }
-    const std::vector<v1::RigScan> scans = render_rig(*calls, request);
-    ASSERT_EQ(scans.size(), 13u);
-    for (int i = 0; i < 13; ++i) {
-        const v1::RigSensor& sensor = request.sensors(i);
-        const v1::Points& points = scans[std::size_t(i)].scan().points();
-        EXPECT_EQ(scans[std::size_t(i)].name(), sensor.name());
-        v1::RenderLidarRequest alone = request.rig();
-        *alone.mutable_sensor() = sensor.sensor();
-        for (v1::TimedPose& pose : *alone.mutable_path()) {
-            v1::Vector& at = *pose.mutable_pose()->mutable_translation();
-            at.set_x(at.x() + sensor.rig_from_sensor().translation().x());
+    for (const char* wanted : {"points: true", "range_image: true"}) {
+        v1::RenderRigRequest request;
+        *request.mutable_rig() = make_standing_request();
+        *request.mutable_rig()->mutable_wanted() = parse<v1::Wanted>(wanted);
+        for (int i = 0; i < 13; ++i) {
+            v1::RigSensor& sensor = *request.add_sensors();
+            sensor.set_name(std::to_string(i));
+            if (i == 3) sensor.mutable_sensor()->set_name("rosette");
+            else *sensor.mutable_sensor()->mutable_spec() = make_rays_ahead(std::size_t(1 + i % 3));
+            sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(0.5 * i - 5.0);
         }
-        const v1::LidarScan expected = scan_of(alone);
-        EXPECT_GT(expected.points().xyz_m().size(), 0u) << i;
-        EXPECT_EQ(points.xyz_m(), expected.points().xyz_m()) << i;
-        EXPECT_EQ(points.intensity(), expected.points().intensity()) << i;
+        grpc::ClientContext context;
+        const auto reader = calls->RenderRig(&context, request);
+        int n_read = 0;
+        for (v1::RigScan scan; reader->Read(&scan); ++n_read) {
+            const v1::RigSensor& sensor = request.sensors(n_read);
+            EXPECT_EQ(scan.name(), sensor.name());
+            v1::RenderLidarRequest alone = request.rig();
+            *alone.mutable_sensor() = sensor.sensor();
+            for (v1::TimedPose& pose : *alone.mutable_path()) {
+                v1::Vector& at = *pose.mutable_pose()->mutable_translation();
+                at.set_x(at.x() + sensor.rig_from_sensor().translation().x());
+            }
+            const v1::LidarScan expected = scan_of(alone);
+            EXPECT_GT(expected.points().count() + expected.image().columns(), 0u) << n_read;
+            EXPECT_EQ(scan.scan().points().SerializeAsString(), expected.points().SerializeAsString())
+                << n_read;
+            EXPECT_EQ(scan.scan().image().SerializeAsString(), expected.image().SerializeAsString())
+                << n_read;
+        }
+        EXPECT_TRUE(reader->Finish().ok());
+        EXPECT_EQ(n_read, request.sensors_size());
     }
 }
 
