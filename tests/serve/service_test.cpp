@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Responses must equal the scans of ScanRenderer bit by bit.
-#include <fmt/format.h>
-#include <gmock/gmock.h>
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/simulate/render.hpp>
