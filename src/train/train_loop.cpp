@@ -130,10 +130,8 @@ bool has_dense_gradients(const Config& config) {
 /// sensor itself usually drops, and returns in moving boxes without a model.
 IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scene& scene,
                                   const Config& config) {
-    IgnoredMeasurements masks{
-        config.init, {}, config.train.sensor_drop ? measure_drops(log, split.train) : RayDropTable{}};
-    for (const ModelInstance& instance : scene.instances)
-        if (!instance.track.empty()) masks.actors.push_back(instance.track);
+    IgnoredMeasurements masks = mask_movers(config, scene);
+    if (config.train.sensor_drop) masks.observed_drops = measure_drops(log, split.train);
     return masks;
 }
 
@@ -219,9 +217,6 @@ void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, c
     differentiable_.record_backward();  // computes the gradients (equation 9)
 }
 
-/// Records and submits one iteration: render a batch, compute gradients, run an Adam
-/// step, and densify if due. The reports and pose updates are those of kReadbackLag
-/// iterations before, so that the host does not wait for the device.
 void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     check_reports(step - kReadbackLag);
     refiner_.apply_until(stream_, step - kReadbackLag);
@@ -298,8 +293,6 @@ void TrainLoop::check_reports(int last_step) {
     }
 }
 
-/// Doubles the capacity of the hit buffer before it is full. A deterministic step stores
-/// all hits of a batch, so that it can sum gradients in a fixed order.
 void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& report) {
     if (report.most_hits > report.hit_capacity)
         fail<DeviceError>(
@@ -313,8 +306,6 @@ void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& 
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
-/// Increases the number of stored hits per ray if too many rays had more hits. Keeps the
-/// number if the device has no memory for more.
 void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport& report) {
     // Ignores a report whose iterations ran before the last increase.
     if (report.stored_hits_per_ray != renderer_.stored_hits_per_ray() || hit_memory_exhausted_) return;
@@ -330,7 +321,6 @@ void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport&
     }
 }
 
-/// Waits until the device has run all submitted iterations, and reads their last report.
 void TrainLoop::finish_steps() {
     start_readback(last_step_, false);
     submitted_ = stream_.submit_commands();
@@ -358,8 +348,6 @@ void TrainLoop::restore_from(const Checkpoint& checkpoint) {
     refiner_.update_corrected();
 }
 
-/// Estimates how often the sensor itself drops rays: renders some rays of each frame and
-/// counts drops where the scene predicts a return.
 RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     // Rays in a batch. In a full log, one batch of each frame is enough: each bin of the
     // drop table (a beam and an azimuth interval) then gets hundreds of rays.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intersects lines with boxes by the slab method. Finds the longest side of a box.
+// Intersects lines with boxes by the slab method, and rays with spheres. Finds the longest
+// side of a box.
 #pragma once
 
 #include <algorithm>
@@ -47,6 +48,15 @@ template <class Vector>
 int longest_axis(const Vector& size) {
     if (size.x >= size.y && size.x >= size.z) return 0;
     return size.y >= size.z ? 1 : 2;
+}
+
+/// Returns true if a ray passes through a sphere, or begins in it.
+inline bool passes_sphere(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& centre_m,
+                          double radius_m) {
+    const glm::dvec3 to_centre_m = centre_m - origin_m;
+    const double along_m = glm::dot(to_centre_m, direction);
+    return along_m > -radius_m &&
+           glm::dot(to_centre_m, to_centre_m) - along_m * along_m < radius_m * radius_m;
 }
 
 }  // namespace relidar

@@ -185,11 +185,6 @@ double facing_side(const BoxTrack& box, const MoverTrack& track, int axis) {
     return high > most ? 1.0 : 0.0;
 }
 
-double median(std::vector<double> values) {
-    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
-    return values[values.size() / 2];
-}
-
 /// Returns the median pose of a labelled box in the frame of the visible points.
 /// @param indices indices of the labelled observations to use
 GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& indices,
@@ -202,7 +197,8 @@ GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>
         for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
         values[3].push_back(std::remainder(yaw_of(pose) - poses[k].yaw, 2.0 * kPi));
     }
-    return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
+    return {{compute_median(values[0]), compute_median(values[1]), compute_median(values[2])},
+            compute_median(values[3])};
 }
 
 }  // namespace
@@ -232,7 +228,7 @@ BoxTrack fit_box(const MoverTrack& track) {
 void enlarge_box(BoxTrack& box, const MoverTrack& track) {
     const std::vector<double> speeds = speeds_mps(box);
     // Slow objects keep their size, because they can be pedestrians.
-    if (speeds.empty() || median(speeds) < kMinCarSpeed_mps) return;
+    if (speeds.empty() || compute_median(speeds) < kMinCarSpeed_mps) return;
     const bool cyclist =
         box.size_m.y < kCyclistWidth_m && box.size_m.z > kCyclistTop_m && box.size_m.x < kCar.least_length_m;
     const TypicalObjectSize* kind = box.size_m.z > kMinTruckHeight_m ? &kTruck : &kCar;

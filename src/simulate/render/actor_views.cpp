@@ -3,6 +3,8 @@
 // hit the actor by the number that would hit it if the scene contained nothing else. For
 // standing objects, which are part of the background, estimates the latter number.
 #include <relidar/scene/labels.hpp>
+
+#include "base/geometry/ray_box.hpp"
 #include "simulate/render/footprint.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
@@ -10,33 +12,17 @@
 namespace relidar {
 namespace {
 
-struct FiredRay {
-    glm::dvec3 origin, direction;
-};
-
 /// Returns the rays of a sweep in the world frame of the scene, each at its firing time.
-std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
-    const RayTable& rays = sweep.rays();
-    std::vector<FiredRay> in_world;
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-        const Pose pose = sweep.world_from_sensor.pose_at(sweep.time_s + double(rays.time_offset_s[i]));
-        in_world.push_back(
-            {pose * glm::dvec3(rays.origin[i]), pose.rotation * glm::dvec3(rays.direction[i])});
-    }
+std::vector<WorldRay> fired_rays(const SimulatedSweep& sweep) {
+    std::vector<WorldRay> in_world;
+    for (std::size_t i = 0; i < sweep.rays().size(); ++i)
+        in_world.push_back(make_world_ray(sweep.world_from_sensor, sweep.time_s, sweep.rays(), i, true));
     return in_world;
-}
-
-/// Returns true if a ray passes through a sphere, or begins in it.
-bool is_near(const FiredRay& ray, const glm::dvec3& centre_m, double radius_m) {
-    const glm::dvec3 to_centre_m = centre_m - ray.origin;
-    const double along_m = glm::dot(to_centre_m, ray.direction);
-    return along_m > -radius_m &&
-           glm::dot(to_centre_m, to_centre_m) - along_m * along_m < radius_m * radius_m;
 }
 
 /// Returns the indices of the rays that pass near a model. The test uses a sphere that
 /// contains the model during the full sweep.
-RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
+RayIndices rays_near(const std::vector<WorldRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
                      double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
     const glm::dvec3 begin_m = pose.motion.pose_at(pose.world_from_model, double(first_s)).translation,
@@ -44,7 +30,8 @@ RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sw
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
     RayIndices nearby;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        if (is_near(rays[i], 0.5 * (begin_m + end_m), radius_m)) nearby.push_back(i);
+        if (passes_sphere(rays[i].origin_m, rays[i].direction, 0.5 * (begin_m + end_m), radius_m))
+            nearby.push_back(i);
     return nearby;
 }
 
@@ -86,7 +73,7 @@ ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const 
 /// counts their hits. Then removes the background and actors without hits from `views`.
 void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
                                           ActorViews& views) {
-    const std::vector<FiredRay> rays = fired_rays(sweep);
+    const std::vector<WorldRay> rays = fired_rays(sweep);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
         if (views[i].track.empty() || !sweep.instances[i].present) continue;
         const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
@@ -114,16 +101,17 @@ ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const
     ActorViews views;
     if (standing.empty()) return views;
     const double max_range_m = sweeps.limits_of(sweep.sensor).max_m;
-    const std::vector<FiredRay> rays = fired_rays(sweep);
+    const std::vector<WorldRay> rays = fired_rays(sweep);
     for (const BoxTrack& box : standing) {
         const Pose &world_from_box = box.world_from_box.pose.front(),
                    box_from_world = inverse(world_from_box);
         const double radius_m = 0.5 * glm::length(box.size_m) + 2.0 * kObjectMargin_m;
         CrossingRays crossing;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            if (!is_near(rays[i], world_from_box.translation, radius_m)) continue;
+            if (!passes_sphere(rays[i].origin_m, rays[i].direction, world_from_box.translation, radius_m))
+                continue;
             const std::optional<glm::dvec2> inside_m = object_interval(
-                box_from_world * rays[i].origin, box_from_world.rotation * rays[i].direction, box.size_m);
+                box_from_world * rays[i].origin_m, box_from_world.rotation * rays[i].direction, box.size_m);
             if (!inside_m || (*inside_m)[0] > max_range_m) continue;
             const double range_m = double(scan.median_range_m[i]);
             const bool meets = scan.weight[i] >= 0.5f && range_m > 0.0 && range_m <= (*inside_m)[1];

@@ -4,31 +4,13 @@
 // it.
 #include <relidar/simulate/render.hpp>
 
-#include <cmath>
+#include "base/geometry/ray_box.hpp"
 
 namespace relidar {
 namespace {
 
 // With fewer rays, the side is not reported.
 constexpr std::size_t kFewestRays = 5;
-
-/// Returns the range at which a ray enters a box, and the axis of that side (slab
-/// method). The range is infinite if the ray misses the box or starts inside.
-std::pair<double, int> enter_box(const glm::dvec3& from, const glm::dvec3& along, const glm::dvec3& half_m) {
-    double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
-    int axis = -1;
-    for (int k = 0; k < 3; ++k) {
-        const double inverse = 1.0 / along[k], a = (-half_m[k] - from[k]) * inverse,
-                     b = (half_m[k] - from[k]) * inverse;
-        if (std::min(a, b) > enter_m) {
-            enter_m = std::min(a, b);
-            axis = k;
-        }
-        leave_m = std::min(leave_m, std::max(a, b));
-    }
-    if (axis < 0 || !(enter_m < leave_m)) return {std::numeric_limits<double>::infinity(), 0};
-    return {enter_m, axis};
-}
 
 struct PartlyObservedActor {
     const std::string* track;
@@ -42,14 +24,6 @@ struct PartlyObservedActor {
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
-    /// Returns true if the ray passes through the bounding sphere of the box.
-    bool is_ray_near_box(const glm::dvec3& origin, const glm::dvec3& direction) const {
-        const glm::dvec3 to_centre = centre_m - origin;
-        const double along_m = glm::dot(to_centre, direction);
-        return along_m > -radius_m &&
-               glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
-    }
-
     /// Counts a ray if it sees a side of the actor that the log has not observed. Such a
     /// side is either filled with mirrored surfels or left empty. All coordinates are in
     /// the box frame.
@@ -59,11 +33,11 @@ struct PartlyObservedActor {
         if (hits_actor && range_m > 0.0)
             if (const auto side = surface->find_mirrored_side(origin + range_m * direction))
                 ++n_completed[std::size_t(*side)];
-        const auto [enter_m, axis] = enter_box(origin, direction, half_m);
-        if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
+        const std::optional<BoxCrossing> inside = cross_box(origin, direction, -half_m, half_m);
+        if (!inside || !(inside->enter > 0.0) || (range_m > 0.0 && range_m < inside->enter)) return;
         for (std::size_t s = 0; s < kBoxSides; ++s)
-            if (kSideFrames[s].normal == axis &&
-                -kSideFrames[s].sign * direction[axis] >= min_cosine(BoxSide(s)) &&
+            if (kSideFrames[s].normal == inside->axis &&
+                -kSideFrames[s].sign * direction[inside->axis] >= min_cosine(BoxSide(s)) &&
                 side_coverage[s] < kUnseenSide)
                 ++n_through[s];
     }
@@ -101,7 +75,7 @@ UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& sc
         const glm::dvec3 origin = world_from_firing * glm::dvec3(scan.image.origin[i]),
                          direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
         for (PartlyObservedActor& box : boxes) {
-            if (!box.is_ray_near_box(origin, direction)) continue;
+            if (!passes_sphere(origin, direction, box.centre_m, box.radius_m)) continue;
             // Each ray meets the box at the pose that the box has at the firing time.
             const Pose box_from_world =
                 inverse(box.world_from_box->pose_at(scan.time_s + double(scan.time_offset_s[i])));

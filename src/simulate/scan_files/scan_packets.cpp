@@ -9,7 +9,6 @@
 
 namespace relidar {
 
-/// Converts a rendered scan to a measured scan: rays without a return have range 0.
 Scan to_measured(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;

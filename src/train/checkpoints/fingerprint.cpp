@@ -100,8 +100,6 @@ constexpr const char* kMismatch = "{}: {}: found {}, expected {} as in the check
 
 }  // namespace
 
-/// Returns hashes of a log. Callers report only the first hash that differs, so the hash
-/// that explains a difference best is first.
 std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split) {
     return {{"log/training frames", "the log's training frames", hash_frames(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
@@ -126,9 +124,6 @@ std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey
     return texts;
 }
 
-/// Compares settings with the values in a checkpoint.
-/// @throws UsageError if a setting has another value
-/// @throws DataError if a setting is missing in the checkpoint
 void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix) {
     const std::map<std::string, std::string> saved = read_settings(checkpoint);
     for (const ConfigKey& setting : keys) {
@@ -147,8 +142,6 @@ void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, con
     if (saved != mark.value) fail(kMismatch, prefix, mark.what, mark.value, saved);
 }
 
-/// Returns the settings that a checkpoint stores, by key.
-/// @throws DataError for an unknown key
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {
     const std::string prefix = kSettingPrefix;
     std::set<std::string> setting_keys;

@@ -95,9 +95,6 @@ bool CheckpointFolder::is_time_due() const {
     return minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
 }
 
-/// Writes a checkpoint. If the disk or the memory is full, prints a note and training
-/// continues.
-/// @throws DataError if the state is not finite, because training cannot continue from it
 void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)>& add_state) {
     // Sets the time before writing. If writing fails because the disk is full, the next
     // attempt then happens after one interval, not in the next step.
@@ -136,8 +133,6 @@ CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Con
                   return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
               }) {}
 
-/// Returns true after a fixed number of iterations or minutes. The last iteration also
-/// gets a checkpoint if the folder already has one.
 bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
@@ -173,8 +168,6 @@ void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& spl
     for (const ResumeFingerprint& mark : fingerprint_log(log, split)) check_same(checkpoint, mark, doing);
 }
 
-/// Adds a line to the training log. Estimates the remaining time in seconds from the
-/// speed since the first line of the log.
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s) {
     TrainProgress p = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
@@ -186,8 +179,6 @@ void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, 
     log.push_back(std::move(p));
 }
 
-/// Writes the training log and the times to a checkpoint, so that a resumed training
-/// continues both.
 void write_log(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
     LogColumns log;
     for (const TrainProgress& p : result.log) {

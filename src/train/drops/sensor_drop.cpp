@@ -115,8 +115,6 @@ double RayDropCounts::local_rate(int channel, int bin) const {
     return drops / rays;
 }
 
-/// Returns rates that are pulled towards the neighbours where a bin has few rays:
-/// (drops + kPriorRays * local rate) / (rays + kPriorRays).
 RayDropTable RayDropCounts::smoothed_rates() const {
     RayDropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
@@ -137,8 +135,6 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_in
     return counts.persistent_rates();
 }
 
-/// Sets the drop probability to 1 in sectors in which all beams of a LiDAR are blind.
-/// Either the sensor is set to a smaller field of view, or the vehicle hides the sector.
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
     const int bins = observed_drop_rates.bins;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {

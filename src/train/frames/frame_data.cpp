@@ -47,10 +47,9 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
                    double range_m) {
     return std::any_of(masked_boxes.begin(), masked_boxes.end(), [&](const MovingBoxMask& box) {
         const InstancePose& placed = box.placed;
-        const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
         // A fast test with a sphere around the box rejects most rays.
-        const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
-        if (!(glm::distance(to_centre, along_m * ray.direction) <= box.reach_m)) return false;
+        if (!passes_sphere(ray.origin_m, ray.direction, placed.world_from_model.translation, box.reach_m))
+            return false;
         const PosedBox posed_box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
                                  box.half_size_m};
         const glm::dvec2 inside = posed_box.intersect_m(ray);
@@ -68,8 +67,6 @@ glm::dvec2 PosedBox::intersect_m(const WorldRay& ray, double margin_m) const {
     return inside ? glm::dvec2(std::max(inside->enter, 0.0), inside->leave) : glm::dvec2(1.0, 0.0);
 }
 
-/// Computes the rays and the loss targets of a frame. A target has the weight 0 if
-/// training must ignore its ray.
 void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
@@ -106,8 +103,6 @@ RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t
             &loss_targets()};
 }
 
-/// Returns the nominal rays of a frame's LiDAR. If the scan has other rows and columns,
-/// returns the rays of the scan instead.
 SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame) {
     SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) {
@@ -131,7 +126,6 @@ TrainingRays make_training_rays(const Run& run, const Frame& frame) {
     return made;
 }
 
-/// Returns for each ray 1 if it was dropped, 0 if it returned, or -1 if it is unknown.
 std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;

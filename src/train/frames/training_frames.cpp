@@ -13,9 +13,6 @@
 
 namespace relidar {
 
-/// Returns the frame with one ray for each cell of the grid. A cell gets the values of
-/// its nearest return. A cell without a return becomes a dropped ray, whose time is the
-/// time at which the LiDAR head faces the cell.
 Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid) {
     constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
@@ -114,8 +111,6 @@ std::size_t TrainingFrames::bytes_per_ray() const {
            (use_.moves_rays ? sizeof(shared::PoseInterpolation) : 0);
 }
 
-/// Uploads as many frames as fit into the memory budget. All other frames share one set
-/// of arrays, which is as large as the largest of them.
 TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector<int>& frame_indices,
                                FrameUploadOptions use)
     : sequence_(log), use_(std::move(use)) {

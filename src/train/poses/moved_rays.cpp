@@ -26,8 +26,6 @@ PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingF
       gradients_(device, "train/knot_gradients",
                  {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
-/// Records GPU commands that compute the rays of a frame from its corrected poses. A ray
-/// is interpolated between the poses before and after its firing time.
 void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correction,
                                   TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;

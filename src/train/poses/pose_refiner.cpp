@@ -93,9 +93,6 @@ void PoseRefiner::move_frame(Stream& stream, TrainingFrameData& frame) {
             .translation);
 }
 
-/// Records the summation of the pose gradients of a batch and their copy to the host.
-/// Also stores the frame and times of the iteration, which are needed when its gradients
-/// are applied kReadbackLag iterations later.
 void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                    const SampledBatch& batch, const DeviceGradients& gradients, int step) {
     if (!is_enabled()) return;

@@ -32,8 +32,6 @@ Twist TrackCorrection::stored_correction(std::size_t pose_index) const {
     return twist;
 }
 
-/// Returns the correction of a pose. A pose without Adam steps gets the correction that
-/// is interpolated between the nearest poses with steps.
 Twist TrackCorrection::correction_at(std::size_t pose_index) const {
     const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose_index, after = pose_index;
@@ -71,8 +69,6 @@ void TrackCorrection::add_gradient(std::size_t pose_index, double weight, const 
     visited_[pose_index] = true;
 }
 
-/// Performs an Adam step on the loss and the prior for each pose that got a gradient.
-/// Each pose counts its own steps for the bias correction.
 void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
     for (std::size_t k = 0; k < visited_.size(); ++k) {
         if (!visited_[k]) continue;
@@ -93,9 +89,6 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
     }
 }
 
-/// Removes the rigid motion that all corrections have in common, so that the scene does
-/// not drift. Moving the scene and all sensors together does not change the images, so
-/// the loss does not constrain this motion.
 void TrackCorrection::remove_mean_motion() {
     const auto n = double(track_.pose.size());
     glm::dvec3 centre(0.0), v(0.0), w(0.0);

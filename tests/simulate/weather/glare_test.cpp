@@ -12,7 +12,8 @@ namespace {
 constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
-using test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to, test::surface_at;
+using test::compute_chi2_deviate, test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to,
+    test::surface_at;
 
 /// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
 /// 0.005 at 60 m.
@@ -27,16 +28,6 @@ WeatherSensorProperties make_sensor_to_60_m() {
 WeatherRaySimulator make_air_beside_sun(double off_deg, double klux, const WeatherSensorProperties& sensor,
                                         float hides_sun = 0.0f) {
     return test::make_air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
-}
-
-/// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
-/// and Hilferty 1931). By chance, it is outside -4 to 4 in 1 of 16,000 cases.
-double compute_chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
-    double chi2 = 0.0;
-    for (std::size_t k = 0; k < counts.size(); ++k)
-        chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
-    const double f = double(counts.size()) - 1.0, spread = 2.0 / (9.0 * f);
-    return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
 /// Compares with photons counted by hand: 0.65 W/m^2/nm through a filter of 20 nm, an

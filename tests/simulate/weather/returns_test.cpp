@@ -9,7 +9,8 @@
 namespace relidar {
 namespace {
 
-using test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to, test::surface_at;
+using test::echoes, test::echoes_of, test::make_air_of, test::make_air_with, test::make_sensor_to,
+    test::surface_at;
 
 /// Returns the integral of 2 c function(c) over the cosine c, which is the mean over a
 /// diffuse surface.
@@ -79,8 +80,6 @@ TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
     EXPECT_EQ(echoes.strongest.source, ReturnCause::surface);
     EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
 }
-
-using test::echoes, test::echoes_of, test::make_air_of, test::make_sensor_to, test::surface_at;
 
 double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
 
