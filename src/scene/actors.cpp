@@ -12,7 +12,6 @@
 #include "base/list_text.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
-#include "scene/changing_actors.hpp"
 #include "scene/point_surfels.hpp"
 
 namespace relidar {

@@ -8,7 +8,6 @@
 
 #include <relidar/scene/box_surface.hpp>
 #include <relidar/scene/labels.hpp>
-#include <relidar/scene/symmetry.hpp>
 
 #include "base/geometry/ray_box.hpp"
 #include "base/median.hpp"

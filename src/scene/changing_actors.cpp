@@ -2,7 +2,6 @@
 // Makes surfels from the points of each frame. They are visible only around the time of
 // their frame, and move with the points of the neighbouring frames. This models every
 // change of shape: steps, pedals, doors, trailers.
-#include "scene/changing_actors.hpp"
 
 #include <fmt/format.h>
 #include <cmath>

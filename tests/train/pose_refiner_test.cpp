@@ -13,7 +13,6 @@
 #include "../support/device.hpp"
 #include "support/names.hpp"
 #include "train/frames/training_frames.hpp"
-#include "train/poses/moved_rays.hpp"
 #include "train/poses/pose_refiner.hpp"
 
 namespace relidar {

@@ -10,7 +10,6 @@
 #include <string>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/files.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/run.hpp>
@@ -237,20 +236,6 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     Checkpoint of_surfels = checkpoint;
     std::erase_if(of_surfels.arrays, [](const NamedArray& array) { return array.name == "moment2"; });
     EXPECT_THROW(train_drops(device(), run, {.start = &of_surfels}), DataError);
-}
-
-TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
-    relidar::Run run = make_weak_run(device());
-    run.config.refine.epochs = 1;
-    run.config.refine.frames = 3;
-    write_text_file(folder() / "taken", "");
-    std::vector<std::string> notes;
-    RayDropTrainingSession session;
-    session.checkpoints = folder() / "taken";
-    session.note = [&](const std::string& line) { notes.push_back(line); };
-    EXPECT_FALSE(train_drops(device(), run, session).empty());
-    ASSERT_EQ(notes.size(), 1u);
-    EXPECT_THAT(notes[0], test::Names("checkpoint"));
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {

@@ -42,4 +42,17 @@ std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const In
 /// 0.2 m outside the box of the label.
 void fade_far_swings(Scene& scene, float alpha_min);
 
+/// Returns true for objects that are assumed to be symmetric: labelled vehicles, and
+/// objects without a label that are at least 3 m long.
+bool is_vehicle(const BoxTrack& box);
+
+/// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
+Surfels mirror_surfels(Surfels surfels);
+
+/// Completes a symmetric object. Surfels of an unobserved patch are replaced by mirrored
+/// surfels of the other side, if the other side was observed. The new surfels are
+/// appended. Does nothing if both sides were observed and differ by more than 0.15 m.
+/// @return number of surfels that were added
+std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface);
+
 }  // namespace relidar

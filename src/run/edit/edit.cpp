@@ -7,7 +7,7 @@
 
 #include <fmt/ranges.h>
 
-#include <relidar/scene/symmetry.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "base/fail.hpp"
 #include "run/edit/tracks.hpp"

@@ -10,7 +10,6 @@
 #include <relidar/base/files.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/scene/labels.hpp>
-#include <relidar/scene/symmetry.hpp>
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 

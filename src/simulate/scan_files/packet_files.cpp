@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "simulate/scan_files/packet_files.hpp"
+#include "simulate/scan_files/scan_folder.hpp"
 
 #include <system_error>
 

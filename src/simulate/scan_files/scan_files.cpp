@@ -10,10 +10,9 @@
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include "log/sequence/georeference_json.hpp"
-#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
-#include "simulate/scan_files/scan_entry.hpp"
+#include "simulate/scan_files/scan_folder.hpp"
 
 namespace relidar {
 namespace {

@@ -11,9 +11,8 @@
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "base/fail.hpp"
-#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recording_format.hpp"
-#include "simulate/scan_files/scan_entry.hpp"
+#include "simulate/scan_files/scan_folder.hpp"
 
 namespace relidar {
 namespace {

@@ -13,10 +13,9 @@
 #include "base/base64.hpp"
 #include "base/codecs/mcap_writer.hpp"
 #include "base/fail.hpp"
-#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
 #include "simulate/scan_files/recording_format.hpp"
-#include "simulate/scan_files/scan_entry.hpp"
+#include "simulate/scan_files/scan_folder.hpp"
 
 namespace relidar::scan_files {
 namespace {

@@ -7,7 +7,7 @@
 #include <relidar/diff/forward.hpp>
 
 #include "base/random.hpp"
-#include "simulate/render/scan_motion.hpp"
+#include "simulate/render/channel_makers.hpp"
 
 namespace relidar {
 

@@ -11,12 +11,36 @@
 #include <string>
 #include <vector>
 
+#include <relidar/log/sequence.hpp>
 #include <relidar/run/checkpoint.hpp>
+#include <relidar/run/config.hpp>
+#include <relidar/scene/scene.hpp>
 #include <relidar/train/train.hpp>
 
 #include "train/iteration_reports.hpp"
 
 namespace relidar {
+
+/// A property that must not change when training is resumed: its key in a checkpoint, its
+/// name in messages, and its current value.
+struct ResumeFingerprint {
+    std::string key, what, value;
+};
+
+/// The hash that explains a difference best comes first, because only one is reported.
+std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
+ResumeFingerprint fingerprint_scene(const Scene& scene);
+
+std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
+                                                     const std::vector<ResumeFingerprint>& fingerprints);
+/// Compares settings or a hash with the values in a checkpoint.
+/// @param prefix  start of the error message
+/// @throws UsageError if a setting has another value
+/// @throws DataError if a setting is missing or a hash differs
+void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix);
+void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix);
+/// @throws DataError for an unknown key
+std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
 
 /// The training log, the time of the initialisation and the training time.
 /// @param training_time_s  seconds since training started

@@ -16,7 +16,6 @@
 
 #include "base/fail.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
-#include "train/checkpoints/fingerprint.hpp"
 #include "train/drops/stripes.hpp"
 #include "train/frames/frame_data.hpp"
 

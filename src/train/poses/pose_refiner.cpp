@@ -2,18 +2,32 @@
 #include "train/poses/pose_refiner.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 
 #include <relidar/diff/backward.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/train/train.hpp>
 
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
 #include "train/frames/training_frames.hpp"
 #include "train/iteration_reports.hpp"
-#include "train/poses/moved_rays.hpp"
 
 namespace relidar {
 namespace {
+
+std::uint32_t max_frame_poses(const std::vector<TrainingFrameData>& frames) {
+    std::uint32_t most = 0;
+    for (const TrainingFrameData& frame : frames) most = std::max(most, frame.n_knots);
+    return most;
+}
+
+constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
+
+glm::dvec3 three_components(const Twist& twist, std::size_t first_index) {
+    return {twist[first_index], twist[first_index + 1], twist[first_index + 2]};
+}
 
 // Learning rate at the end of training, relative to the start.
 constexpr double kFinalShare = 0.1;
@@ -48,6 +62,157 @@ PoseStepRates pose_rates(const TrainConfig& config, double initial_rate_m, int s
 }
 
 }  // namespace
+
+PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames)
+    : most_knots_(max_frame_poses(frames)),
+      moved_(device, max_frame_rays(frames), "moved rays"),
+      knots_(device, most_knots_, "sensor poses"),
+      rows_(device, std::size_t(kGroupsPerPose) * 6 * most_knots_, "pose gradients"),
+      move_(device, "train/move_rays"),
+      gradients_(device, "train/knot_gradients",
+                 {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
+
+void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correction,
+                                  TrainingFrameData& frame) {
+    std::vector<shared::PoseKnot> knots;
+    for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
+        const Twist c = correction.correction_at(k);
+        knots.push_back({glm::vec3(correction.uncorrected_track().pose[k].translation),
+                         glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
+    }
+    stream.impl().record_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    run(stream, move_, frame.n_rays,
+        {.rays = frame.arrays->rays.address(),
+         .interpolations = frame.arrays->track_positions.address(),
+         .knots = knots_.address(),
+         .moved = moved_.address(),
+         .n_rays = frame.n_rays});
+    frame.moved_rays = &moved_;
+}
+
+/// Records GPU commands that sum the gradients of the rays for each pose. Each of the
+/// workgroups of a pose writes one row of partial sums.
+void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
+                                    const Array<float, shared::DeviceRayGradients>& ray_gradients) {
+    RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
+    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kGroupsPerPose * most_knots_,
+        {.moved = batch.rays.rays->address(),
+         .interpolations = frame.arrays->track_positions.address(),
+         .knots = knots_.address(),
+         .d_rays = ray_gradients.address(),
+         .rows = rows_.address(),
+         .n_rays = batch.rays.n_rays,
+         .first_ray = batch.rays.first,
+         .ray_stride = batch.rays.stride,
+         .columns = batch.window.columns,
+         .first_column = batch.window.first,
+         .column_stride = batch.window.stride,
+         .n_columns = batch.window.n_columns,
+         .n_knots = most_knots_,
+         .n_rows = kGroupsPerPose});
+}
+
+/// Adds the rows of partial sums on the host, which gives one gradient per pose.
+std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> sums,
+                                                           const TrainingFrameData& frame) const {
+    std::vector<PoseGradient> result(frame.n_knots);
+    for (std::size_t k = 0; k < result.size(); ++k) {
+        result[k].pose = frame.first_knot + k;
+        for (std::size_t row = 0; row < kGroupsPerPose; ++row)
+            for (std::size_t j = 0; j < 6; ++j)
+                result[k].gradient[j] += sums[6 * (row * most_knots_ + k) + j];
+    }
+    return result;
+}
+
+TrackCorrection::TrackCorrection(PoseTrack track)
+    : track_(std::move(track)),
+      values_(6 * track_.pose.size(), 0.0),
+      moment1_(values_),
+      moment2_(values_),
+      n_steps_(track_.pose.size(), 0),
+      gradient_(values_),
+      visited_(track_.pose.size(), false) {}
+
+Twist TrackCorrection::stored_correction(std::size_t pose_index) const {
+    Twist twist;
+    std::copy_n(values_.begin() + std::ptrdiff_t(6 * pose_index), 6, twist.begin());
+    return twist;
+}
+
+Twist TrackCorrection::correction_at(std::size_t pose_index) const {
+    const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
+    std::size_t before = pose_index, after = pose_index;
+    while (before > 0 && !is_corrected(before)) --before;
+    while (after + 1 < n_steps_.size() && !is_corrected(after)) ++after;
+    if (!is_corrected(before) && !is_corrected(after)) return {};
+    if (before == after || !is_corrected(after)) return stored_correction(before);
+    if (!is_corrected(before)) return stored_correction(after);
+    const double s =
+        (track_.time_s[pose_index] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
+    Twist twist;
+    for (std::size_t i = 0; i < 6; ++i)
+        twist[i] = (1.0 - s) * stored_correction(before)[i] + s * stored_correction(after)[i];
+    return twist;
+}
+
+PoseTrack TrackCorrection::corrected_track() const {
+    PoseTrack result = track_;
+    for (std::size_t k = 0; k < result.pose.size(); ++k)
+        result.pose[k] = apply_twist(track_.pose[k], correction_at(k));
+    return result;
+}
+
+void TrackCorrection::add_gradient(double t_s, const Twist& gradient) {
+    // A pose is interpolated between two poses, so each gets its share of the gradient.
+    const auto [left, s] = track_.find_segment(t_s);
+    add_gradient(left, 1.0 - s, gradient);
+    if (s != 0.0) add_gradient(left + 1, s, gradient);
+}
+
+void TrackCorrection::add_gradient(std::size_t pose_index, double weight, const Twist& gradient) {
+    if (std::all_of(gradient.begin(), gradient.end(), [weight](double g) { return weight * g == 0.0; }))
+        return;
+    for (std::size_t i = 0; i < 6; ++i) gradient_[6 * pose_index + i] += weight * gradient[i];
+    visited_[pose_index] = true;
+}
+
+void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
+    for (std::size_t k = 0; k < visited_.size(); ++k) {
+        if (!visited_[k]) continue;
+        const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n),
+                     bias2 = 1.0 - std::pow(kBeta2, n);
+        for (std::size_t i = 6 * k; i < 6 * k + 6; ++i) {
+            const bool is_translation = i < 6 * k + 3;
+            const double g =
+                gradient_[i] +
+                2.0 * (is_translation ? step_rates.prior_per_m2 : step_rates.prior_per_rad2) * values_[i];
+            moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
+            moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
+            values_[i] -= (is_translation ? step_rates.rate_m : step_rates.rate_rad) * (moment1_[i] / bias1) /
+                          (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+            gradient_[i] = 0.0;
+        }
+        visited_[k] = false;
+    }
+}
+
+void TrackCorrection::remove_mean_motion() {
+    const auto n = double(track_.pose.size());
+    glm::dvec3 centre(0.0), v(0.0), w(0.0);
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        centre += track_.pose[k].translation / n;
+        v += three_components(stored_correction(k), 0) / n;
+        w += three_components(stored_correction(k), 3) / n;
+    }
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);
+        for (int i = 0; i < 3; ++i) {
+            values_[6 * k + std::size_t(i)] -= carried[i];
+            values_[6 * k + 3 + std::size_t(i)] -= w[i];
+        }
+    }
+}
 
 PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
                          const TrainingFrames& frames)

@@ -5,24 +5,105 @@
 // includes the pending gradients.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
 #include <vector>
 
 #include <relidar/gpu/stream.hpp>
+#include <relidar/log/sequence.hpp>
 #include <relidar/scene/scene.hpp>
 
-#include "train/poses/track_correction.hpp"
+#include "gpu/kernel.hpp"
+#include "train/frames/batch.hpp"
+#include "train/frames/frame_data.hpp"
+#include "train/shared/train.h"
 
 namespace relidar {
 
-class PoseCorrectedRays;
+struct PoseStepRates {
+    double rate_m = 0.0;
+    double rate_rad = 0.0;
+    double prior_per_m2 = 0.0;    ///< weight of the prior |v|^2
+    double prior_per_rad2 = 0.0;  ///< weight of the prior |w|^2
+};
+
+class TrackCorrection {
+public:
+    explicit TrackCorrection(PoseTrack track);
+
+    const PoseTrack& uncorrected_track() const { return track_; }
+    /// Interpolates between the nearest optimised poses if the pose was not optimised
+    /// yet. Zero if no pose was optimised.
+    Twist correction_at(std::size_t pose) const;
+    PoseTrack corrected_track() const;
+
+    /// Adds a loss gradient dL/d(v, w) of the pose at any time, or of a recorded pose.
+    /// The next run_adam_step() uses the sum.
+    void add_gradient(double t_s, const Twist& gradient);
+    void add_gradient(std::size_t pose, double weight, const Twist& gradient);
+    /// Performs an Adam step. Changes only poses that got a gradient after the last step.
+    void run_adam_step(const PoseStepRates& step_rates);
+    /// Removes the rigid motion that all corrections have in common, which the loss does
+    /// not constrain. Afterwards, the mean translation and rotation are 0.
+    void remove_mean_motion();
+
+    template <class Visitor>
+    void visit_state(const std::string& name, Visitor&& visit) {
+        visit(name + "/correction", values_);
+        visit(name + "/moment1", moment1_);
+        visit(name + "/moment2", moment2_);
+        visit(name + "/steps", n_steps_);
+    }
+
+private:
+    PoseTrack track_;
+    std::vector<double> values_, moment1_, moment2_;  ///< [poses,6]
+    std::vector<std::uint64_t> n_steps_;              ///< [poses] number of steps
+    std::vector<double> gradient_;                    ///< [poses,6] sum of the gradients since the last step
+    std::vector<bool> visited_;  ///< [poses] true if a gradient was added since the last step
+
+    Twist stored_correction(std::size_t pose) const;
+};
+
+struct PoseGradient {
+    std::size_t pose = 0;
+    Twist gradient{};
+};
+
+class PoseCorrectedRays {
+public:
+    PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
+    /// Moves the rays of a frame to the corrected poses. The frame must be on the device.
+    /// Afterwards `frame` refers to the new rays, which are valid until the next call.
+    void move_rays(Stream& stream, const TrackCorrection& correction, TrainingFrameData& frame);
+    /// A ray contributes to the poses before and after its firing time. Ignores the
+    /// effect of poses on the viewing direction of the spherical harmonics. Call
+    /// move_rays() for the same frame before.
+    void record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
+                     const Array<float, shared::DeviceRayGradients>& ray_gradients);
+    /// [kGroupsPerPose, maximum number of poses in a frame, 6] one row for each of the
+    /// `kGroupsPerPose` workgroups that share the work for a pose
+    const Array<float>& gradient_sums() const { return rows_; }
+    std::vector<PoseGradient> sum_gradients(std::span<const float> sums,
+                                            const TrainingFrameData& frame) const;
+
+private:
+    /// workgroups per pose, so that the GPU has enough parallel work
+    static constexpr std::uint32_t kGroupsPerPose = 16;
+
+    std::uint32_t most_knots_;
+    Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move_rays()
+    Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the same frame
+    Array<float, shared::KnotGradientRows> rows_;
+    Kernel<shared::MoveRaysParams> move_;
+    Kernel<shared::KnotGradientsParams> gradients_;
+};
+
 class TrainingFrames;
-struct TrainingFrameData;
 struct DeviceGradients;
 struct RefinedPoses;
-struct SampledBatch;
 struct TrainConfig;
 struct GradientSelection;
 

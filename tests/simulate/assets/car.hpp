@@ -7,6 +7,8 @@
 
 #include <relidar/simulate/assets.hpp>
 
+#include "../plates.hpp"
+
 namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
@@ -61,13 +63,8 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
 inline Surfels make_plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {
-        const std::size_t i = surfels.size();
-        surfels.resize(i + 1);
-        surfels.mean[i] = at_m;
-        surfels.rotation[i] = {turn.w, turn.x, turn.y, turn.z};
-        surfels.log_scale[i] = glm::vec2(std::log(0.12f));
-        surfels.opacity_logit[i] = 6.0f;
-        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
+        surfels.append_surfels(test::make_plate(at_m, glm::vec2(0.12f)));
+        surfels.rotation.back() = {turn.w, turn.x, turn.y, turn.z};
     };
     const glm::quat along_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f),
         along_y(std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f);

@@ -2,7 +2,7 @@
 // Tests mirror images of surfels. Compares covariances and harmonics with their
 // definitions, and renders complete cars from both sides.
 #include <relidar/run/edit.hpp>
-#include <relidar/scene/symmetry.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../reference/surfel.hpp"

@@ -198,26 +198,6 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     }
 }
 
-/// The head does not tilt, so the velocity is that of the sensor along the ray.
-TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
-    const RenderedScan rendered = scan();
-    const std::vector<float>& velocity = *find_values<float>(rendered.channels, "velocity");
-    const glm::dvec3 driven_m =
-        log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
-    ASSERT_NEAR(glm::length(driven_m) / (log.frames[2].time_s - log.frames[0].time_s),
-                StreetOptions{}.speed_mps, 0.01);
-    std::size_t n_standing = 0;
-    for (std::size_t i = 0; i < velocity.size(); ++i) {
-        if (rendered.instance[i] != 0) continue;
-        const glm::dvec3 direction =
-            rendered.firing_pose(i).rotation * glm::dvec3(rendered.image.direction[i]);
-        ASSERT_NEAR(velocity[i], -StreetOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_m)),
-                    0.01);
-        ++n_standing;
-    }
-    EXPECT_GT(n_standing, velocity.size() / 4);
-}
-
 TEST_F(RenderedChannels, AreWantedByName) {
     config.render.channels = "normal,sprad";
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);

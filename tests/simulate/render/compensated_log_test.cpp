@@ -97,11 +97,8 @@ protected:
         const std::size_t begin = bytes.find(end_of_header) + end_of_header.size(),
                           stride = (bytes.size() - begin) / count;
         std::vector<glm::dvec3> result;
-        for (std::size_t i = 0; i < count; ++i) {
-            glm::vec3 xyz;
-            std::memcpy(&xyz, bytes.data() + begin + i * stride, sizeof xyz);
-            result.emplace_back(xyz);
-        }
+        for (std::size_t i = 0; i < count; ++i)
+            result.emplace_back(read_at<glm::vec3>(bytes, begin + i * stride));
         return result;
     }
     void expect_statements(bool deskewed) const {

@@ -10,6 +10,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
@@ -19,37 +20,41 @@ constexpr double kRevolution_s = 0.1;
 /// @param half_m visible extent from the middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
               const glm::vec2& half_m) {
-    const std::size_t i = surfels.size();
-    surfels.resize(i + 1);
     // a_u = -z, a_v = y, normal x
-    const glm::quat facing_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);
-    const glm::quat q = from_x_axis * facing_x;
-    surfels.mean[i] = middle_m;
-    surfels.rotation[i] = {q.w, q.x, q.y, q.z};
-    surfels.log_scale[i] = glm::log(half_m);
-    surfels.opacity_logit[i] = 6.0f;
-    std::fill_n(surfels.sh.begin() + std::ptrdiff_t(i * kShFloats), kShFloats, 0.0f);
-    surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
+    const glm::quat q = from_x_axis * glm::quat(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);
+    surfels.append_surfels(test::make_plate(middle_m, half_m));
+    surfels.rotation.back() = {q.w, q.x, q.y, q.z};
 }
 
-Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
+const glm::dvec3 kVan_m(4.0, 2.0, 2.0);
+
+/// The front of a van.
+Surfels make_front() {
+    Surfels front;
+    add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
+    return front;
+}
+
+Scene make_one_actor(const Surfels& surfels, Surfels background = {}) {
+    const auto n = std::uint32_t(background.size());
     Scene scene;
-    scene.models = {{"background", 0, 0},
-                    {"actor", 0, std::uint32_t(surfels.size()), glm::vec3(0.5 * size_m)}};
+    scene.models = {{"background", 0, n},
+                    {"actor", n, std::uint32_t(surfels.size()), glm::vec3(0.5 * kVan_m)}};
     scene.instances = {{0, ""}, {1, "actor"}};
-    scene.surfels = surfels;
+    scene.surfels = std::move(background);
+    scene.surfels.append_surfels(surfels);
     return scene;
 }
 
 /// Poses at 40 Hz, and a sensor with a single horizontal beam.
 template <class PoseAt>
-Log drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
+Log drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at) {
     Log log;
     log.lidars[0].sensor.beams = {{0.0}};
     log.lidars[0].sensor.columns = columns;
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / columns;
     log.lidars[0].sensor.period_s = kRevolution_s;
-    BoxTrack box{.id = "actor", .category = "Van", .size_m = size_m, .world_from_box = {}};
+    BoxTrack box{.id = "actor", .category = "Van", .size_m = kVan_m, .world_from_box = {}};
     for (int k = 0; k <= 40; ++k) {
         const double t_s = 0.025 * k;
         log.world_from_vehicle.time_s.push_back(t_s);
@@ -86,46 +91,37 @@ protected:
         ScanRenderer renderer(device(), scene, config, log);
         return renderer.render(make_sensor(config, log), time_s);
     }
+    /// The front of a van must be 8 m behind the sensor for every ray.
+    void expect_front(const Log& log, double time_s = 0.5) {
+        for (const double behind_m : measure_halves_behind(render(make_one_actor(make_front()), log, time_s)))
+            EXPECT_NEAR(behind_m, 8.0, 1e-3) << "at " << time_s << " s";
+    }
 };
 
-/// Its front must be 8 m behind the sensor for every ray.
 TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
-    const glm::dvec3 size_m(4.0, 2.0, 2.0);
-    Surfels front;
-    add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     for (const double speed_mps : {0.0, 20.0, 30.0}) {
+        SCOPED_TRACE(speed_mps);
         const PoseAt sensor = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s, 0.0, 0.0}}; };
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
-        const Log log = drive(720, sensor, van, size_m);
-        for (const double time_s : {0.5, 0.51}) {  // at a label, and between two labels
-            const auto [first_m, last_m] =
-                measure_halves_behind(render(make_one_actor(front, size_m), log, time_s));
-            EXPECT_NEAR(first_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
-            EXPECT_NEAR(last_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
-        }
+        // at a label, and between two labels
+        for (const double time_s : {0.5, 0.51}) expect_front(drive(720, sensor, van), time_s);
     }
 }
 
+/// Tolerance: interpolated poses lie on chords of 0.015 rad.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
-    const glm::dvec3 size_m(4.0, 2.0, 2.0);
-    Surfels front;
-    add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     const auto at = [](double t_s, double behind_m) {
         const glm::dquat rotation = glm::angleAxis(0.6 * t_s, glm::dvec3(0, 0, 1));
         return Pose{rotation, rotation * glm::dvec3(-behind_m, -20.0, 0.0)};
     };
     const PoseAt sensor = [&](double t_s) { return at(t_s, 0.0); },
                  van = [&](double t_s) { return at(t_s, 10.0); };
-    const auto [first_m, last_m] =
-        measure_halves_behind(render(make_one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);  // tolerance: interpolated poses lie on chords of 0.015 rad
-    EXPECT_NEAR(last_m, 8.0, 1e-3);
+    expect_front(drive(720, sensor, van));
 }
 
 /// Two posts, 4 m apart, are measured at different times.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
-    constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
-    const glm::dvec3 size_m(kLength_m, 2.0, 2.0);
+    constexpr double kCarSpeed_mps = 20.0;
     Surfels posts;
     for (const float x : {-2.0f, 2.0f})
         add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)),
@@ -135,7 +131,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     const PoseAt car = [](double t_s) {
         return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}};
     };
-    const RenderedScan scan = render(make_one_actor(posts, size_m), drive(7200, sensor, car, size_m), 0.5);
+    const RenderedScan scan = render(make_one_actor(posts), drive(7200, sensor, car), 0.5);
     double n[2] = {}, x_m[2] = {}, t_s[2] = {};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
@@ -149,21 +145,16 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     ASSERT_GT(std::min(n[0], n[1]), 3.0);
     const double between_s = t_s[1] / n[1] - t_s[0] / n[0];
     EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kRevolution_s, 5e-4);
-    EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], kLength_m + kCarSpeed_mps * between_s, 0.01);
+    EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], 4.0 + kCarSpeed_mps * between_s, 0.01);
     EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01);
 }
 
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
-    const glm::dvec3 size_m(4.0, 2.0, 2.0);
-    Surfels front;
-    add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double t_s) { return Pose{{1, 0, 0, 0}, {20.0 * (t_s - 0.5) - 10.0, 0.0, 0.0}}; };
-    Log log = drive(720, sensor, van, size_m);
+    Log log = drive(720, sensor, van);
     log.rolling_shutter = false;
-    const auto [first_m, last_m] = measure_halves_behind(render(make_one_actor(front, size_m), log, 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);
-    EXPECT_NEAR(last_m, 8.0, 1e-3);
+    expect_front(log);
 }
 
 /// Half of the light passes the edge of a surfel, at sqrt(2 ln(2 opacity)) standard
@@ -174,17 +165,15 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    Log log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    Log log = drive(7200, sensor, van);
     log.boxes[0].category = "Pedestrian";
     const auto expect_share = [&](double wall_x_m, double share) {
-        Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
-        scene.surfels = {};
+        Surfels wall;
         // Three narrow surfels in a row, so that the wall has a sharp edge at y = 0.
         for (int k = 0; k < 3; ++k)
-            add_wall(scene.surfels, {float(wall_x_m), float(0.25 * edge + 0.45 * k), 0.0f},
-                     glm::quat(0, 0, 0, 1), {2.0f, 0.25f});
-        scene.models[0].count = scene.models[1].first = 3;
-        scene.surfels.append_surfels(rear);
+            add_wall(wall, {float(wall_x_m), float(0.25 * edge + 0.45 * k), 0.0f}, glm::quat(0, 0, 0, 1),
+                     {2.0f, 0.25f});
+        const Scene scene = make_one_actor(rear, wall);
         Config config;
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
@@ -214,7 +203,7 @@ TEST_F(MovingActors, AWallHidesHalfOfAParkedVan) {
     const PoseAt sensor = [](double) { return Pose{}; };
     const auto view_of = [&](const glm::dvec3& box_m, float first_wall_y_m) {
         const PoseAt parked = [&](double) { return Pose{{1, 0, 0, 0}, box_m}; };
-        Log log = drive(7200, sensor, parked, {4.0, 2.0, 2.0});
+        Log log = drive(7200, sensor, parked);
         Surfels surfels;
         add_wall(surfels, {10.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.5f));
         for (int k = 0; k < 6; ++k)
@@ -250,14 +239,9 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
     add_wall(wall, {30.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(30.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    const Log log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    const Log log = drive(7200, sensor, van);
     for (const bool has_wall : {true, false}) {
-        Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
-        if (has_wall) {
-            scene.surfels = wall;
-            scene.surfels.append_surfels(rear);
-            scene.models[0].count = scene.models[1].first = 1;
-        }
+        const Scene scene = make_one_actor(rear, has_wall ? wall : Surfels{});
         const RenderedScan scan = ScanRenderer(device(), scene, {}, log).render(make_sensor({}, log), 0.5);
         int n_returns = 0, n_touched = 0;
         for (std::size_t i = 0; i < scan.instance.size(); ++i) {
@@ -293,15 +277,11 @@ TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
 }
 
 TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
-    const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels wall, rear;
     add_wall(wall, {0.0f, 12.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, -std::sqrt(0.5f)),
              {2.0f, 30.0f});
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
-    Scene scene = make_one_actor(rear, size_m);
-    scene.surfels = wall;
-    scene.surfels.append_surfels(rear);
-    scene.models[0].count = scene.models[1].first = 1;
+    const Scene scene = make_one_actor(rear, wall);
     const PoseAt sensor = [](double t_s) {
         return Pose{glm::angleAxis(0.4 * (t_s - 0.5), glm::dvec3(0, 0, 1)), {15.0 * (t_s - 0.5), 0.0, 0.0}};
     };
@@ -310,7 +290,7 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
                     {10.0 + 9.0 * (t_s - 0.5), 2.0 * (t_s - 0.5), 0.0}};
     };
     for (const bool rolls : {true, false}) {
-        Log log = drive(720, sensor, van, size_m);
+        Log log = drive(720, sensor, van);
         log.rolling_shutter = rolls;
         Config config;
         config.render.channels = "velocity";

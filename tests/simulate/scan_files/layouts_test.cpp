@@ -13,6 +13,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"
+#include "base/geometry/ray_box.hpp"
 #include "log/classes/dataset_classes.hpp"
 
 namespace relidar {
@@ -36,13 +37,11 @@ Pose walker_pose(double time_s) {
             rig_pose(time_s).translation + glm::dvec3(4.0, 4.0, 0.5 * kWalkerSize_m.z - kRigHeight_m)};
 }
 
-std::optional<double> hit_box(const Pose& box, const glm::dvec3& size_m, glm::dvec3 origin, glm::dvec3 ray) {
-    origin = inverse(box) * origin;
-    ray = glm::conjugate(box.rotation) * ray;
-    const glm::dvec3 a = (-0.5 * size_m - origin) / ray, b = (0.5 * size_m - origin) / ray;
-    const glm::dvec3 low = glm::min(a, b), high = glm::max(a, b);
-    const double first = std::max({low.x, low.y, low.z}), last = std::min({high.x, high.y, high.z});
-    return first > 0.0 && first <= last ? std::optional(first) : std::nullopt;
+std::optional<double> hit_box(const Pose& box, const glm::dvec3& size_m, const glm::dvec3& origin,
+                              const glm::dvec3& ray) {
+    const auto inside =
+        cross_box(inverse(box) * origin, glm::conjugate(box.rotation) * ray, -0.5 * size_m, 0.5 * size_m);
+    return inside && inside->enter > 0.0 ? std::optional(inside->enter) : std::nullopt;
 }
 
 /// Casts rays from 45 degrees left to `last_deg`, without a rolling shutter.
@@ -196,11 +195,7 @@ TEST_F(Layouts, PointsHaveTheClassAndNumberOfTheirObject) {
     write_sequence("openlabel", 0);
     const std::string bytes = read_contents(folder / "sequences/00/labels/000000.label");
     std::map<std::uint32_t, std::size_t> n_points;
-    for (std::size_t i = 0; i < bytes.size(); i += 4) {
-        std::uint32_t label = 0;
-        std::memcpy(&label, bytes.data() + i, 4);
-        ++n_points[label];
-    }
+    for (std::size_t i = 0; i < bytes.size(); i += 4) ++n_points[read_at<std::uint32_t>(bytes, i)];
     std::map<std::uint32_t, std::size_t> expected;
     for (const RenderedScan& scan :
          {cast_rays(kStart_s, Pose{}, -45.0), cast_rays(kStart_s, kSecondMounting, -300.0)})

@@ -59,9 +59,7 @@ std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
     const std::size_t stride = (bytes.size() - begin) / places().size();
     std::vector<glm::dvec3> points;
     for (std::size_t i = 0; i < places().size(); ++i) {
-        std::vector<T> xyz(3);
-        std::memcpy(xyz.data(), bytes.data() + begin + i * stride, 3 * sizeof(T));
-        points.push_back(point(xyz, 0));
+        points.push_back(read_at<glm::vec<3, T>>(bytes, begin + i * stride));
     }
     return points;
 }
@@ -69,10 +67,7 @@ std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
 /// Reads a LAS file by the byte offsets of its specification.
 std::vector<glm::dvec3> read_las(const std::filesystem::path& path) {
     const std::string bytes = read_contents(path);
-    const auto at = [&]<class T>(std::size_t offset, T value) {
-        std::memcpy(&value, bytes.data() + offset, sizeof value);
-        return value;
-    };
+    const auto at = [&]<class T>(std::size_t offset, T) { return read_at<T>(bytes, offset); };
     const std::size_t begin = at(96, std::uint32_t()), stride = at(105, std::uint16_t());
     EXPECT_EQ(bytes.substr(0, 4), "LASF");
     EXPECT_EQ(at(247, std::uint64_t()), places().size());
@@ -213,8 +208,7 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     std::vector<std::int32_t> of_points;
     const std::size_t begin = ply.find("end_header\n") + 11, stride = (ply.size() - begin) / 6;
     for (std::size_t i = 0; i < 6; ++i)  // the last value of a point
-        std::memcpy(&of_points.emplace_back(), ply.data() + begin + (i + 1) * stride - sizeof(std::int32_t),
-                    sizeof(std::int32_t));
+        of_points.push_back(read_at<std::int32_t>(ply, begin + (i + 1) * stride - sizeof(std::int32_t)));
     EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7}))
         << "second returns behind their first";
     scan.channels[0].second = std::vector<std::int32_t>{5};
@@ -235,14 +229,13 @@ TEST(ActorBoxes, ABoxBehindTheSensorHasTheTimeOfItsLargerPart) {
                      range_m = get_front_m(t_s) / std::cos(azimuth), y_m = range_m * std::sin(azimuth);
         // The centre of the box is at y = 0.3 m, but its left part is hidden.
         const bool is_hit = std::cos(azimuth) < 0.0 && y_m > -0.7 && y_m < 0.2;
-        scan.image.origin.emplace_back(0.0f);
         scan.image.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
         scan.image.range_m.push_back(is_hit ? float(range_m) : 0.0f);
         scan.image.drop_prob.push_back(is_hit ? 0.0f : 1.0f);
         scan.instance.push_back(is_hit);
         scan.time_offset_s.push_back(float(t_s));
     }
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan = test::complete(std::move(scan));
     ScanOutputOptions format;
     format.instance_names = {"background", "car"};
     format.actors = {{"car", "Car", {4.0, 2.0, 1.5}, {{-1.0, 1.0}, {}}}};
@@ -262,16 +255,14 @@ TEST(ActorBoxes, AStandingObjectHasThePointsOfTheBackgroundInItsBox) {
         scan.image.origin.push_back(origin_m);
         scan.image.direction.emplace_back(1.0f, 0.0f, 0.0f);
         scan.image.range_m.push_back(range_m);
-        scan.image.drop_prob.push_back(0.0f);
         scan.instance.push_back(instance);
-        scan.time_offset_s.push_back(0.0f);
     };
     add_ray({0.0f, 0.0f, 0.0f}, 8.0f, 0);
     add_ray({0.0f, 1.05f, 0.0f}, 7.95f, 0);  // in the margin
     add_ray({0.0f, 0.0f, 0.0f}, 9.0f, 1);    // on the actor
     add_ray({0.0f, 0.0f, 0.0f}, 30.0f, 0);   // behind the box
     add_ray({0.0f, 0.0f, -0.7f}, 9.0f, 0);   // on the ground
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan = test::complete(std::move(scan));
     scan.world_from_sensor.translation = {100.0, 0.0, 0.0};
     ScanOutputOptions format;
     format.world_offset_m = {100.0, 0.0, 0.0};

@@ -3,7 +3,6 @@
 // header lines as documented, then packed records.
 #include <relidar/simulate/point_files.hpp>
 
-#include <cstring>
 #include <sstream>
 
 #include "base/codecs/temporary_folder.hpp"
@@ -41,23 +40,16 @@ Parsed parse(const std::filesystem::path& path) {
     return parsed;
 }
 
-template <class T>
-T value_at(const std::string& bytes, std::size_t offset) {
-    T value;
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
-    return value;
-}
-
 void expect_records(const std::string& body, const LidarPoints& cloud, std::size_t stride) {
     ASSERT_EQ(body.size(), cloud.position_m.size() * stride);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         for (int axis = 0; axis < 3; ++axis)
-            EXPECT_EQ(value_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
-        EXPECT_EQ(value_at<float>(body, i * stride + 12), cloud.intensity[i]);
+            EXPECT_EQ(read_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
+        EXPECT_EQ(read_at<float>(body, i * stride + 12), cloud.intensity[i]);
         if (stride != 26) continue;
-        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), cloud.ring[i]);
-        EXPECT_EQ(value_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
-        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), cloud.instance[i]);
+        EXPECT_EQ(read_at<std::uint16_t>(body, i * stride + 16), cloud.ring[i]);
+        EXPECT_EQ(read_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
+        EXPECT_EQ(read_at<std::int32_t>(body, i * stride + 22), cloud.instance[i]);
     }
 }
 
@@ -125,8 +117,8 @@ TEST_F(PointFiles, HaveTheChannelsOfTheCloud) {
         const std::string body = parse(folder / name).body;
         ASSERT_EQ(body.size(), 3u * 42u) << name;
         for (std::size_t i = 0; i < 3; ++i) {
-            EXPECT_EQ(value_at<float>(body, 42 * i + 26), spread[i]) << name;
-            EXPECT_EQ(value_at<glm::vec3>(body, 42 * i + 30), normal[i]) << name;
+            EXPECT_EQ(read_at<float>(body, 42 * i + 26), spread[i]) << name;
+            EXPECT_EQ(read_at<glm::vec3>(body, 42 * i + 30), normal[i]) << name;
         }
     }
     for (const ChannelValues& values :

@@ -11,6 +11,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"
+#include "base/geometry/ray_box.hpp"
 
 namespace relidar {
 namespace {
@@ -239,17 +240,6 @@ BoxTrack make_car_behind() {
     return car;
 }
 
-double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
-    double enters_m = 0.0, leaves_m = 1e9;
-    for (int axis = 0; axis < 3; ++axis) {
-        const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
-        const double b = (0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
-        enters_m = std::max(enters_m, std::min(a, b));
-        leaves_m = std::min(leaves_m, std::max(a, b));
-    }
-    return enters_m < leaves_m ? enters_m : 0.0;
-}
-
 RenderedScan make_scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();
@@ -259,10 +249,11 @@ RenderedScan make_scan_of_car(double time_s) {
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         const glm::dvec3 car_m =
             car.world_from_box.pose_at(time_s + double(scan.time_offset_s[i])).translation;
-        const float range_m =
-            float(compute_entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
-        scan.image.range_m[i] = range_m > 0.0f ? range_m : 20.0f;
-        scan.instance[i] = range_m > 0.0f ? 1 : 0;
+        const auto inside =
+            cross_box(-car_m, glm::dvec3(scan.image.direction[i]), -0.5 * car.size_m, 0.5 * car.size_m);
+        const bool is_hit = inside && inside->enter > 0.0;
+        scan.image.range_m[i] = is_hit ? float(inside->enter) : 20.0f;
+        scan.instance[i] = is_hit;
         scan.image.drop_prob[i] = 0.0f;
     }
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;

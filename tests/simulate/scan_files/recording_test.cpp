@@ -33,13 +33,6 @@ RenderedScan make_two_rays(double time_s) {
     return test::complete(std::move(scan));
 }
 
-template <class T>
-T number(const std::string& bytes, std::size_t offset) {
-    T value{};
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
-    return value;
-}
-
 struct Record {
     std::size_t begin, body, end;  ///< positions in the file
 };
@@ -49,7 +42,7 @@ struct Record {
 std::multimap<int, Record> records(const std::string& bytes, std::size_t offset, std::size_t end) {
     std::multimap<int, Record> records_by_code;
     while (offset < end) {
-        const std::size_t body = offset + 9, next = body + number<std::uint64_t>(bytes, offset + 1);
+        const std::size_t body = offset + 9, next = body + read_at<std::uint64_t>(bytes, offset + 1);
         EXPECT_LE(next, end);
         records_by_code.insert({static_cast<unsigned char>(bytes[offset]), {offset, body, next}});
         offset = next;
@@ -125,31 +118,31 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
         ASSERT_EQ(bytes.substr(bytes.size() - 8), kMagic);
         const auto all = records(bytes, 8, bytes.size() - 8);
         // the summary offset in the footer
-        const std::size_t summary = number<std::uint64_t>(bytes, all.find(2)->second.body);
+        const std::size_t summary = read_at<std::uint64_t>(bytes, all.find(2)->second.body);
         ASSERT_EQ(all.find(15)->second.end, summary) << "behind the end of data";
         ASSERT_EQ(all.count(6), 3u);
         ASSERT_EQ(all.count(8), 3u);
         const auto [first, last] = all.equal_range(8);
         for (auto index = first; index != last; ++index) {
-            const std::size_t at = index->second.body, chunk = number<std::uint64_t>(bytes, at + 16);
+            const std::size_t at = index->second.body, chunk = read_at<std::uint64_t>(bytes, at + 16);
             EXPECT_EQ(bytes[chunk], 6);
-            const std::uint64_t size = number<std::uint64_t>(bytes, chunk + 9 + 16);
-            const std::size_t inside = chunk + number<std::uint64_t>(bytes, at + 24) - size;
-            EXPECT_EQ(number<std::uint32_t>(bytes, chunk + 9 + 24),
+            const std::uint64_t size = read_at<std::uint64_t>(bytes, chunk + 9 + 16);
+            const std::size_t inside = chunk + read_at<std::uint64_t>(bytes, at + 24) - size;
+            EXPECT_EQ(read_at<std::uint32_t>(bytes, chunk + 9 + 24),
                       crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
             std::size_t n_indexed = 0;
             // entries of 2 + 8 bytes
-            for (std::uint32_t entry_offset = 0; entry_offset < number<std::uint32_t>(bytes, at + 32);
+            for (std::uint32_t entry_offset = 0; entry_offset < read_at<std::uint32_t>(bytes, at + 32);
                  entry_offset += 10) {
-                const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + entry_offset + 2);
+                const std::size_t entry = read_at<std::uint64_t>(bytes, at + 36 + entry_offset + 2);
                 EXPECT_EQ(bytes[entry], 7) << "a message index";
-                EXPECT_EQ(number<std::uint16_t>(bytes, entry + 9),
-                          number<std::uint16_t>(bytes, at + 36 + entry_offset));
-                EXPECT_EQ(bytes[inside + number<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5);
-                n_indexed += number<std::uint32_t>(bytes, entry + 9 + 2) / 16;
+                EXPECT_EQ(read_at<std::uint16_t>(bytes, entry + 9),
+                          read_at<std::uint16_t>(bytes, at + 36 + entry_offset));
+                EXPECT_EQ(bytes[inside + read_at<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5);
+                n_indexed += read_at<std::uint32_t>(bytes, entry + 9 + 2) / 16;
             }
             EXPECT_EQ(records(bytes, inside, inside + size).count(5), n_indexed);
-            EXPECT_EQ(number<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2);
+            EXPECT_EQ(read_at<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2);
         }
     }
 }
@@ -162,7 +155,7 @@ TEST_F(Recordings, AllTimesHaveTheShiftOfTheRun) {
         scans.finish();
         const std::string bytes = read_contents(folder / "rosbag.mcap");
         const auto all = records(bytes, 8, bytes.size() - 8);
-        return number<std::uint64_t>(bytes, all.find(8)->second.body);  // of the first chunk
+        return read_at<std::uint64_t>(bytes, all.find(8)->second.body);  // of the first chunk
     };
     EXPECT_EQ(first_stamp_ns(1'000'000'000, 0.0), 950'000'000u);
     EXPECT_THAT(read_contents(folder / "rosbag.mcap"),

@@ -306,16 +306,6 @@ double count_false_returns(const Weather& weather) {
     return double(n) / kRays;
 }
 
-/// A day with 10 km of visibility and a drizzle must cause no returns from the air. Haze
-/// of 1 km must cause fewer than 1 % false points in a scan in which a third of the rays
-/// hits nothing.
-TEST(ThinWeather, ReturnsHardlyAnything) {
-    EXPECT_EQ(count_false_returns({.fog_visibility_m = 10'000.0}), 0.0);
-    EXPECT_LT(count_false_returns({.fog_visibility_m = 1000.0}), 0.03);
-    EXPECT_LT(count_false_returns({.rain_mm_h = 0.5}), 5e-4);
-    EXPECT_LT(count_false_returns({.rain_mm_h = 25.0}), 0.01);
-}
-
 /// The shares are closed forms in double. Fog: sections of half a pulse have a log-normal
 /// power with mean 1, times the mean over the section. Rain: the drops that are bright
 /// enough form a Poisson process.

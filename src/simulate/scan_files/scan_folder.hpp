@@ -1,18 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the network packets of all sensors as capture files. The name is packets.pcap,
-// or packets_NAME.pcap for each sensor of a rig. A file with the same name and the
-// extension .csv or .json contains the calibration that drivers need.
+// Declares the parts of a folder of scans: the entries of scans.json, and capture files
+// with the network packets of all sensors. Private to scan_files.
 #pragma once
 
+#include <relidar/simulate/scan_files.hpp>
 #include <relidar/simulate/scan_packets.hpp>
 
 namespace relidar::scan_files {
+
+/// Has the boxes of actors if their visibility was computed.
+std::string entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
+                       const std::vector<std::string>& files);
+
+/// Also removes half-written files of a killed process.
+/// @throws DataError if a file cannot be removed
+void remove_scans(const std::filesystem::path& folder);
+/// For a folder without single scans.
+void write_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
 inline constexpr const char* kPacketFormat = "pcap";
 inline constexpr const char* kPacketHelp =
     R"(DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with
 packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.)";
 
+/// Writes packets.pcap, or packets_NAME.pcap for each sensor of a rig. A file with the
+/// same name and the extension .csv or .json contains the calibration that drivers need.
 class PacketFileWriter {
 public:
     /// The files have temporary names until finish_writing().
