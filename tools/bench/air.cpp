@@ -8,7 +8,6 @@
 #include <vector>
 
 #include <fmt/format.h>
-#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
@@ -130,10 +129,10 @@ struct AirPointCounts {
     }
 };
 
-void print_air_table(const std::string& run_folder, int device_index) {
+void print_air_table(const std::string& run_folder) {
     const Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
-    Device device(apply_environment({.index = device_index}));
+    Device device(apply_environment({}));
     ScanRenderer renderer(device, run);
     fmt::print(
         "| sensor | points | range error above 5 cm | more than 5 cm in the air | more than 30 cm in the air "
@@ -162,20 +161,4 @@ void print_air_table(const std::string& run_folder, int device_index) {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-    std::string folder;
-    int device = -1;
-    CLI::App app(
-        "counts points in the air in scans of a trained synthetic street, at the position of its sensor and "
-        "at shifted positions",
-        "relidar_bench_air");
-    app.add_option("RUN", folder, "run trained on a folder with street.toml")->required();
-    app.add_option("--device", device, "number of the device in `relidar list devices`");
-    CLI11_PARSE(app, argc, argv);
-    try {
-        print_air_table(folder, device);
-    } catch (const Error& error) {
-        fmt::print(stderr, "relidar_bench_air: {}\n", error.what());
-        return int(error.code());
-    }
-}
+int main(int argc, char** argv) { return relidar::run_on_argument(argc, argv, print_air_table); }

@@ -78,12 +78,4 @@ void print_edited_scores(const std::string& folder) {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-    try {
-        if (argc != 2) throw UsageError("expected an edited run: relidar_bench_edited RUN");
-        print_edited_scores(argv[1]);
-    } catch (const Error& error) {
-        fmt::print(stderr, "relidar_bench_edited: {}\n", error.what());
-        return 1;
-    }
-}
+int main(int argc, char** argv) { return relidar::run_on_argument(argc, argv, print_edited_scores); }

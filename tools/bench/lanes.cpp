@@ -202,12 +202,4 @@ void print_lane_table(const std::string& run_folder) {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-    try {
-        if (argc != 2) throw UsageError("expected a run of a synthetic street: relidar_bench_lanes RUN");
-        print_lane_table(argv[1]);
-    } catch (const Error& error) {
-        fmt::print(stderr, "relidar_bench_lanes: {}\n", error.what());
-        return int(error.code());
-    }
-}
+int main(int argc, char** argv) { return relidar::run_on_argument(argc, argv, print_lane_table); }

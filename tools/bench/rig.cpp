@@ -1,14 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar_bench_rig scores a run that was trained on a synthetic street recorded by a rig
 // of LiDARs. It compares the held-out sweeps of each LiDAR with rays cast into the exact
-// street. For LiDARs with two returns it casts a cone of rays per beam. It also replaces
-// the first LiDAR by another sensor and scores that sensor.
+// street. For LiDARs with two returns it casts a cone of rays per beam.
+//
+//   relidar_bench_rig RUN [--aside METRES]
+//
+// --aside also scores exact scans of the street from a position that is shifted to the
+// left and up.
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <vector>
 
 #include <fmt/format.h>
-#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
@@ -30,8 +34,7 @@ struct RigScanScore {
     /// scan of the synthetic street.
     std::vector<double> errors_m;
     double squares = 0.0;
-    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, second_returns = 0,
-                detected = 0, reported = 0, invented = 0;
+    std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 };
 
 double percentage(std::size_t count, std::size_t total) {
@@ -81,10 +84,6 @@ void add_comparison(RigScanScore& score, const ScanRanges& rendered_returns,
         const bool returns = rendered_returns.range_m[i] > 0.0f, is_there = exact_returns.range_m[i] > 0.0f;
         ++score.rays;
         score.drops_right += returns == is_there;
-        score.returns += is_there;
-        score.missed += is_there && !returns;
-        score.behind +=
-            is_there && returns && rendered_returns.range_m[i] > exact_returns.range_m[i] + kOnSurface_m;
         if (returns && is_there) {
             score.errors_m.push_back(
                 std::abs(double(rendered_returns.range_m[i]) - double(exact_returns.range_m[i])));
@@ -112,49 +111,16 @@ std::string format_row(const std::string& name, RigScanScore& score) {
 /// reports two returns, casts each beam as a cone of several rays.
 /// @param lateral_offset_m distance by which the sensor is shifted to the left and also
 /// upwards, metres
-ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays_in_sensor_frame,
-                             const PoseTrack& world_from_sensor, double time_s, const SimulatedSensor& sensor,
-                             float lateral_offset_m = 0.0f) {
-    for (glm::vec3& origin : rays_in_sensor_frame.origin)
-        origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
-    Scan scan = sensor.returns == 2
-                    ? cast_street_beams(street, rays_in_sensor_frame, world_from_sensor, time_s)
-                    : cast_street_rays(street, rays_in_sensor_frame, world_from_sensor, time_s);
+ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays, const PoseTrack& world_from_sensor,
+                             double time_s, const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
+    for (glm::vec3& origin : rays.origin) origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
+    Scan scan = sensor.returns == 2 ? cast_street_beams(street, rays, world_from_sensor, time_s)
+                                    : cast_street_rays(street, rays, world_from_sensor, time_s);
     limit_ranges(scan, sensor.limits);
     return return_ranges(scan);
 }
 
-/// Renders the held-out sweeps with another sensor in place of the first LiDAR, and
-/// scores them.
-void score_sensor(ScanRenderer& renderer, const Run& run, const StreetOptions& street_options,
-                  const std::string& sensor_name) {
-    const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);
-    if (sensor.rays.direction.empty())
-        throw UsageError(
-            fmt::format("cannot use the sensor {}: its rays change from scan to scan, expected a sensor with "
-                        "constant rays",
-                        sensor_name));
-    const PoseTrack track = run.sequence.lidar_track(0);
-    RigScanScore score;
-    for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
-        if (frame.lidar != 0) continue;
-        add_comparison(score, return_ranges(renderer.render(sensor, frame.time_s)),
-                       cast_exact_ranges(street_options, sensor.rays, track, frame.time_s, sensor));
-    }
-    std::sort(score.errors_m.begin(), score.errors_m.end());
-    if (score.errors_m.empty())
-        throw DataError(fmt::format(
-            "cannot score the sensor {}: none of its rays returned, expected some returns", sensor_name));
-    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", sensor_name,
-               score.rays, score.returns, percentage(score.missed, score.returns),
-               percentage(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
-               std::sqrt(score.squares / double(score.errors_m.size())),
-               percentage(score.drops_right, score.rays));
-}
-
-void print_rig_scores(const std::string& run_folder, int device_index, float lateral_offset_m,
-                      const std::vector<std::string>& other_sensor_names) {
+void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
     Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
     const auto rig = read_sensor_rig(street.rig);
@@ -163,7 +129,7 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
             fmt::format("cannot use the run {}: its synthetic street was recorded without a sensor rig; "
                         "expected a run of a street whose street.toml has an entry rig = FILE",
                         run_folder));
-    Device device(apply_environment({.index = device_index}));
+    Device device(apply_environment({}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
@@ -194,37 +160,16 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
                         100.0f * lateral_offset_m);
         if (lateral_offset_m > 0.0f) fmt::print("{}", format_row(from, beside[l]));
     }
-    if (!other_sensor_names.empty())
-        fmt::print(
-            "\n| sensor instead of {} | rays | returns | missed | more than {} m too far | median range "
-            "error | RMSE | correct drops |\n"
-            "|---|--:|--:|--:|--:|--:|--:|--:|\n",
-            run.sequence.lidars[0].name, kOnSurface_m);
-    for (const std::string& other : other_sensor_names) score_sensor(renderer, run, street, other);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-    std::string folder;
-    int device = -1;
     float aside_m = 0.0f;
-    std::vector<std::string> others;
-    CLI::App app("compares held-out sweeps of each LiDAR of a rig with the synthetic street",
-                 "relidar_bench_rig");
-    app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
-    app.add_option("--device", device, "number of the device in `relidar list devices`");
-    app.add_option("--aside", aside_m,
-                   "also score exact scans of the street from a position shifted by this many metres to the "
-                   "left and up");
-    app.add_option("--sensor", others,
-                   "also score these sensors at the position of the first LiDAR: names of `relidar list "
-                   "sensors`, or files");
-    CLI11_PARSE(app, argc, argv);
-    try {
-        print_rig_scores(folder, device, aside_m, others);
-    } catch (const Error& error) {
-        fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
-        return int(error.code());
+    if (argc == 4 && argv[2] == std::string("--aside")) {
+        aside_m = std::strtof(argv[3], nullptr);
+        argc = 2;
     }
+    return relidar::run_on_argument(argc, argv,
+                                    [&](const std::string& run) { print_rig_scores(run, aside_m); });
 }
