@@ -9,7 +9,6 @@ import gzip
 import json
 import os
 import pathlib
-import shutil
 import struct
 import sys
 
@@ -101,7 +100,8 @@ def test_bags():
     for product in lidars.PRODUCTS:
         blocks = product.blocks * product.per_block
         forward = 90 if product.hesai else 0
-        for dual, losses in ((False, 0), (True, 0), (False, "in the middle"), (False, "at the end")):
+        cases = [(False, 0), (True, 0), (False, "in the middle"), (False, "at the end")]
+        for dual, losses in cases if product in (lidars.PRODUCTS[0], lidars.PRODUCTS[5]) else cases[:2]:
             packet_s = product.cycle_us * 1e-6 * blocks / (1 + dual)
             n = int(2.3 * lidars.TURN_S / packet_s)
             # the first full turn begins and ends when the head faces backward
@@ -312,25 +312,15 @@ def check_nothing_is_lost(capture):
     expect(thesis.read_text() == "no capture" and notes.read_text() == "{}", "a file that is no capture was replaced")
 
 
-def check_unused_angle_files(capture):
-    """A file of angles that cannot be used must be named with the reason."""
-    folder = WORK / "angles"
-    folder.mkdir()
-    shutil.copy(capture, folder / "turn.pcap")
-    for lines, reason in (("1,15,0\n2,abc,0\n", "XT.csv ... '2,abc,0'"), ("1,15,0\n2,14,0\n", "XT.csv ... 2 lasers ... 32")):
-        (folder / "XT.csv").write_text("Laser id,Elevation,Azimuth\n" + lines)
-        expect(names(run("info", folder / "turn.pcap"), reason), reason)
-
-
 def test_written_files():
     """`convert --out FILE.pcap` must write the angles of Hesai's lasers next to the packets."""
-    for product, check in ((lidars.PRODUCTS[0], check_nothing_is_lost), (lidars.PRODUCTS[5], check_unused_angle_files)):
+    for product in (lidars.PRODUCTS[0], lidars.PRODUCTS[5]):
         packets, _ = lidars.packets(product, 800)
         capture, again = WORK / f"{product.name}_first.pcap", WORK / f"{product.name}_again.pcap"
         captures.write(capture, [(T0 + ns, f) for ns, data in packets for f in captures.frames(data)])
         run("convert", capture, "--out", again, "--set", "dataset.max_range_m=200")
         expect(again.with_suffix(".csv").exists() == product.hesai, f"{product.name}: the angles of the lasers")
-        check(capture)
+    check_nothing_is_lost(capture)
 
 
 def test_network():

@@ -1,13 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """Tests SensorsimService with a client that implements only the wire format. It encodes field
-numbers and types byte by byte, without stubs. The client drives past the traffic of a served street
-and checks the scans that it receives:
-
-  - against the same scan of relidar's service, which is requested in the frame of its *first* pose and transformed
-    to the last pose here;
-  - against the log's boxes: an actor in the request must have points at its poses, and an actor that is not in the
-    request must have no points.
+numbers and types byte by byte, without stubs. The client drives past the traffic of a served
+street. Its scans must equal those of relidar's service, which are requested in the frame of the
+*first* pose and transformed to the last pose here.
 
   sensorsim_client.py SOURCE_ROOT HOST:PORT SCENE
 
@@ -84,14 +80,6 @@ def call(name, message=()):
     return decode(channel.unary_unary(f"/nre.grpc.protos.sensorsim.SensorsimService/{name}")(encode(message), timeout=120))
 
 
-def status(name, message=()):
-    try:
-        call(name, message)
-    except grpc.RpcError as error:
-        return error.code(), error.details()
-    return grpc.StatusCode.OK, ""
-
-
 # A pose is (rotation matrix, translation), with p' = R p + t.
 
 def pose_of(q, t):
@@ -127,8 +115,11 @@ check("version", b"relidar" in call("get_version")[1][0])
 check("scenes", scene.encode() in call("get_available_scenes")[1])
 check("cameras", call("get_available_cameras", [(1, scene)]) == {})
 check("ego masks", call("get_available_ego_masks") == {})
-code, line = status("render_rgb", [(1, scene)])
-check(f"render_rgb: {code} {line}", code == grpc.StatusCode.UNIMPLEMENTED and "render_lidar" in line)
+try:
+    call("render_rgb", [(1, scene)])
+    check("render_rgb", False)
+except grpc.RpcError as error:
+    check(f"render_rgb: {error.code()}", error.code() == grpc.StatusCode.UNIMPLEMENTED and "render_lidar" in error.details())
 ways = [decode(decode(way)[2][0]) for way in call("get_available_trajectories", [(1, scene)])[1]]
 log = []   # track of the LiDAR, which follows the track of the vehicle; the wire format omits time 0
 for entry in map(decode, ways[1][1]):
@@ -152,24 +143,9 @@ t1 = list(np.array(t0) + pose_of(q0, t0)[0] @ [2.5, 0.0, 0.0])
 start, end = pose_of(q0, t0), pose_of(q1, t1)
 
 
-def actor_at(track, time_s):
-    """Returns the pose of an actor in the log that is nearest in time, in the world of the
-    protocol."""
-    near = min(track.poses, key=lambda p: abs(p.time_s - time_s)).pose
-    r, t = near.rotation, near.translation
-    return [r.w, r.x, r.y, r.z], list(np.array([t.x, t.y, t.z]) - offset)
-
-
-actors = {}   # maps each name to (size, pose)
-for track in tracks.actors:
-    box = next(a for a in own.ListScenes(v1.ListScenesRequest()).scenes[0].actors if a.name == track.name)
-    actors[track.name] = (np.array([box.size_m.x, box.size_m.y, box.size_m.z]), actor_at(track, time_us * 1e-6))
-nearest = min(actors, key=lambda name: np.linalg.norm(np.array(actors[name][1][1]) - t0))
-
-
-def request(lidar, objects, duration_us=100_000, scene_id=scene):
+def request(lidar, objects):
     pair = lambda first, last: [(1, pose_message(*first)), (2, pose_message(*last))]
-    message = [(1, scene_id), (2, [(2, lidar)]), (3, Fixed64(time_us)), (4, Fixed64(time_us + duration_us)), (5, pair((q0, t0), (q1, t1)))]
+    message = [(1, scene), (2, [(2, lidar)]), (3, Fixed64(time_us)), (4, Fixed64(time_us + 100_000)), (5, pair((q0, t0), (q1, t1)))]
     return message + [(6, [(1, name), (2, pair(first, last))]) for name, (first, last) in objects.items()]
 
 
@@ -187,14 +163,14 @@ def points_of(answer):
     return xyz.astype(float)
 
 
-def own_points(sensor, objects, duration_s=0.1):
+def own_points(sensor, objects):
     """Returns the points of relidar's service, in the frame of the first pose."""
     t = time_us * 1e-6
     pose = lambda q, p: v1.Pose(translation=v1.Vector(x=p[0], y=p[1], z=p[2]), rotation=v1.Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
     # the transmitted value, bit by bit
     wide = lambda q, p: pose(np.float32(q).astype(float), np.float32(p).astype(float) + offset)
-    path = lambda first, last: [v1.TimedPose(time_s=t, pose=wide(*first)), v1.TimedPose(time_s=t + duration_s, pose=wide(*last))]
-    asked = v1.RenderLidarRequest(scene=scene, path=path((q0, t0), (q1, t1)), time_s=t + 0.5 * duration_s, points_at_s=t,
+    path = lambda first, last: [v1.TimedPose(time_s=t, pose=wide(*first)), v1.TimedPose(time_s=t + 0.1, pose=wide(*last))]
+    asked = v1.RenderLidarRequest(scene=scene, path=path((q0, t0), (q1, t1)), time_s=t + 0.05, points_at_s=t,
                                   sensor=v1.Sensor(name=sensor), wanted=v1.Wanted(points=True))
     asked.actors.SetInParent()
     for name, (first, last) in objects.items():
@@ -202,45 +178,20 @@ def own_points(sensor, objects, duration_s=0.1):
     return np.frombuffer(own.RenderLidar(asked, timeout=120).points.xyz_m, "<f4").reshape(-1, 3).astype(float)
 
 
-def inside(points, size, pose):
-    """Counts the points in a box, in the world of the protocol. Excludes the lowest 0.3 m, which
-    contain road."""
-    local = undo(pose_of(*pose), points)
-    return int((np.all(abs(local) < 0.5 * size + 0.1, axis=1) & (local[:, 2] > 0.3 - 0.5 * size[2])).sum())
-
-
-size, there = actors[nearest]
-# 9 m ahead of the last pose of the sensor
-elsewhere = (there[0], list(np.array(t1) + end[0] @ [9.0, 0.0, 0.5 * size[2] - 1.7]))
-cases = [("PANDAR128", 0, "Pandar128", {nearest: (there, there)}, 0.1), ("AT128", 1, "AT128", {nearest: (elsewhere, elsewhere)}, 0.1),
-         ("nobody", 0, "Pandar128", {}, 0.1), ("20 Hz", 0, "Pandar128:1800x20", {nearest: (there, elsewhere)}, 0.05)]
-clouds = {}
-for what, lidar, sensor, objects, duration_s in cases:
-    points = points_of(call("render_lidar", request(lidar, objects, round(duration_s * 1e6))))
-    first = own_points(sensor, objects, duration_s)
-    check(f"{what}: {len(points)} points, {len(first)} of relidar's own service", len(points) == len(first) > 1000)
-    if len(points) == len(first):
-        off = np.linalg.norm(points - undo(end, apply(start, first)), axis=1)
+ahead = [(q0, list(start[1] + start[0] @ [metres, 0.0, -1.0])) for metres in (9.0, 11.0)]
+clouds = []
+for lidar, sensor, objects in ((0, "Pandar128", {tracks.actors[0].name: ahead}), (1, "AT128", {})):
+    clouds.append(points_of(call("render_lidar", request(lidar, objects))))
+    first = own_points(sensor, objects)
+    check(f"{sensor}: {len(clouds[-1])} points, {len(first)} of relidar's own service", len(clouds[-1]) == len(first) > 1000)
+    if len(clouds[-1]) == len(first):
+        off = np.linalg.norm(clouds[-1] - undo(end, apply(start, first)), axis=1)
         # single precision in the world of the dataset, and a few rays that graze
-        check(f"{what}: points are {off.max():.4f} m off", off.max() < 2e-3)
-        wrong = np.median(np.linalg.norm(points - first, axis=1))
-        check(f"{what}: the two frames differ by {wrong} m only: nothing is tested", wrong > 0.5)
-    clouds[what] = apply(end, points)
-
-counts = {what: (inside(cloud, size, there), inside(cloud, size, elsewhere)) for what, cloud in clouds.items()}
-check(f"actor {nearest} where the log has it: {counts['PANDAR128'][0]} points, without it {counts['nobody'][0]}",
-      counts["PANDAR128"][0] > 20 and counts["nobody"][0] == 0)
-check(f"actor {nearest} 9 m ahead: {counts['AT128'][1]} points, without it {counts['nobody'][1]}",
-      counts["AT128"][1] > 100 and counts["nobody"][1] == 0)
-
-# Sends several requests simultaneously, and invalid requests.
+        check(f"{sensor}: points are {off.max():.4f} m off", off.max() < 2e-3)
+        wrong = np.median(np.linalg.norm(clouds[-1] - first, axis=1))
+        check(f"{sensor}: the two frames differ by {wrong} m only: nothing is tested", wrong > 0.5)
 
 both = call("render_aggregated", [(2, request(0, {})), (2, request(1, {}))])
-check("render_aggregated", len(both.get(2, [])) == 2 and 1 not in both and
-      np.array_equal(apply(end, points_of(decode(both[2][0]))), clouds["nobody"]))
-code, line = status("render_lidar", request(0, {"nobody there": (there, there)}))
-check(f"an unknown object: {code} {line}", code == grpc.StatusCode.NOT_FOUND and '"nobody there"' in line)
-code, line = status("render_lidar", request(0, {}, scene_id="elsewhere"))
-check(f"an unknown scene: {code} {line}", code == grpc.StatusCode.NOT_FOUND and '"elsewhere"' in line)
+check("render_aggregated", len(both.get(2, [])) == 2 and 1 not in both and np.array_equal(points_of(decode(both[2][1])), clouds[1]))
 
 finish()
