@@ -137,7 +137,7 @@ void add_edit(CLI::App& app, ParsedCommand& call) {
         const auto append_edit = [options, option = std::string(edit.option)](const std::string& value) {
             options->edits.push_back({option, value});
         };
-        command->add_option_function<std::string>(edit.option, append_edit, edit.help)
+        command->add_option_function<std::string>(std::string(edit.option), append_edit, edit.help)
             ->type_name(edit.form)
             ->trigger_on_parse()
             ->allow_extra_args(false)

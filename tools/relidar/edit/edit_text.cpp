@@ -22,12 +22,11 @@ constexpr double kFarOff_m = 1e6;
     fail<UsageError>("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value);
 }
 
-const char* value_syntax(const EditArgument& edit) {
-    const auto& options = edit_options();
-    return std::find_if(options.begin(), options.end(),
-                        [&](const EditOption& o) { return edit.option == o.option; })
-        ->form;
+const EditOption& option_of(const EditArgument& edit) {
+    return *std::ranges::find(edit_options(), edit.option, &EditOption::option);
 }
+
+const char* value_syntax(const EditArgument& edit) { return option_of(edit).form; }
 
 /// Leaves out the character at `at`. Throws an error if a part is empty.
 std::pair<std::string, std::string> split_text(const EditArgument& edit, const std::string& text,
@@ -262,42 +261,36 @@ EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
 
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
-        {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
-        {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
+        {"--remove", apply_remove, "TRACK", "remove an actor; rays then hit the surfaces behind it"},
+        {"--move", apply_move_edit, "TRACK:dx,dy,dz[,yaw_deg]",
          "shift the full path of an actor by these metres in the frame of its box (forward, left, up), and "
          "turn the actor to the left by yaw_deg"},
-        {"--class", "TRACK=NAME",
+        {"--class", apply_class, "TRACK=NAME",
          "set the class of an actor, or of a labelled object in the background, in all labels; vehicle, "
          "cyclist, person, or a class name of a dataset"},
-        {"--retime", "TRACK:seconds",
+        {"--retime", apply_delay, "TRACK:seconds",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
-        {"--speed", "TRACK=FACTOR",
+        {"--speed", apply_speed, "TRACK=FACTOR",
          "multiply the speed of an actor along its path, which begins at the same time"},
-        {"--trajectory", "TRACK:FILE.csv",
+        {"--trajectory", apply_trajectory, "TRACK:FILE.csv",
          "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an optional "
          "header line names the columns in any order, and names that end in _rad are in radians; with the "
          "word `ground` in the column z, the surface below gives height, pitch and roll"},
-        {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
+        {"--copy", apply_copy_edit,
+         "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "add a copy of an actor that starts at this pose and drives straight ahead at speed m/s; with "
          "`ground` instead of z, the surface below gives its height and tilt"},
-        {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
+        {"--insert", apply_insert, "RUN#TRACK@PLACE|ASSET@PLACE",
          "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
          "--copy"},
-        {"--keep", "background|actors", "keep only the background or only the actors"}};
+        {"--keep", apply_keep_only, "background|actors", "keep only the background or only the actors"}};
     return options;
 }
 
 /// Applies one edit of the command line.
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
-    using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
-    static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove},  {"--move", apply_move_edit}, {"--class", apply_class},
-        {"--retime", apply_delay},   {"--speed", apply_speed},    {"--trajectory", apply_trajectory},
-        {"--copy", apply_copy_edit}, {"--insert", apply_insert},  {"--keep", apply_keep_only}};
-    const auto function = std::find_if(functions.begin(), functions.end(),
-                                       [&](const auto& f) { return f.first == edit.option; });
     try {
-        return function->second(std::move(edited), edit);
+        return option_of(edit).apply(std::move(edited), edit);
     } catch (const UsageError& error) {
         // Adds the option and its value to the message, so that the user knows which of
         // several edits failed.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <relidar/run/edit.hpp>
@@ -13,18 +14,19 @@ struct EditArgument {
     std::string value;   ///< For example "0:0,3.5,0".
 };
 
-struct EditOption {
-    const char* option;
-    const char* form;
-    const char* help;
-};
-const std::vector<EditOption>& edit_options();
-
 struct EditResult {
     SceneWithLog driving;
     std::string said;  ///< One line that describes the edit.
     std::string note;  ///< Warning for the user. Empty if the edit causes no warning.
 };
+
+struct EditOption {
+    std::string_view option;
+    EditResult (*apply)(SceneWithLog edited, const EditArgument& edit);
+    const char* form;
+    const char* help;
+};
+const std::vector<EditOption>& edit_options();
 
 /// @throws UsageError naming option and value if the value is malformed or the track does
 /// not exist

@@ -85,11 +85,7 @@ void run_convert(const ConvertOptions& options) {
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
-    if (!options.frames.empty()) {
-        const FrameRange range = parse_frames(options.frames);
-        config.dataset.frames_begin = range.begin;
-        config.dataset.frames_end = range.end;
-    }
+    apply_selection(config, {options.frames, ""});
     const Log sequence = load_dataset(config, options.quiet);
     install_handlers();
     if (writes_packets) return write_log_as_packets(sequence, options);
