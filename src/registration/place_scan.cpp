@@ -78,10 +78,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
     if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)
         return result;
-    result.world_from_vehicle = track.pose[pose_index];
-    result.moved_m = moved_m;
-    result.is_aligned = true;
-    return result;
+    return {track.pose[pose_index], moved_m, result.on_surfaces, true};
 }
 
 }  // namespace relidar

@@ -170,7 +170,6 @@ read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& me
 
 /// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
 /// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
-/// @throws DataError if the message is invalid
 TransformListMessage read_transforms(const BagTopic& topic, std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
@@ -185,13 +184,11 @@ struct FixMessage {
 
     bool is_valid() const;
 };
-/// @throws DataError if the message is invalid
 FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes);
 FixMessage read_foxglove_fix(std::string_view message_bytes);
 
 /// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
 /// foxglove.SceneUpdate.
-/// @throws DataError if the message is invalid
 BoxListMessage read_boxes(const BagTopic& topic, std::string_view message_bytes);
 /// Reads a foxglove.SceneUpdate. Each entity of exactly one cube becomes a box.
 BoxListMessage read_foxglove_boxes(std::string_view message_bytes);

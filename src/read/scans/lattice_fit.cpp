@@ -21,6 +21,11 @@ namespace {
 constexpr double kMinDistance_m = 2.0;
 constexpr double kMadToSigma = 1.4826;
 
+Twist negated(Twist twist) {
+    for (double& value : twist) value = -value;
+    return twist;
+}
+
 }  // namespace
 
 double HeadTurn::turn_at(double azimuth_rad) const {
@@ -29,12 +34,7 @@ double HeadTurn::turn_at(double azimuth_rad) const {
 }
 
 PoseTrack make_track(const SweepMotion& motion) {
-    const auto pose_after = [](const Twist& twist, double sign) {
-        Twist signed_twist = twist;
-        for (double& value : signed_twist) value *= sign;
-        return apply_twist({}, signed_twist);
-    };
-    return {{-1.0, 0.0, 1.0}, {pose_after(motion[0], -1.0), {}, pose_after(motion[1], 1.0)}};
+    return {{-1.0, 0.0, 1.0}, {apply_twist({}, negated(motion[0])), {}, apply_twist({}, motion[1])}};
 }
 
 PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s) {
@@ -52,11 +52,7 @@ PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double p
 }
 
 SweepMotion twists_of(const PoseTrack& track) {
-    const Twist before = compute_twist({}, track.pose_at(-1.0)),
-                after = compute_twist({}, track.pose_at(1.0));
-    SweepMotion motion{before, after};
-    for (double& value : motion[0]) value = -value;
-    return motion;
+    return {negated(compute_twist({}, track.pose_at(-1.0))), compute_twist({}, track.pose_at(1.0))};
 }
 
 glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn) {
