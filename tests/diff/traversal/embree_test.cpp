@@ -23,7 +23,7 @@ namespace {
 
 using namespace reference;
 
-constexpr std::uint64_t kSeed = 20261121;
+constexpr std::uint64_t kEmbreeSeed = 20261121;
 
 #if RTC_VERSION_MAJOR >= 4
 using Context = RTCRayQueryContext;
@@ -140,16 +140,16 @@ void compare(const test::TraversalCase& c, std::size_t min_hits) {
     const std::vector<Ray> rays = test::to_reference(c.rays);
     for (std::size_t i = 0; i < rays.size(); ++i)
         compare_hits(world, {}, rays[i], i, expected.list_hits(rays[i]), embree.list_hits(rays[i]), d);
-    EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
+    EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kEmbreeSeed << ": " << d.first_error;
     EXPECT_LE(d.n_different_rays, c.grazing ? d.n_rays / 1000 : 0) << d.summary(c.name);
     EXPECT_GE(d.n_hits, min_hits);
 }
 
 TEST(Embree, FindsTheHitsOfTheReference) {
-    for (const test::TraversalCase& c : test::make_conformance_cases(kSeed, 6000)) compare(c, 0);
+    for (const test::TraversalCase& c : test::make_conformance_cases(kEmbreeSeed, 6000)) compare(c, 0);
 }
 
-TEST(Embree, FindsTheHitsOf100000Rays) { compare(test::make_random_case(kSeed, 600, 100'000), 400'000); }
+TEST(Embree, FindsTheHitsOf100000Rays) { compare(test::make_random_case(kEmbreeSeed, 600, 100'000), 400'000); }
 
 }  // namespace
 }  // namespace relidar

@@ -16,6 +16,7 @@
 #include "base/progress_blocks.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/fired_sweeps.hpp"
+#include "read/scans/sweep_firings.hpp"
 
 namespace relidar::nuscenes {
 namespace {
