@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intersects lines with boxes by the slab method, and rays with spheres. Finds the longest
-// side of a box.
+// Intersects lines with boxes by the slab method, and rays with spheres. Finds the
+// longest side of a box.
 #pragma once
 
 #include <algorithm>

@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <complex>
+#include <map>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -180,19 +181,59 @@ struct YawFit {
     double coherence = 0.0;              ///< 1 if all azimuths are multiples of the tick
 };
 
-/// Measures the rotation about z that the compensation added to the azimuths. The
-/// phases of n_ticks * azimuth then drift in the turn. Compares the phases of bins that
-/// are more and more distant.
+/// Returns [rings] the distances in metres by which beams start to the left of the axis.
+/// With the right distance, neighbouring points at different ranges have equal phases.
+std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std::size_t n_rings,
+                                     int n_ticks) {
+    constexpr std::size_t kSweeps = 3, kBins = 256;
+    constexpr double kMaxLeft_m = 0.06, kStep_m = 0.001;
+    struct Direction {
+        double azimuth_rad, inverse_rho;
+    };
+    std::vector<std::map<std::size_t, std::vector<Direction>>> neighbours(n_rings);
+    for (std::size_t s = 0; s < std::min(kSweeps, sweeps.size()); ++s)
+        for (std::size_t i = 0; i < sweeps[s].size(); ++i) {
+            const glm::dvec3 p(sweeps[s].position_m[i]);
+            const double rho = std::hypot(p.x, p.y), azimuth_rad = azimuth_rad_of(p);
+            if (rho < kMinYawDistance_m) continue;
+            const auto bin = std::size_t((0.5 + azimuth_rad / kFullTurn_rad) * (kBins - 1));
+            neighbours[sweeps[s].ring[i]][s * kBins + bin].push_back({azimuth_rad, 1.0 / rho});
+        }
+    std::vector<double> left_m(n_rings, 0.0);
+    parallel_for(int(n_rings), [&](int ring) {
+        double most = 0.0;
+        for (double trial_m = -kMaxLeft_m; trial_m <= kMaxLeft_m; trial_m += kStep_m) {
+            double length = 0.0;
+            for (const auto& [bin, points] : neighbours[std::size_t(ring)]) {
+                std::complex<double> sum = 0.0;
+                for (const auto& [azimuth_rad, inverse_rho] : points)
+                    sum += std::polar(1.0, n_ticks * (azimuth_rad - trial_m * inverse_rho));
+                length += std::abs(sum);
+            }
+            if (length <= most) continue;
+            most = length;
+            left_m[std::size_t(ring)] = trial_m;
+        }
+    });
+    return left_m;
+}
+
+/// Measures the rotation about z that the compensation added to the azimuths. The phases
+/// of the ticks then drift in the turn. Compares the phases of bins that are more and
+/// more distant.
+/// @param left_m [rings] result of fit_left_offsets()
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
-               const HeadTurn& turn, int n_ticks) {
+               const HeadTurn& turn, int n_ticks, const std::vector<double>& left_m) {
     constexpr std::size_t kBins = 256, kMaxLag = 32;
     const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
     std::vector<std::complex<double>> phases(n_rings * kBins);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3& p = points[i].position_m;
-        if (std::hypot(p.x, p.y) < kMinYawDistance_m) continue;
+        const double rho = std::hypot(p.x, p.y);
+        if (rho < kMinYawDistance_m || rings[i] >= left_m.size()) continue;
         const auto bin = std::size_t(std::clamp((points[i].turn + turn.reference) * kBins, 0.0, kBins - 1.0));
-        phases[rings[i] * kBins + bin] += std::polar(1.0, n_ticks * azimuth_rad_of(p));
+        phases[rings[i] * kBins + bin] +=
+            std::polar(1.0, n_ticks * (azimuth_rad_of(p) - left_m[rings[i]] / rho));
     }
     const auto reference_bin = std::size_t(std::clamp(turn.reference * kBins, 0.0, double(kBins)));
     YawFit fit;
@@ -238,7 +279,8 @@ SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery
         std::vector<FiredPoint> fired;
         for (const glm::vec3& p : points.position_m)
             fired.push_back(find_firing(glm::dvec3(p), fit.motions[0], recovery.turn));
-        const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks);
+        const YawFit yaw =
+            fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks, recovery.left_m);
         if (yaw.coherence < kMinCoherence) break;
         for (std::size_t half = 0; half < 2; ++half) fit.motions[0][half][5] += yaw.turned_rad[half];
         fitter.improve(fit, 3, FreeValues::motions);
@@ -254,25 +296,32 @@ std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn
     return fired;
 }
 
-/// Returns the number of ticks in a turn. A yaw that all sweeps have cannot be separated
-/// from another number of ticks. So the function uses the yaw of the poses, or prefers
-/// round numbers near the number without yaw.
+/// Returns the number of ticks in a turn, and sets the left offsets of the beams. A yaw
+/// that all sweeps have cannot be separated from another number of ticks. So the function
+/// uses the yaw of the poses, or prefers round numbers near the number without yaw.
 /// @param restored  [sweeps] points at their firing times, without correction of the yaw
 int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<LidarPoints>& restored,
-               const FiringRecovery& recovery) {
+               FiringRecovery& recovery) {
     const CompensatedSensor& sensor = recovery.sensor;
     const auto fit_sweep_yaw = [&](std::size_t sweep, int n_ticks) {
         const LidarPoints& points = restored[sweep];
-        return fit_yaw(list_firings(points, recovery.turn), points.ring, recovery.turn, n_ticks);
+        return fit_yaw(list_firings(points, recovery.turn), points.ring, recovery.turn, n_ticks,
+                       recovery.left_m);
     };
-    if (sensor.n_ticks > 0 && fit_sweep_yaw(0, sensor.n_ticks).coherence >= kMinCoherence)
-        return sensor.n_ticks;
+    const auto fit_left = [&](int n_ticks) {
+        recovery.left_m = fit_left_offsets(restored, recovery.rings.size(), n_ticks);
+    };
+    if (sensor.n_ticks > 0) {
+        fit_left(sensor.n_ticks);
+        if (fit_sweep_yaw(0, sensor.n_ticks).coherence >= kMinCoherence) return sensor.n_ticks;
+    }
     int n_ticks = 0;
     try {
         n_ticks = fit_spinning_sensor(restored, sensor.period_s).sensor.columns;
     } catch (const DataError&) {
         return 0;
     }
+    fit_left(n_ticks);
     std::vector<double> counts;
     for (std::size_t s = 0; s < sweeps.size(); ++s) {
         const YawFit yaw = fit_sweep_yaw(s, n_ticks);

@@ -50,6 +50,8 @@ struct FiringRecovery {
     CompensatedSensor sensor;
     HeadTurn turn;
     std::vector<RingCone> rings;  ///< [rings] a ring without points has slope NaN
+    /// [rings] distances by which the beams start to the left of the axis, metres
+    std::vector<double> left_m;
     /// True if the poses of the log explain the compensation. Otherwise each sweep gets
     /// the motion that fits its points best.
     bool uses_poses = false;

@@ -298,7 +298,7 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
     EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder / "c.toml"); }),
-                test::Names("c.toml:1 ... key"));
+                test::Names("c.toml:1 ... dots"));
     EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder / "missing.toml"); }),
                 test::Names("missing.toml"));
     EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder); }), test::Names(folder.string()));

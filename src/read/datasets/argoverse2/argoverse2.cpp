@@ -30,10 +30,10 @@
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/kitti/log_files.hpp"
-#include "read/scans/sweep_firings.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/fired_sweeps.hpp"
 #include "read/scans/stamped_log.hpp"
+#include "read/scans/sweep_firings.hpp"
 
 namespace relidar {
 namespace {

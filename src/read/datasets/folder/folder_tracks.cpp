@@ -182,8 +182,8 @@ std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
     return add_inverses(std::move(readings));
 }
 
-/// Returns a hint why poses do not cover the frames: times in another unit, or another
-/// clock.
+/// Returns a hint why poses do not cover the frames: times in another unit, leap seconds,
+/// or another clock.
 std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
     constexpr double kMaxRelativeDifference = 0.3;
@@ -201,6 +201,14 @@ std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& fram
             return fmt::format("; the times of the {} seem to be in {}, expected seconds",
                                is_pose ? "poses" : "frames", unit);
     }
+    // Clocks without leap seconds differ from UTC or from each other by these constants.
+    for (const auto& [leap_s, cause] :
+         {std::pair(37, "TAI minus UTC"), {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}})
+        for (const int shift_s : {leap_s, -leap_s})
+            if (frames.front().time_s >= track.time_s.front() - shift_s - kMostBeyond_s &&
+                frames.back().time_s <= track.time_s.back() - shift_s + kMostBeyond_s)
+                return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", leap_s,
+                                   shift_s > 0 ? "earlier" : "later", cause, leap_s);
     if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
     if (!is_plain_folder)
         return fmt::format(

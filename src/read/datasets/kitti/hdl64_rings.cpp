@@ -128,7 +128,7 @@ RingScan split_rings(std::vector<glm::vec4> points) {
         const glm::vec4& p = scan.points[i];
         if (fourth && p.x > 0.0f && p.y >= 0.0f) ++ring;
         fourth = p.x >= 0.0f && p.y < 0.0f;
-        scan.ring[i] = std::uint8_t(std::min(ring, kRings - 1));
+        scan.ring[i] = std::uint8_t(std::min(ring, 255));
     }
     scan.n_rings = ring + 1;
     return scan;
@@ -142,7 +142,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
         // A stray point can look like the start of a 65th ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i)
-            samples[scan->ring[i]].push_back(to_cone_point(scan->points[i]));
+            samples[std::min<int>(scan->ring[i], kRings - 1)].push_back(to_cone_point(scan->points[i]));
     }
     // No scan is complete, because a complete scan has points in ring 0.
     if (samples[0].empty())
@@ -159,7 +159,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
 void correct_rings(RingScan& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
     // After a wrong count of rings, each group gets the ring of the nearest cone.
-    if (scan.n_rings != kRings && scan.n_rings != kRings + 1)
+    if (scan.n_rings != kRings)
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;

@@ -34,7 +34,7 @@ using BeamCones = std::array<read::RobustLine, kRings>;
 
 /// Splits the points of a file into rings. The file stores ring after ring, each starting
 /// at the forward direction. A new ring begins where the azimuth changes from the 4th to
-/// the 1st quadrant. Ring numbers are limited to 63.
+/// the 1st quadrant. Ring numbers are limited to 255.
 RingScan split_rings(std::vector<glm::vec4> points);
 
 /// Fits a cone to each ring by robust least squares. Uses all complete scans (64 rings).

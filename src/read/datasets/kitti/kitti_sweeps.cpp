@@ -62,9 +62,20 @@ LidarPoints to_lidar_points(const RingScan& raw_scan) {
     return points;
 }
 
+/// Corrects the ring numbers of all scans. Returns the cones of the beams.
+BeamCones correct_rings(std::vector<RingScan>& scans, const std::string& where) {
+    const BeamCones cones = fit_ring_cones(pick_even_scans(scans, kFitScans), where);
+    parallel_for(int(scans.size()), [&](int index) { correct_rings(scans[std::size_t(index)], cones); });
+    return cones;
+}
+
 /// Moves the points of motion-compensated scans back to their firing times, if they show
 /// how the head turned. Adds a note and sets the rolling shutter then.
-void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, bool has_poses) {
+void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, const std::string& scan_folder,
+                    bool has_poses) {
+    // The motion of a sweep needs the right beams. Compensation moves points by less than
+    // the distance of two beams.
+    correct_rings(raw_scans, scan_folder);
     std::vector<read::CompensatedSweep> samples;
     for (const RingScan* scan : pick_even_scans(raw_scans, kFitScans))
         if (scan->n_rings == kRings || scan->n_rings == kRings + 1)
@@ -211,14 +222,14 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
         sequence.notes.push_back(std::move(note));
 
     if (!sequence.rolling_shutter) {
-        if (options.rolling_shutter) recover_sweeps(sequence, raw, options.poses_file != kNoPoses);
+        if (options.rolling_shutter)
+            recover_sweeps(sequence, raw, scan_folder.string(), options.poses_file != kNoPoses);
         if (!sequence.rolling_shutter)
             sequence.notes.push_back(
                 "the scans are motion-compensated, so all rays start at the position of the sensor at the "
                 "time of the frame");
     }
-    const BeamCones cones = fit_ring_cones(pick_even_scans(raw, kFitScans), scan_folder.string());
-    parallel_for(int(raw.size()), [&](int index) { correct_rings(raw[std::size_t(index)], cones); });
+    const BeamCones cones = correct_rings(raw, scan_folder.string());
     const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
     check_ray_counts(raw, lattice, scan_folder.string());
 

@@ -50,7 +50,9 @@ void expect_same_log(const Log& sequence, const Log& truth) {
     EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
     ASSERT_EQ(sequence.georeference.has_value(), truth.georeference.has_value());
-    if (truth.georeference) EXPECT_EQ(sequence.georeference->point_m, truth.georeference->point_m);
+    if (truth.georeference) {
+        EXPECT_EQ(sequence.georeference->point_m, truth.georeference->point_m);
+    }
     // The positions are 5000 km from the origin, so the tolerance is the last digit.
     expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());
