@@ -21,7 +21,7 @@ using read::FiringRecovery;
 using read::HeadTurn;
 
 constexpr double kPeriod_s = 0.1;
-constexpr int kSweeps = 4, kDriveColumns = 400, kDriveBeams = 20;
+constexpr int kSweeps = 4;
 
 struct Drive {
     HeadTurn turn = {};
@@ -30,6 +30,8 @@ struct Drive {
     /// The dataset extrapolated the motion before each frame.
     bool has_constant_velocity = false;
     bool is_raw = false;  ///< the points were not moved
+    double left_m = 0.0;  ///< beams start beside the axis, in turn on its left and right
+    int columns = 400, beams = 20;
 };
 
 /// Sweeps of a drive before and after the compensation, with true times.
@@ -51,13 +53,14 @@ Pose vehicle_pose(const Drive& drive, double t_s) {
             {along_m, 0.5 * yaw * drive.speed_mps * t_s, 1.8 + 0.01 * std::sin(5.0 * t_s)}};
 }
 
-SpinningSensor make_sensor() {
+SpinningSensor make_sensor(const Drive& drive = {}) {
     SpinningSensor sensor;
-    sensor.columns = kDriveColumns;
+    sensor.columns = drive.columns;
     sensor.period_s = kPeriod_s;
-    sensor.first_azimuth_rad = kPi - kPi / kDriveColumns;
-    for (int k = 0; k < kDriveBeams; ++k)
-        sensor.beams.push_back({.elevation_rad = (3.0 - 28.0 * k / (kDriveBeams - 1)) * kPi / 180.0});
+    sensor.first_azimuth_rad = kPi - kPi / drive.columns;
+    for (int k = 0; k < drive.beams; ++k)
+        sensor.beams.push_back({.elevation_rad = (3.0 - 28.0 * k / (drive.beams - 1)) * kPi / 180.0,
+                                .origin_left_m = k % 2 ? drive.left_m : -drive.left_m});
     return sensor;
 }
 
@@ -65,7 +68,7 @@ Recording record(const Drive& drive) {
     Recording recording;
     for (int i = -1; i <= kSweeps; ++i)
         recording.world_from_sensor.append(i * kPeriod_s, vehicle_pose(drive, i * kPeriod_s));
-    const RayTable nominal = make_rays(make_sensor());
+    const RayTable nominal = make_rays(make_sensor(drive));
     for (int i = 0; i < kSweeps; ++i) {
         const double time_s = i * kPeriod_s;
         RayTable rays = nominal;
@@ -133,6 +136,14 @@ TEST(FiringRecovery, FindsBothDirectionsAndAllSeams) {
     expect_recovered({.turn = {true, kPi, 0.5}, .speed_mps = 10.0}, true, 2e-3);
     expect_recovered({.turn = {false, 0.5 * kPi, 0.5}, .speed_mps = 20.0}, true, 2e-3);
     expect_recovered({.turn = {true, -2.0, 1.0}, .speed_mps = 5.0}, true, 2e-3);
+}
+
+/// The azimuths of a beam beside the axis depend on the range. They are multiples of the
+/// tick only after its offset is known.
+TEST(FiringRecovery, FindsTheYawOfBeamsBesideTheAxis) {
+    expect_recovered(
+        {.turn = {true, kPi, 0.5}, .yaw_rate_radps = 0.3, .left_m = 0.05, .columns = 2000, .beams = 12},
+        false, 0.004);
 }
 
 TEST(FiringRecovery, NeedsNoPoses) {
@@ -236,9 +247,9 @@ TEST(FiringRecovery, GivesAFolderItsRollingShutter) {
         const Log log = load_sequence(folder.string(), {.poses_file = poses});
         EXPECT_TRUE(log.rolling_shutter);
         EXPECT_FALSE(log.lidars[0].sensor.clockwise);
-        EXPECT_EQ(log.lidars[0].sensor.columns, kDriveColumns);
-        EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kDriveBeams));
         const SpinningSensor truth = make_sensor();
+        EXPECT_EQ(log.lidars[0].sensor.columns, truth.columns);
+        EXPECT_EQ(log.lidars[0].sensor.beams.size(), truth.beams.size());
         for (std::size_t k = 0; k < truth.beams.size(); ++k)
             EXPECT_NEAR(log.lidars[0].sensor.beams[k].elevation_rad, truth.beams[k].elevation_rad, 2e-4);
         const auto& times = log.frames[2].scan.rays.time_offset_s;
