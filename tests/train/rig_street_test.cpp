@@ -81,8 +81,9 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
             << "nominal rays are those of the scan, LiDAR " << frame.lidar;
         const PoseTrack track = street.lidar_track(frame.lidar);
         const RayTable& rays = frame.scan.rays;
-        Scan truth = sensor.returns == 2 ? cast_street_beams(options, rays, track, frame.time_s)
-                                         : cast_street_rays(options, rays, track, frame.time_s);
+        Scan truth = sensor.returns == 2
+                         ? cast_street_beams(options, rays, track, frame.time_s, sensor.limits.max_m)
+                         : cast_street_rays(options, rays, track, frame.time_s);
         limit_ranges(truth, street.lidar_of(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }

@@ -17,6 +17,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
@@ -114,7 +115,8 @@ std::string format_row(const std::string& name, RigScanScore& score) {
 ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays, const PoseTrack& world_from_sensor,
                              double time_s, const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
-    Scan scan = sensor.returns == 2 ? cast_street_beams(street, rays, world_from_sensor, time_s)
+    const double max_range_m = nominal_max_range_m(sensor.name).value_or(sensor.limits.max_m);
+    Scan scan = sensor.returns == 2 ? cast_street_beams(street, rays, world_from_sensor, time_s, max_range_m)
                                     : cast_street_rays(street, rays, world_from_sensor, time_s);
     limit_ranges(scan, sensor.limits);
     return return_ranges(scan);

@@ -160,7 +160,7 @@ public:
     }
 
     BenchResult bench_result();
-    MemoryTrafficSizes traffic_sizes(const BenchResult& result);
+    MemoryTrafficSizes traffic_sizes();
 
 private:
     Device& device_;
@@ -247,12 +247,12 @@ BenchResult BenchRunner::bench_result() {
     if (const auto visits = count_visits(device_, r.scene(), r.accel(), make_ray_batch(), case_.config.image,
                                          trace_options(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
-    result.sizes = traffic_sizes(result);
+    result.sizes = traffic_sizes();
     return result;
 }
 
 /// Returns the sizes from which the minimum memory traffic of the kernels is computed.
-MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
+MemoryTrafficSizes BenchRunner::traffic_sizes() {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();
     s.n_models = double(case_.scene.models.size());

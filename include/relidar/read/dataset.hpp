@@ -142,12 +142,13 @@ Scan cast_street_rays(const StreetOptions& options, const RayTable& rays, const 
 /// dual-return LiDAR does. The first return is the strongest return. The second return is
 /// the last return, or the second strongest return if the strongest return is also the
 /// last. The function samples each beam with 53 exact rays. Surfaces that are 0.5 m apart
-/// give separate returns. A second return needs at least a tenth of the light of the
-/// strongest return.
+/// give separate returns. A second return needs the power that the sensor detects, as
+/// described in docs/method.md.
 /// @param rays  at least one ray must have a divergence above 0
+/// @param max_range_m  range in the data sheet, at which a surface of 80 % is detected
 /// @throws UsageError if no ray has a divergence
 Scan cast_street_beams(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
-                       double time_s);
+                       double time_s, double max_range_m);
 
 /// A car of an edited synthetic street. It has the shape of one of the street's original
 /// cars and follows a track in relidar's world frame.

@@ -105,24 +105,20 @@ float mean_of_slice(const std::vector<float>& values, std::size_t first_index, i
 }
 
 /// Returns the group that is the second return of a beam: the last one, or the second
-/// strongest if the last is the strongest. Returns null if that group is too weak.
-/// @param groups groups of the beam, sorted by range
-const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
-    const SubRayReturn* second = nullptr;
-    if (&strongest != &groups.back()) {
-        second = &groups.back();
-    } else {
-        for (const SubRayReturn& group : groups)
-            if (&group != &strongest && (!second || group.light > second->light)) second = &group;
-    }
-    return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
+/// strongest if the last is the strongest.
+/// @param groups at least two groups of the beam, sorted by range
+const SubRayReturn& second_group(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
+    if (&strongest != &groups.back()) return groups.back();
+    return *std::ranges::max_element(groups.begin(), groups.end() - 1, {}, &SubRayReturn::light);
 }
 
 /// Joins the sub-rays of each beam to one ray with up to two returns.
 class SubRayMerger {
 public:
-    SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
+    SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config,
+                 const WeatherSensorProperties& sensor)
         : parts_(parts),
+          sensor_(sensor),
           offsets_(spread_sub_rays(config.sub_rays)),
           config_(config),
           scan_(empty_scan(rays, parts)) {
@@ -165,17 +161,24 @@ public:
                          });
         if (scan_.second_returns.empty()) return;
         const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        const SubRayReturn* second = returns && groups.size() > 1 ? second_group(groups, strongest) : nullptr;
-        scan_.second_returns[0].range_m.push_back(
-            second ? weighted_mean(*second, parts_.median_range_m, parts_) : 0.0f);
-        scan_.second_returns[0].intensity.push_back(
-            second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
+        float second_m = 0.0f, second_intensity = 0.0f;
+        if (returns && groups.size() > 1) {
+            const SubRayReturn& second = second_group(groups, strongest);
+            const float range_m = weighted_mean(second, parts_.median_range_m, parts_);
+            if (double(second.light) / n >= sensor_.min_power_at(range_m) * range_m * range_m) {
+                second_m = range_m;
+                second_intensity = sum_over_group(second, parts_.image.intensity) / static_cast<float>(n);
+            }
+        }
+        scan_.second_returns[0].range_m.push_back(second_m);
+        scan_.second_returns[0].intensity.push_back(second_intensity);
     }
 
     RenderedScan joined_scan() { return std::move(scan_); }
 
 private:
     const RenderedScan& parts_;
+    const WeatherSensorProperties& sensor_;
     const std::vector<glm::dvec2> offsets_;
     const SensorConfig& config_;
     RenderedScan scan_;
@@ -208,8 +211,9 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
     return parts;
 }
 
-RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config) {
-    SubRayMerger joiner(parts, beams, config);
+RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config,
+                           const WeatherSensorProperties& sensor) {
+    SubRayMerger joiner(parts, beams, config, sensor);
     for (std::size_t ray = 0; ray < beams.size(); ++ray) joiner.append_beam(ray);
     return joiner.joined_scan();
 }

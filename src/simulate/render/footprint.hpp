@@ -16,10 +16,6 @@ using RayIndices = std::vector<std::size_t>;
 /// divergence
 RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
-/// Minimum light of a second return, relative to the strongest return. Real receivers can
-/// detect second echoes down to about a tenth of the main echo.
-inline constexpr double kSecondReturnShare = 0.1;
-
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than
 /// config.return_separation_m. They are also in the same group if they lie on the same
@@ -29,12 +25,14 @@ inline constexpr double kSecondReturnShare = 0.1;
 ///
 /// The strongest group is the return of the beam. If config.returns is 2, the last group
 /// is the second return. If the last group is also the strongest, the second strongest
-/// group is the second return. A second return must have at least a tenth of the
-/// strongest group's intensity. The drop probability is the mean over the sub-rays,
-/// because the returned light is the sum over the footprint. Weight, normal and instance
-/// are copied from the sub-ray of the strongest group that is nearest to the centre.
+/// group is the second return. A second return must reach the power that the sensor
+/// detects. The drop probability is the mean over the sub-rays, because the returned
+/// light is the sum over the footprint. Weight, normal and instance are copied from the
+/// sub-ray of the strongest group that is nearest to the centre.
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
-RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config);
+/// @param sensor limits of detection
+RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config,
+                           const WeatherSensorProperties& sensor = {});
 
 /// Sub-rays of a beam that hits several surfaces. With only nine, one sub-ray could cause
 /// a second return, even if the surface fills a tiny part of the beam.

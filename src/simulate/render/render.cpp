@@ -223,14 +223,17 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, Se
     const auto split = [&](const RayTable& some) {
         return split_rays(some, beam_config.sub_rays, 1e-3 * beam_config.divergence_mrad);
     };
+    const WeatherSensorProperties detection =
+        weather_properties(config, rays, sweep.sensor.limits, sweep.sensor.name);
     const RenderedScan parts = trace_rays(sweep, split(rays)).scan;
-    RenderedScan scan = join_sub_rays(parts, rays, beam_config);
+    RenderedScan scan = join_sub_rays(parts, rays, beam_config, detection);
     const std::vector<std::size_t> edges = find_edge_beams(parts, rays, beam_config);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         const RayTable edge_rays = select_rays(rays, edges);
         beam_config.sub_rays = kEdgeParts;
-        replace_rays(scan, edges,
-                     join_sub_rays(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
+        replace_rays(
+            scan, edges,
+            join_sub_rays(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config, detection));
     }
     // The sensor does not report beams whose joined range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;

@@ -15,12 +15,14 @@ namespace {
 // limit. The value is an assumption.
 constexpr double kBrightestUnknownSurface = 4.0;
 
-/// Compares surfaces by their reflectivities, as in clear air, and other returns by their
-/// powers.
+// Minimum power of a second return, relative to the strongest return, if one of both is
+// of the air. The value is an assumption.
+constexpr double kSecondReturnShare = 0.1;
+
+/// Surfaces of a ray need no more than the power that the sensor detects.
 bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& strongest) {
     const auto& [range_m, reflectivity, source, fall_mps, away_mps] = candidate.echo;
-    if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface)
-        return reflectivity >= kSecondReturnShare * strongest.echo.reflectivity;
+    if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface) return true;
     return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
 }
 

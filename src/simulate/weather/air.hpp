@@ -73,8 +73,9 @@ public:
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
     /// Computes the strongest and the second return that the sensor measures along a ray.
     /// The second return is the last one, or the second strongest if the last is the
-    /// strongest. Both are at least WeatherSensorProperties::separation_m apart, and the
-    /// second has a tenth of the light. Leaves out returns below the detection threshold.
+    /// strongest. Both are at least WeatherSensorProperties::separation_m apart. If one
+    /// is of the air, the second has a tenth of the power of the strongest. Leaves out
+    /// returns below the detection threshold.
     EchoPair echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const;
 
 private:

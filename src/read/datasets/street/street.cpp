@@ -304,9 +304,11 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
 namespace {
 
 constexpr double kGoldenAngle_rad = 2.399963229728653;
-// A second return needs at least this distance and this share of the light. The minimum
-// intensity prevents a division by zero for black surfaces.
-constexpr float kMinSeparation_m = 0.5f, kMinSecondShare = 0.1f, kMinIntensity = 1e-3f;
+// A second return needs at least this distance. The minimum intensity prevents a division
+// by zero for black surfaces.
+constexpr float kMinSeparation_m = 0.5f, kMinIntensity = 1e-3f;
+// The weakest surfaces that fill a beam and return, at the maximum range and nearby.
+constexpr double kFarReflectivity = 0.8, kNearReflectivity = 0.0025;
 
 struct SubRayHit {
     float range_m = 0.0f, light = 0.0f;
@@ -336,7 +338,7 @@ std::vector<SubRayHit> group_hits(const Scan& cone_scan, std::size_t ray, int& n
 /// Chooses the second return of a beam: the last one, or the next strongest one if the
 /// strongest return is the last. Returns an empty hit if it is too weak.
 SubRayHit choose_second(const std::vector<SubRayHit>& returns,
-                        std::vector<SubRayHit>::const_iterator strongest_return) {
+                        std::vector<SubRayHit>::const_iterator strongest_return, double max_range_m) {
     SubRayHit second;
     if (strongest_return + 1 != returns.end()) {
         second = returns.back();
@@ -344,7 +346,9 @@ SubRayHit choose_second(const std::vector<SubRayHit>& returns,
         for (auto r = returns.begin(); r != returns.end(); ++r)
             if (r != strongest_return && r->light > second.light) second = *r;
     }
-    return second.light >= kMinSecondShare * strongest_return->light ? second : SubRayHit{};
+    const double range_share = double(second.range_m) / max_range_m;
+    const double weakest = std::max(kFarReflectivity * range_share * range_share, kNearReflectivity);
+    return double(second.light) >= weakest * kConeRays ? second : SubRayHit{};
 }
 
 }  // namespace
@@ -374,7 +378,7 @@ RayTable make_cone_rays(const RayTable& rays) {
     return cone;
 }
 
-Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays) {
+Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double max_range_m) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
     AdditionalReturns& echo = scan.second_returns.emplace_back(
         AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
@@ -384,7 +388,7 @@ Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays) {
         // A beam has a return only if more than half of its thin rays hit a surface.
         if (2 * n_back <= kConeRays) continue;
         const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
-        const SubRayHit second = choose_second(returns, strongest);
+        const SubRayHit second = choose_second(returns, strongest, max_range_m);
         scan.range_m[i] = strongest->range_m;
         // mean light of all thin rays of the beam
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);

@@ -140,11 +140,11 @@ RayTable make_cone_rays(const RayTable& rays);
 /// is their mean, weighted by light.
 ///
 /// The first return is the strongest one. The second return is the last one, or the next
-/// strongest one if the strongest return is the last. The second return must have at
-/// least a tenth of the light of the first. If at most half of the thin rays have hits,
-/// the ray is dropped.
+/// strongest one if the strongest return is the last. The second return needs the power
+/// of a surface of 80 % at the maximum range, and of 0.25 % at its range. If at most half
+/// of the thin rays have hits, the ray is dropped.
 /// @param scan_of_cone_rays  scan with the hits of the rays from make_cone_rays(rays)
-Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays);
+Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double max_range_m);
 
 }  // namespace relidar::street
 

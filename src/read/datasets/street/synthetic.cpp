@@ -14,6 +14,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
@@ -142,13 +143,16 @@ Scan cast_scan(const street::SyntheticStreet& street, const glm::dvec3& world_or
 /// Returns an exact scan with two returns per ray. Casts thin rays inside the cone of
 /// each beam, and combines their hits.
 Scan cast_dual_scan(const street::SyntheticStreet& street, const glm::dvec3& world_origin_in_street_m,
-                    const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s) {
+                    const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s,
+                    double max_range_m) {
     if (!(rays.max_divergence_rad() > 0.0))
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray has only "
             "one return");
-    return street::combine_cone(rays, cast_scan(street, world_origin_in_street_m,
-                                                street::make_cone_rays(rays), sensor_track, scan_time_s));
+    return street::combine_cone(
+        rays,
+        cast_scan(street, world_origin_in_street_m, street::make_cone_rays(rays), sensor_track, scan_time_s),
+        max_range_m);
 }
 
 std::uint64_t seed_of(const StreetOptions& options, const Frame& frame) {
@@ -171,8 +175,9 @@ void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
 
 Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStreet& street,
                         const Log& sequence, const RayTable& rays, const Frame& frame) {
+    const SpinningSensor& sensor = sequence.lidar_of(frame).sensor;
     Scan scan = cast_dual_scan(street, sequence.world_offset_m, rays, sequence.lidar_track(frame.lidar),
-                               frame.time_s);
+                               frame.time_s, nominal_max_range_m(sensor.name).value_or(sensor.max_range_m));
     add_range_noise(scan, seed_of(options, frame), options.range_noise_m);
     return scan;
 }
@@ -305,10 +310,10 @@ Scan cast_street_rays(const StreetOptions& options, const RayTable& rays, const 
 }
 
 Scan cast_street_beams(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
-                       double time_s) {
+                       double time_s, double max_range_m) {
     check_options(options);
     return cast_dual_scan(street::make_street(options), world_origin_m(options), rays, world_from_sensor,
-                          time_s);
+                          time_s, max_range_m);
 }
 
 Scan cast_street_rays(const StreetOptions& options, const std::vector<SyntheticCar>& cars,

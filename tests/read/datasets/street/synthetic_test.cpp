@@ -189,7 +189,8 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
         const PoseTrack track = log.lidar_track(frame.lidar);
         EXPECT_EQ(frame.scan.rays.direction, make_lidar_rays(lidar, frame.time_s).direction) << lidar.name;
         const Scan truth = frame.lidar == test::kTwoReturns
-                               ? cast_street_beams(options, frame.scan.rays, track, frame.time_s)
+                               ? cast_street_beams(options, frame.scan.rays, track, frame.time_s,
+                                                   log.lidar_of(frame).sensor.max_range_m)
                                : cast_street_rays(options, frame.scan.rays, track, frame.time_s);
         std::size_t n = 0;
         for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
@@ -266,7 +267,8 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
-    EXPECT_THROW(cast_street_beams(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
+    EXPECT_THROW(cast_street_beams(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2, 80.0),
+                 UsageError);
 }
 
 TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
@@ -283,7 +285,9 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     narrow.divergence_rad = 1e-3f;
     wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
-    const auto cast = [&](const RayTable& rays) { return cast_street_beams(options, rays, track, 0.2); };
+    const auto cast = [&](const RayTable& rays) {
+        return cast_street_beams(options, rays, track, 0.2, 80.0);
+    };
     const Scan a = cast(narrow), b = cast(wide), both = cast(mixed);
     std::size_t differ = 0;
     for (std::size_t i = 0; i < mixed.size(); ++i) {
