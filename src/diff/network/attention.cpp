@@ -2,37 +2,51 @@
 #include "diff/network/layers.hpp"
 
 #include <cmath>
+#include <utility>
 
 #include "base/assert.hpp"
 
 namespace relidar::network {
 namespace {
 
-/// Describes an image slice as one matrix per attention head. Its shape is [channels,
-/// pixels], or [pixels, channels] if `transposed` is true.
-shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool transposed) {
-    const auto pixels = std::uint32_t(slice.grid.n_image_pixels());
-    return {.values = slice.view.values,
-            .first = slice.view.first * pixels,
-            .batch = slice.view.channels * pixels,
-            .head = slice.channels / n_heads * pixels,
-            .row = transposed ? 1 : pixels,
-            .column = transposed ? pixels : 1,
-            .unused = 0};
+/// Describes an image slice as one matrix [channels of a head, pixels] per image and head.
+HeadMatrices head_matrices(const Slice& slice, std::uint32_t n_heads) {
+    const auto n_pixels = std::uint32_t(slice.grid.n_image_pixels());
+    const std::uint32_t head_channels = slice.channels / n_heads;
+    return {.view = {.values = slice.view.values,
+                     .first = slice.view.first * n_pixels,
+                     .batch = slice.view.channels * n_pixels,
+                     .head = head_channels * n_pixels,
+                     .row = n_pixels,
+                     .column = 1,
+                     .unused = 0},
+            .rows = head_channels,
+            .columns = n_pixels};
 }
 
-/// Describes the attention weights as one matrix [pixels, pixels] per image and head,
-/// transposed if `turned` is true.
-shared::MatrixView attention_matrices(const Tensor& w, ImageBatchSize g, std::uint32_t heads, bool turned) {
-    const auto pixels = std::uint32_t(g.n_image_pixels());
-    return {.values = w.values.address(),
-            .first = 0,
-            .batch = heads * pixels * pixels,
-            .head = pixels * pixels,
-            .row = turned ? 1 : pixels,
-            .column = turned ? pixels : 1,
-            .unused = 0};
+/// Exchanges rows and columns without moving values: `row` and `column` are the distances
+/// in memory between neighbouring rows and columns.
+HeadMatrices transpose(HeadMatrices matrices) {
+    std::swap(matrices.view.row, matrices.view.column);
+    std::swap(matrices.rows, matrices.columns);
+    return matrices;
 }
+
+/// Queries, keys and values of all pixels, or their gradients.
+struct QueryKeyValue {
+    HeadMatrices query, key, value;
+};
+
+/// Splits images with the channels of queries, keys and values.
+QueryKeyValue split_qkv(const Slice& qkv, std::uint32_t n_heads) {
+    const std::uint32_t n_channels = qkv.channels / 3;
+    return {.query = head_matrices(qkv.channel_range(0, n_channels), n_heads),
+            .key = head_matrices(qkv.channel_range(n_channels, n_channels), n_heads),
+            .value = head_matrices(qkv.channel_range(2 * n_channels, n_channels), n_heads)};
+}
+
+/// Factor on the scores. It keeps their variance independent of the number of channels.
+float score_scale(const HeadMatrices& query) { return 1.0f / std::sqrt(float(query.rows)); }
 
 }  // namespace
 
@@ -49,79 +63,67 @@ AttentionState Attention::allocate_state(ImageBatchSize grid, bool with_gradient
     return state;
 }
 
-/// Computes c = scale a b. `rows` and `inner` are the shape of `a`; b and c have a column
-/// per pixel.
-void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
-                         const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
-                         ImageBatchSize grid) const {
-    const auto columns = std::uint32_t(grid.n_image_pixels());
-    const std::uint32_t jobs =
-        grid.n * heads_ * div_ceil(columns, lanes_) * div_ceil(rows, RELIDAR_MATMUL_ROWS);
-    run(stream, matmul_, std::size_t(div_ceil(jobs, kThreads / lanes_)) * kThreads,
-        {.a = a,
-         .b = b,
-         .c = c,
-         .n_batch = grid.n,
+/// Computes c = scale a b for each image and head. A subgroup computes a tile of c with
+/// RELIDAR_MATMUL_ROWS rows and one column per lane.
+void Attention::multiply(Stream& stream, std::uint32_t n_images, const HeadMatrices& a, const HeadMatrices& b,
+                         const HeadMatrices& c, float scale) const {
+    const std::uint32_t n_tiles = div_ceil(c.columns, lanes_) * div_ceil(c.rows, RELIDAR_MATMUL_ROWS);
+    const std::uint32_t n_subgroups = n_images * heads_ * n_tiles;
+    run(stream, matmul_, std::size_t(div_ceil(n_subgroups, kThreads / lanes_)) * kThreads,
+        {.a = a.view,
+         .b = b.view,
+         .c = c.view,
+         .n_batch = n_images,
          .n_heads = heads_,
-         .rows = rows,
-         .inner = inner,
-         .columns = columns,
+         .rows = c.rows,
+         .inner = a.columns,
+         .columns = c.columns,
          .scale = scale});
 }
 
-void Attention::run_softmax(Stream& stream, AttentionState& attention, ImageBatchSize grid, bool vjp) const {
-    const auto pixels = std::uint32_t(grid.n_image_pixels()), rows = grid.n * heads_ * pixels;
-    run(stream, softmax_, std::size_t(div_ceil(rows, kThreads / lanes_)) * kThreads,
-        {.values = attention.share.values.address().cast_tag<shared::SoftmaxValues>(),
-         .d_values = (vjp ? attention.d_share.values.address() : Address<float>())
-                         .cast_tag<shared::SoftmaxGradients>(),
-         .n_rows = rows,
-         .n = pixels});
+/// Replaces each row of `values` (scores) by its softmax. If `gradients` is not empty,
+/// `values` already are softmax results. Then replaces the gradients of these results by
+/// the gradients of the scores. One subgroup processes a row.
+void Attention::run_softmax(Stream& stream, const Tensor& values, const Tensor& gradients) const {
+    const auto n_pixels = std::uint32_t(values.grid.n_image_pixels());
+    const std::uint32_t n_rows = values.grid.n * heads_ * n_pixels;
+    shared::SoftmaxParams params{};
+    params.values = values.values.address().cast_tag<shared::SoftmaxValues>();
+    if (gradients.values.size() > 0)
+        params.d_values = gradients.values.address().cast_tag<shared::SoftmaxGradients>();
+    params.n_rows = n_rows;
+    params.n = n_pixels;
+    run(stream, softmax_, std::size_t(div_ceil(n_rows, kThreads / lanes_)) * kThreads, params);
 }
 
 void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output) {
-    const std::uint32_t channels = output.channels, size = channels / heads_,
-                        pixels = std::uint32_t(output.grid.n_image_pixels());
-    RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
-    const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
-                value = qkv.channel_range(2 * channels, channels);
-    const ImageBatchSize& grid = output.grid;
+    RELIDAR_ASSERT_EQ(qkv.channels, 3 * output.channels);
+    const std::uint32_t n_images = output.grid.n;
+    const auto [query, key, value] = split_qkv(qkv, heads_);
+    const HeadMatrices weights = head_matrices(state.share, heads_);  // [pixels, pixels]
     // Scores of all pairs of pixels: one row per query, one column per key.
-    multiply(stream, head_matrices(query, heads_, true), head_matrices(key, heads_, false),
-             attention_matrices(state.share, grid, heads_, false), pixels, size,
-             1.0f / std::sqrt(float(size)), grid);
-    // false: not the derivative.
-    run_softmax(stream, state, grid, false);
+    multiply(stream, n_images, transpose(query), key, weights, score_scale(query));
+    run_softmax(stream, state.share, {});
     // Adds the values, weighted by each row of weights.
-    multiply(stream, head_matrices(value, heads_, false), attention_matrices(state.share, grid, heads_, true),
-             head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
+    multiply(stream, n_images, value, transpose(weights), head_matrices(output, heads_), 1.0f);
 }
 
-void Attention::attend_vjp(Stream& s, const Slice& qkv, AttentionState& a, const Slice& d_out,
+/// Backward pass of attend(). The gradients of a product c = a b are d_a = d_c b^T and
+/// d_b = a^T d_c.
+void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
                            const Slice& d_qkv) {
-    const std::uint32_t channels = d_out.channels, size = channels / heads_,
-                        pixels = std::uint32_t(d_out.grid.n_image_pixels());
-    const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
-                value = qkv.channel_range(2 * channels, channels);
-    const Slice d_query = d_qkv.channel_range(0, channels), d_key = d_qkv.channel_range(channels, channels),
-                d_value = d_qkv.channel_range(2 * channels, channels);
-    const ImageBatchSize& grid = d_out.grid;
-    const float scale = 1.0f / std::sqrt(float(size));
-    const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
-                             const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
-                             float factor) { multiply(s, first, second, c, rows, inner, factor, grid); };
-    // computes d_value = d_out share
-    product(head_matrices(d_out, heads_, false), attention_matrices(a.share, grid, heads_, false),
-            head_matrices(d_value, heads_, false), size, pixels, 1.0f);
-    // Computes d_share, the gradient of the attention weights: transposed d_out times
-    // value. Then run_softmax() replaces it by the gradient of the softmax input.
-    product(head_matrices(d_out, heads_, true), head_matrices(value, heads_, false),
-            attention_matrices(a.d_share, grid, heads_, false), pixels, size, 1.0f);
-    run_softmax(s, a, grid, true);
-    product(head_matrices(key, heads_, false), attention_matrices(a.d_share, grid, heads_, true),
-            head_matrices(d_query, heads_, false), size, pixels, scale);
-    product(head_matrices(query, heads_, false), attention_matrices(a.d_share, grid, heads_, false),
-            head_matrices(d_key, heads_, false), size, pixels, scale);
+    const std::uint32_t n_images = d_out.grid.n;
+    const auto [query, key, value] = split_qkv(qkv, heads_);
+    const auto [d_query, d_key, d_value] = split_qkv(d_qkv, heads_);
+    const HeadMatrices weights = head_matrices(state.share, heads_);
+    const HeadMatrices d_weights = head_matrices(state.d_share, heads_);
+    const HeadMatrices d_output = head_matrices(d_out, heads_);
+    multiply(stream, n_images, d_output, weights, d_value, 1.0f);
+    multiply(stream, n_images, transpose(d_output), value, d_weights, 1.0f);
+    // Now `d_share` becomes the gradient of the scores, which gives d_query and d_key.
+    run_softmax(stream, state.share, state.d_share);
+    multiply(stream, n_images, key, transpose(d_weights), d_query, score_scale(query));
+    multiply(stream, n_images, query, d_weights, d_key, score_scale(query));
 }
 
 }  // namespace relidar::network

@@ -19,45 +19,59 @@ constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
-/// Returns the number of parts for which partial sums of weight gradients are stored.
-/// Large layers get fewer parts, so that the sums need at most kMostPartial floats.
+/// Returns the number of parts into which the images are split for the gradient of the
+/// weights. Each part needs a sum per weight. Layers with many weights get fewer parts, so
+/// that all sums need at most kMostPartial floats.
 std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
     return std::uint32_t(std::clamp<std::size_t>(div_ceil(lines, kLinesOfPart), 1, most));
 }
 
-/// Checks that the device can run the network. Returns the number of taps, so that an
-/// initialiser can call this function.
-std::uint32_t check_taps(const Device& device, std::uint32_t kernel_taps) {
-    RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
+/// Checks that the device can run the network. Returns `taps` (the number of weights per
+/// pair of channels), so that the constructor can call it before it creates kernels.
+std::uint32_t check_taps(const Device& device, std::uint32_t taps) {
+    RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
     const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
         fail<DeviceError>(
             "cannot use the ray-drop network on {}: the device lacks {}; use --set refine.enabled=false",
             info.name, missing);
-    return kernel_taps;
+    return taps;
 }
 
-std::uint32_t subgroup_lanes(const Device& device) { return std::uint32_t(device.info().subgroup_size); }
-std::uint32_t choose_pixels(const Device& device) { return should_coalesce(device) ? 8 : 4; }
+/// Returns how many pixels of an image row each lane computes. A lane is a thread of a
+/// subgroup. It keeps RELIDAR_CONV_OUT sums per pixel in registers. A CPU has fewer
+/// registers than a GPU, so its lanes compute fewer pixels.
+std::uint32_t count_lane_pixels(const Device& device) {
+    const bool is_gpu = should_coalesce(device);
+    return is_gpu ? 8 : 4;
+}
 
-Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t kernel_taps) {
+/// Creates the kernel that computes a convolution (shaders/diff/network/conv.comp).
+/// @param taps number of weights per pair of an input and an output channel
+Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t taps, std::uint32_t lanes) {
+    // On a GPU, the threads of a workgroup load the weights into shared memory (STAGED).
+    // On a CPU, it is faster if each lane loads some weights and the lanes exchange them.
+    const std::uint32_t staged = should_coalesce(device) ? 1 : 0;
     return {device,
             "diff/network/conv",
-            {{TAPS, kernel_taps},
-             {PIXELS, choose_pixels(device)},
-             {LANES, subgroup_lanes(device)},
-             {STAGED, should_coalesce(device) ? 1u : 0u},
+            {{TAPS, taps},
+             {PIXELS, count_lane_pixels(device)},
+             {LANES, lanes},
+             {STAGED, staged},
              {WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
-Kernel<shared::ConvWeightsParams> make_weight_vjp(Device& device, std::uint32_t kernel_taps) {
+/// Creates the kernel that computes the gradient of the weights, as sums over parts of
+/// the images (shaders/diff/network/conv_weights.comp).
+Kernel<shared::ConvWeightsParams> make_weights_kernel(Device& device, std::uint32_t taps,
+                                                      std::uint32_t lanes) {
     return {device,
             "diff/network/conv_weights",
-            {{TAPS, kernel_taps}, {LANES, subgroup_lanes(device)}, {WORKGROUP_SIZE, kConvThreads}},
+            {{TAPS, taps}, {LANES, lanes}, {WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
@@ -65,51 +79,63 @@ Kernel<shared::ConvWeightsParams> make_weight_vjp(Device& device, std::uint32_t 
 
 Convolution::Convolution(Device& device, std::uint32_t taps)
     : taps_(check_taps(device, taps)),
-      pixels_(choose_pixels(device)),
-      lanes_(subgroup_lanes(device)),
-      conv_(make_conv(device, taps)),
-      conv_weights_(make_weight_vjp(device, taps)),
+      pixels_(count_lane_pixels(device)),
+      lanes_(std::uint32_t(device.info().subgroup_size)),
+      conv_(make_conv_kernel(device, taps, lanes_)),
+      conv_weights_(make_weights_kernel(device, taps, lanes_)),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-std::size_t Convolution::n_conv_threads(const shared::ConvParams& params) const {
-    const std::size_t lines = std::size_t(params.n_images) * params.rows;
-    const std::uint32_t segments = std::uint32_t(lines) * div_ceil(params.columns, lanes_ * pixels_);
-    return std::size_t(div_ceil(segments, kConvThreads / lanes_)) * div_ceil(params.n_out, RELIDAR_CONV_OUT) *
-           kConvThreads;
+/// Runs the convolution kernel. Each subgroup computes RELIDAR_CONV_OUT output channels of
+/// a segment: a piece of an image row with `pixels_` pixels per lane.
+void Convolution::run_conv_kernel(Stream& stream, const shared::ConvParams& params) const {
+    const std::uint32_t n_segments =
+        params.n_images * params.rows * div_ceil(params.columns, lanes_ * pixels_);
+    const std::uint32_t n_channel_groups = div_ceil(params.n_out, RELIDAR_CONV_OUT);
+    const std::uint32_t subgroups_per_workgroup = kConvThreads / lanes_;
+    const std::size_t n_workgroups =
+        std::size_t(div_ceil(n_segments, subgroups_per_workgroup)) * n_channel_groups;
+    run(stream, conv_, n_workgroups * kConvThreads, params);
 }
 
+/// Returns the number of threads that compute the gradient of the weights. A subgroup
+/// computes, for one part of the images, the weights between RELIDAR_CONV_OUT output
+/// channels and one input channel. For 1x1 it computes RELIDAR_CONV_IN input channels.
 std::size_t Convolution::n_weight_threads(const shared::ConvWeightsParams& params) const {
-    const std::uint32_t input_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
-    const std::uint32_t subgroups = params.n_parts * div_ceil(params.n_in, input_channels_per_subgroup) *
-                                    div_ceil(params.n_out, RELIDAR_CONV_OUT);
-    return std::size_t(div_ceil(subgroups, kConvThreads / lanes_)) * kConvThreads;
+    const std::uint32_t in_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
+    const std::uint32_t n_subgroups = params.n_parts * div_ceil(params.n_in, in_channels_per_subgroup) *
+                                      div_ceil(params.n_out, RELIDAR_CONV_OUT);
+    return std::size_t(div_ceil(n_subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights w, Bias bias,
-                                  bool transposed, bool add) const {
+/// Returns the parameters of a convolution without bias that overwrites `to`.
+shared::ConvParams Convolution::make_params(const Slice& from, const Slice& to, Weights weights) {
     RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
-    const shared::ConvParams params{.from = from.view,
-                                    .to = to.view,
-                                    .weights = w,
-                                    .bias = bias,
-                                    .n_images = from.grid.n,
-                                    .rows = from.grid.rows,
-                                    .columns = from.grid.columns,
-                                    .n_in = from.channels,
-                                    .n_out = to.channels,
-                                    .transposed = transposed ? 1u : 0u,
-                                    .accumulate = add ? 1u : 0u,
-                                    .circular = from.grid.circular ? 1u : 0u};
-    run(stream, conv_, n_conv_threads(params), params);
+    shared::ConvParams params{};
+    params.from = from.view;
+    params.to = to.view;
+    params.weights = weights;
+    params.n_images = from.grid.n;
+    params.rows = from.grid.rows;
+    params.columns = from.grid.columns;
+    params.n_in = from.channels;
+    params.n_out = to.channels;
+    params.circular = from.grid.circular ? 1 : 0;
+    return params;
 }
 
-void Convolution::run_convolution(Stream& s, const Slice& in, Weights w, Bias b, const Slice& out, bool add) {
-    run_conv_kernel(s, in, out, w, b, false, add);
+void Convolution::run_convolution(Stream& stream, const Slice& in, Weights weights, Bias bias,
+                                  const Slice& out, bool add) {
+    shared::ConvParams params = make_params(in, out, weights);
+    params.bias = bias;
+    params.accumulate = add ? 1 : 0;
+    run_conv_kernel(stream, params);
 }
 
 void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in) {
     // The gradient of the input is a convolution with transposed weights.
-    run_conv_kernel(stream, d_out, d_in, weights, {}, true, false);
+    shared::ConvParams params = make_params(d_out, d_in, weights);
+    params.transposed = 1;
+    run_conv_kernel(stream, params);
 }
 
 std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out) const {
@@ -117,13 +143,13 @@ std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
     return count_weight_sums(grid, n) * n;
 }
 
-/// Computes the gradient of the weights: first partial sums over parts of the images,
-/// then their sum, in a fixed order instead of with atomics.
+/// Computes the gradient of the weights: first a sum over each part of the images, then
+/// the total of all parts. Uses no atomics, whose order differs between runs.
 void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights) {
     RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_out.grid.n_pixels_total());
-    const std::uint32_t n = input.channels * d_out.channels * taps_,
-                        n_parts = count_weight_sums(input.grid, n);
-    RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
+    const std::uint32_t n_weights = input.channels * d_out.channels * taps_;
+    const std::uint32_t n_parts = count_weight_sums(input.grid, n_weights);
+    RELIDAR_ASSERT_LE(std::size_t(n_parts) * n_weights, partial_.size());
     const shared::ConvWeightsParams params{.from = input.view,
                                            .d_to = d_out.view,
                                            .partial = partial_.address(),
@@ -135,11 +161,11 @@ void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d
                                            .n_parts = n_parts,
                                            .circular = input.grid.circular ? 1u : 0u};
     run(stream, conv_weights_, n_weight_threads(params), params);
-    run(stream, sum_parts_, n,
+    run(stream, sum_parts_, n_weights,
         {.partial = partial_.address(),
          .sum = d_weights.cast_tag<shared::SumOfParts>(),
          .n_parts = n_parts,
-         .n = n});
+         .n = n_weights});
 }
 
 }  // namespace relidar::network

@@ -7,72 +7,81 @@
 namespace relidar::network {
 namespace {
 
-template <class Joined, class Values>
-Joined upload_joined_values(Device& device, std::span<const RayDropImage> images, const Values& get_values,
-                            const std::string& text) {
-    std::size_t n = 0;
-    for (const RayDropImage& image : images) n += get_values(image).size();
-    Joined all(device, n, text);
+/// Uploads one array of values of all images, one image after the other.
+/// @param values array of an image: `channels` or `dropped`
+/// @param text name of the device array
+template <class DeviceArray>
+DeviceArray upload_all(Device& device, std::span<const RayDropImage> images,
+                       std::vector<float> RayDropImage::*values, const std::string& text) {
+    std::size_t n_values = 0;
+    for (const RayDropImage& image : images) n_values += (image.*values).size();
+    DeviceArray all(device, n_values, text);
     std::size_t first = 0;
     for (const RayDropImage& image : images) {
-        all.upload(get_values(image), first);
-        first += get_values(image).size();
+        all.upload(image.*values, first);
+        first += (image.*values).size();
     }
     return all;
+}
+
+/// Returns the values of one channel in an image [channels, rows, columns].
+std::span<const float> channel_of(const RayDropImage& image, std::size_t channel, std::size_t n_channels) {
+    const std::size_t n_pixels = image.channels.size() / n_channels;
+    return std::span(image.channels).subspan(channel * n_pixels, n_pixels);
 }
 
 }  // namespace
 
 std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels) {
     std::vector<float> scale_shift;
-    for (std::size_t c = 0; c < n_channels; ++c) {
-        double n = 0.0, sum = 0.0, squares = 0.0;
-        const auto for_each = [&](const auto& work) {
-            for (const RayDropImage& image : images) {
-                const std::size_t pixels = image.channels.size() / n_channels;
-                for (std::size_t i = c * pixels; i < (c + 1) * pixels; ++i) work(double(image.channels[i]));
-            }
-        };
-        for_each([&](double value) {
-            n += 1.0;
-            sum += value;
-        });
-        const double mean = sum / n;
-        for_each([&](double value) { squares += (value - mean) * (value - mean); });
-        const double deviation = std::sqrt(squares / n), scale = deviation > 1e-6 ? 1.0 / deviation : 0.0;
+    for (std::size_t channel = 0; channel < n_channels; ++channel) {
+        std::size_t n = 0;
+        double sum = 0.0;
+        for (const RayDropImage& image : images) {
+            for (const float value : channel_of(image, channel, n_channels)) sum += double(value);
+            n += image.channels.size() / n_channels;
+        }
+        const double mean = sum / double(n);
+
+        double squares = 0.0;
+        for (const RayDropImage& image : images)
+            for (const float value : channel_of(image, channel, n_channels))
+                squares += (double(value) - mean) * (double(value) - mean);
+        const double deviation = std::sqrt(squares / double(n));
+
+        const double scale = deviation > 1e-6 ? 1.0 / deviation : 0.0;
         scale_shift.push_back(float(scale));
         scale_shift.push_back(float(-mean * scale));
     }
     return scale_shift;
 }
 
+/// Copies the normalisation of the network to the device: scale and shift of each input
+/// channel. Only these and the roles of the channels are used, not the weights.
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(count_fixed_channels(network)),
       logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
-    std::vector<glm::vec2> scale_shift_pairs;
+    std::vector<glm::vec2> scale_shift;  // `normalisation` has the shape [channels, 2]
     for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
-        scale_shift_pairs.emplace_back(network.normalisation[i], network.normalisation[i + 1]);
-    scale_shift_ = Array<glm::vec2>(device, scale_shift_pairs, "normalisation of inputs");
+        scale_shift.emplace_back(network.normalisation[i], network.normalisation[i + 1]);
+    scale_shift_ = Array<glm::vec2>(device, scale_shift, "normalisation of inputs");
 }
 
 void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> images) {
-    samples_ = upload_joined_values<decltype(samples_)>(
-        device, images, [](const RayDropImage& image) -> const std::vector<float>& { return image.channels; },
-        "scans to refine");
-    targets_ = upload_joined_values<decltype(targets_)>(
-        device, images, [](const RayDropImage& image) -> const std::vector<float>& { return image.dropped; },
-        "measured drops");
+    samples_ = upload_all<decltype(samples_)>(device, images, &RayDropImage::channels, "scans to refine");
+    targets_ = upload_all<decltype(targets_)>(device, images, &RayDropImage::dropped, "measured drops");
+
+    const auto is_known = [](float dropped) { return dropped >= 0.0f; };
     n_known_pixels_.clear();
-    // A negative target is unknown.
     for (const RayDropImage& image : images)
-        n_known_pixels_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(),
-                                                            [](float value) { return value >= 0.0f; })));
+        n_known_pixels_.push_back(std::size_t(std::ranges::count_if(image.dropped, is_known)));
 }
 
 void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to) {
     shared::DropInputsParams params{};
+    // Images without measured drops keep null addresses, so that the kernel skips targets.
     params.samples = samples_.address();
     if (has_measured()) {
         target_.reserve(stream.device(), to.grid.n_pixels_total(), "targets");

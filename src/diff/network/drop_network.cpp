@@ -16,28 +16,34 @@ constexpr int kMostWidth = 512, kMostLevels = 6;
 
 using network::NetworkRegularisation;
 
-/// Predefined network architecture. The numbers of channels are listed for each level,
-/// starting at full image size, and are multiplied by `width`.
+/// Predefined network architecture. Level l has width * factors[l] channels. Level 0 has
+/// the full image size.
 struct NetworkPreset {
     const char* name;
     std::uint32_t width;
     std::vector<std::uint32_t> factors;
-    std::uint32_t heads, taps;
-    bool residual;
-    int batch;
-    NetworkRegularisation in_training;
+    std::uint32_t heads = 0;  ///< attention heads
+    std::uint32_t taps = 9;   ///< weights per pair of channels: 9 (3x3) or 1 (1x1)
+    bool residual = true;     ///< true: predicts a correction of the rendered drop logits
+    int batch = 1;            ///< images per training step
+    NetworkRegularisation in_training = {};
 };
 
-const NetworkPreset& find_predefined(const std::string& name) {
-    // name, width, factors, heads, taps, residual, batch, {dropout, turns}
-    static const NetworkPreset networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
-                                             {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
-                                             {"pixel", 16, {1}, 0, 1, true, 1, {}}};
-    const auto match = std::find_if(std::begin(networks), std::end(networks),
-                                    [&](const NetworkPreset& preset) { return name == preset.name; });
-    if (match == std::end(networks))
-        fail<UsageError>("setting refine.network: found \"{}\", expected small, paper or pixel", name);
-    return *match;
+/// Returns the architecture that the setting refine.network selects. `pixel` does not look
+/// at neighbouring pixels.
+const NetworkPreset& find_preset(const std::string& name) {
+    static const NetworkPreset small{.name = "small", .width = 8, .factors = {1, 2, 4, 4}};
+    static const NetworkPreset pixel{.name = "pixel", .width = 16, .factors = {1}, .taps = 1};
+    static const NetworkPreset paper{.name = "paper",
+                                     .width = 32,
+                                     .factors = {1, 2, 4, 8, 8},
+                                     .heads = 8,
+                                     .residual = false,
+                                     .batch = 16,
+                                     .in_training = {.dropout = 0.1, .turns = true}};
+    for (const NetworkPreset* preset : {&small, &paper, &pixel})
+        if (name == preset->name) return *preset;
+    fail<UsageError>("setting refine.network: found \"{}\", expected small, paper or pixel", name);
 }
 
 }  // namespace
@@ -57,7 +63,8 @@ std::size_t count_parameters(const RayDropNetworkOptions& options) {
 namespace network {
 
 RayDropNetwork make_network(const RayDropNetworkOptions& options) {
-    const NetworkPreset& preset = find_predefined(options.network);
+    const NetworkPreset& preset = find_preset(options.network);
+    // 0 channels or -1 levels select the values of the preset.
     const int width = options.width > 0 ? options.width : int(preset.width);
     const int levels = options.levels >= 0 ? options.levels : int(preset.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
@@ -67,9 +74,11 @@ RayDropNetwork make_network(const RayDropNetworkOptions& options) {
             width, levels, kMostWidth, kMostLevels);
     RayDropNetwork network;
     network.inputs = channel_names(options);
-    for (int l = 0; l <= levels; ++l)
-        network.widths.push_back(std::uint32_t(width) *
-                                 preset.factors[std::min(std::size_t(l), preset.factors.size() - 1)]);
+    // Levels beyond the preset have as many channels as its last level.
+    for (int level = 0; level <= levels; ++level) {
+        const std::size_t preset_level = std::min(std::size_t(level), preset.factors.size() - 1);
+        network.widths.push_back(std::uint32_t(width) * preset.factors[preset_level]);
+    }
     network.heads = levels > 0 ? preset.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         fail<UsageError>(
@@ -82,11 +91,11 @@ RayDropNetwork make_network(const RayDropNetworkOptions& options) {
 }
 
 int batch_size_of(const RayDropNetworkOptions& options) {
-    return options.batch > 0 ? options.batch : find_predefined(options.network).batch;
+    return options.batch > 0 ? options.batch : find_preset(options.network).batch;
 }
 
 NetworkRegularisation regularisation_of(const RayDropNetworkOptions& options) {
-    return find_predefined(options.network).in_training;
+    return find_preset(options.network).in_training;
 }
 
 std::uint32_t find_drop_channel(const RayDropNetwork& network) {
@@ -105,23 +114,26 @@ void check_image(const RayDropNetwork& network, const RayDropImage& image, const
     if (image.rows < side || image.columns < side)
         fail("{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels", text,
              image.rows, image.columns, side, side, network.widths.size() - 1);
-    const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
-                      n = pixels * network.inputs.size();
-    if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
+    const std::size_t n_columns = std::size_t(image.columns);
+    const std::size_t n_pixels = std::size_t(image.rows) * n_columns;
+    const std::size_t n_values = n_pixels * network.inputs.size();
+    const bool has_drops = !image.dropped.empty();
+    if (image.channels.size() != n_values || (has_drops && image.dropped.size() != n_pixels))
         fail("{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels", text,
-             image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns);
-    const auto bad = std::find_if(image.channels.begin(), image.channels.end(),
-                                  [](float value) { return !std::isfinite(value); });
-    if (bad != image.channels.end()) {
-        const auto at = std::size_t(bad - image.channels.begin());
+             image.channels.size(), image.dropped.size(), n_values, n_pixels, image.rows, image.columns);
+    for (std::size_t i = 0; i < n_values; ++i) {
+        if (std::isfinite(image.channels[i])) continue;
+        // `channels` has the shape [channels, rows, columns].
+        const std::size_t channel = i / n_pixels, pixel = i % n_pixels;
         fail(
             "{}: in the input channel '{}', the value at row {} and column {} is {}, expected a finite "
             "number",
-            text, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
-            at % std::size_t(image.columns), *bad);
+            text, network.inputs[channel], pixel / n_columns, pixel % n_columns, image.channels[i]);
     }
 }
 
+/// Creates the loss of batches with up to `n_pixels` pixels. The pixels are split into
+/// parts, whose losses are summed separately and added on the host.
 RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
     : n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
       lanes_(std::uint32_t(device.info().subgroup_size)),
@@ -131,17 +143,18 @@ RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
           SubgroupRequirement::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void RayDropLoss::record_loss(Stream& s, std::size_t n, const RayDropLossArrays& a, std::size_t n_known) {
+void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                              std::size_t n_known) {
     // One subgroup processes one part.
-    const std::uint32_t of_workgroup = kThreads / lanes_;
-    relidar::run(s, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
-                 {.logit = a.logit,
-                  .start = a.start,
-                  .target = a.target,
-                  .d_logit = a.d_logit,
-                  .probability = a.probability,
+    const std::uint32_t n_workgroups = div_ceil(n_parts_, kThreads / lanes_);
+    relidar::run(stream, kernel_, std::size_t(n_workgroups) * kThreads,
+                 {.logit = arrays.logit,
+                  .start = arrays.start,
+                  .target = arrays.target,
+                  .d_logit = arrays.d_logit,
+                  .probability = arrays.probability,
                   .partial = partial_.address(),
-                  .n = std::uint32_t(n),
+                  .n = std::uint32_t(n_pixels),
                   .n_parts = n_parts_,
                   .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
 }

@@ -59,8 +59,13 @@ class RayDropInputs {
 public:
     RayDropInputs(Device& device, const RayDropNetwork& network);
 
+    /// Uploads training images, and counts for each image the pixels whose measured drop
+    /// is known.
     void upload_images(Device& device, std::span<const RayDropImage> images);
 
+    /// Submits the kernel that creates a batch from uploaded images.
+    /// @param chosen the images of the batch, and the rotation of each
+    /// @param to receives the normalised images, [n, channels, rows, columns]
     void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to);
     /// Submits the kernel that creates a batch from images that are already on the
     /// device. Does not update measured_drops(), because it is unknown which rays of
@@ -89,6 +94,7 @@ private:
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
 
+    /// Submits the kernel, after the caller has set its addresses of images and targets.
     void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, shared::DropInputsParams params,
                     const Tensor& to);
 };
@@ -115,9 +121,13 @@ class RayDropLoss {
 public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
-    /// @param n_known number of pixels with a known target; divides the derivative
-    void record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays, std::size_t n_known);
-    /// The last run must be finished.
+    /// Submits the kernel that computes the loss and the arrays that are not null.
+    /// @param n_known number of pixels with a known target; divides the derivative, because
+    /// the loss is a mean
+    void record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                     std::size_t n_known);
+    /// Returns the mean loss and accuracy of the last record_loss(), which the device must
+    /// have finished.
     RayDropScore read_loss(std::size_t n_known_pixels) const;
 
 private:

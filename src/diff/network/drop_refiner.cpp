@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <iterator>
 #include <list>
 #include <optional>
 
@@ -13,21 +14,23 @@
 namespace relidar {
 namespace {
 
+/// Checks that a network, for example from a file, has the sizes that its architecture
+/// requires. Returns the network, so that an initialiser can call this function.
 const RayDropNetwork& check_network(const RayDropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
         fail(
             "cannot use the ray-drop network: found {} levels, {} input channels and kernels of {} pixels, "
             "expected at least 1 level, at least 1 input channel, and kernels of 1 or 9 pixels",
             network.widths.size(), network.inputs.size(), network.taps);
-    const network::UnetLayout plan(network);
-    const auto check = [](const char* text, std::size_t found, std::size_t expected) {
+    const network::UnetLayout layout(network);
+    const auto check_size = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
             fail("cannot use the ray-drop network: it has {} {}, but its architecture requires {}", found,
-                 text, expected);
+                 name, expected);
     };
-    check("parameters", network.parameters.size(), plan.n_parameters);
-    check("running moments", network.running.size(), plan.n_running);
-    check("normalisation values", network.normalisation.size(), 2 * network.inputs.size());
+    check_size("parameters", network.parameters.size(), layout.n_parameters);
+    check_size("running moments", network.running.size(), layout.n_running);
+    check_size("normalisation values", network.normalisation.size(), 2 * network.inputs.size());
     return network;
 }
 
@@ -45,6 +48,8 @@ void compile_network(Device& device, const RayDropNetworkOptions& options) {
 
 namespace {
 
+/// A ray-drop network with arrays for images of one size. Its `grid` is empty until the
+/// arrays are allocated.
 struct SizedRayDropNetwork {
     network::ImageBatchSize grid{};
     network::RayDropInputs inputs;
@@ -70,27 +75,30 @@ struct RayDropInference::Impl {
         shaped.emplace_front(device, network);
     }
 
-    SizedRayDropNetwork& network_for(Stream& stream, network::ImageBatchSize image_grid) {
-        auto cache_entry = std::ranges::find(shaped, image_grid, &SizedRayDropNetwork::grid);
-        const bool is_new = cache_entry == shaped.end();
-        if (is_new)
-            cache_entry = std::ranges::find(shaped, network::ImageBatchSize{}, &SizedRayDropNetwork::grid);
-        if (cache_entry == shaped.end() && shaped.size() < kMaxImageSizes)
-            cache_entry = shaped.emplace(shaped.end(), device, network);
-        if (cache_entry == shaped.end()) {
-            // Waits, because the device may still use the arrays of the image size that
-            // is replaced below.
-            stream.submit_and_wait();
-            --cache_entry;
-        }
-        shaped.splice(shaped.begin(), shaped, cache_entry);
-        if (is_new) {
-            cache_entry->grid = image_grid;
-            cache_entry->unet.allocate(device, image_grid, false);
-            cache_entry->probability = {device, image_grid.n_image_pixels(), "drop probabilities"};
-            cache_entry->loss.emplace(device, image_grid.n_image_pixels());
-        }
-        return *cache_entry;
+    /// Returns the network with arrays for an image size. Allocates them if they do not
+    /// exist.
+    SizedRayDropNetwork& network_for(Stream& stream, network::ImageBatchSize grid) {
+        auto match = std::ranges::find(shaped, grid, &SizedRayDropNetwork::grid);
+        const bool is_known = match != shaped.end();
+        if (!is_known) match = claim_network(stream);
+        shaped.splice(shaped.begin(), shaped, match);  // moves the match to the front
+        if (is_known) return *match;
+        match->grid = grid;
+        match->unet.allocate(device, grid, false);
+        match->probability = {device, grid.n_image_pixels(), "drop probabilities"};
+        match->loss.emplace(device, grid.n_image_pixels());
+        return *match;
+    }
+
+    /// Returns a network that can get arrays for another image size: one without a size, a
+    /// new one, or the least recently used one.
+    std::list<SizedRayDropNetwork>::iterator claim_network(Stream& stream) {
+        const auto unsized = std::ranges::find(shaped, network::ImageBatchSize{}, &SizedRayDropNetwork::grid);
+        if (unsized != shaped.end()) return unsized;
+        if (shaped.size() < kMaxImageSizes) return shaped.emplace(shaped.end(), device, network);
+        // Waits, because the device may still use the arrays of the old image size.
+        stream.submit_and_wait();
+        return std::prev(shaped.end());
     }
 };
 
@@ -146,7 +154,7 @@ RayDropInference& RayDropRefiner::inference() { return impl_->pass; }
 std::vector<float> RayDropRefiner::predict_drops(const RayDropImage& image) {
     Impl& r = *impl_;
     network::check_image(network(), image, "cannot apply the ray-drop network to a scan");
-    r.stream.submit_and_wait();
+    r.stream.submit_and_wait();  // waits, because the device may still read `channels`
     r.channels.reserve(r.device, image.channels.size(), "input channels of the ray-drop network");
     r.channels.upload(image.channels);
     const auto& probability =

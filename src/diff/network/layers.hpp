@@ -62,11 +62,12 @@ public:
     /// @throws DeviceError with the name of a missing device feature
     Convolution(Device& device, std::uint32_t taps);
 
-    /// Computes the convolution out = bias + w * in.
-    /// @param w [output.channels, input.channels, taps]
-    /// @param bias [output.channels], or a null address
+    /// Computes the convolution out = bias + weights * in.
+    /// @param weights [out.channels, in.channels, taps]
+    /// @param bias [out.channels], or a null address
     /// @param add true: adds the result to `out` instead of overwriting it
-    void run_convolution(Stream& s, const Slice& in, Weights w, Bias b, const Slice& out, bool add = false);
+    void run_convolution(Stream& stream, const Slice& in, Weights weights, Bias bias, const Slice& out,
+                         bool add = false);
     /// Computes the gradient of the input, `d_in`.
     void input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
@@ -84,9 +85,8 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights w, Bias bias,
-                         bool transposed, bool add) const;
-    std::size_t n_conv_threads(const shared::ConvParams& params) const;
+    static shared::ConvParams make_params(const Slice& from, const Slice& to, Weights weights);
+    void run_conv_kernel(Stream& stream, const shared::ConvParams& params) const;
     std::size_t n_weight_threads(const shared::ConvWeightsParams& params) const;
 };
 
@@ -153,8 +153,10 @@ private:
     shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
     std::size_t count_threads(const Slice& slice) const;
-    void apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float drop) const;
-    void compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n, bool training) const;
+    void compute_scale(Stream& stream, const Slice& in, const NormWeights& weights, NormState& state,
+                       bool train) const;
+    void apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
+                     float dropout) const;
 };
 
 /// Half the rows and half the columns, rounded down.
@@ -167,7 +169,7 @@ public:
 
     /// Maximum of each block of 2 x 2 pixels.
     void max_pool(Stream& stream, const Slice& input, const Slice& output);
-    /// Adds to `d_in`.
+    /// Adds the gradient of the output to the pixel of `d_in` that was the maximum.
     void max_pool_vjp(Stream& stream, const Slice& in, const Slice& d_out, const Slice& d_in);
     void upsample(Stream& stream, const Slice& input, const Slice& output);
     void upsample_vjp(Stream& stream, const Slice& d_out, const Slice& d_in);
@@ -183,6 +185,12 @@ struct AttentionState {
     Tensor d_share;  ///< gradient of `share`, scratch memory of the backward pass
 };
 
+/// One matrix per image and attention head.
+struct HeadMatrices {
+    shared::MatrixView view;
+    std::uint32_t rows, columns;
+};
+
 /// Multi-head self-attention (Vaswani et al.) between the pixels of small images.
 class Attention {
 public:
@@ -194,7 +202,9 @@ public:
     /// columns]
     /// @param output [n, channels, rows, columns]
     void attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
-    void attend_vjp(Stream& s, const Slice& qkv, AttentionState& a, const Slice& d_out, const Slice& d_qkv);
+    /// Computes the gradient of `qkv` from the gradient of the output.
+    void attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
+                    const Slice& d_qkv);
 
 private:
     static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
@@ -206,10 +216,9 @@ private:
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 
-    void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
-                  const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
-                  ImageBatchSize grid) const;
-    void run_softmax(Stream& stream, AttentionState& attention, ImageBatchSize grid, bool vjp) const;
+    void multiply(Stream& stream, std::uint32_t n_images, const HeadMatrices& a, const HeadMatrices& b,
+                  const HeadMatrices& c, float scale) const;
+    void run_softmax(Stream& stream, const Tensor& values, const Tensor& gradients) const;
 };
 
 }  // namespace relidar::network

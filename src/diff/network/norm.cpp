@@ -13,11 +13,16 @@ constexpr float kNormMomentum = 0.1f, kNormEpsilon = 1e-5f;
 /// Returns the number of parts into which the pixels of a batch are split. A sum is
 /// computed separately for each part. The pixels of a part belong to the same image.
 std::uint32_t count_channel_sums(ImageBatchSize grid) {
-    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.n_image_pixels() / 4096, 1, 64));
+    constexpr std::size_t kPixelsPerPart = 4096, kMaxPartsPerImage = 64;
+    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.n_image_pixels() / kPixelsPerPart, 1,
+                                                          kMaxPartsPerImage));
 }
 
 }  // namespace
 
+/// Creates the kernels: `sums_` sums pixels over parts of the images and `sum_parts_` adds
+/// the parts. `finish_` computes the scale and shift of each channel, and `norm_` applies
+/// them.
 Norm::Norm(Device& device)
     : device_(device),
       sums_(device, "diff/network/channel_sums", {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
@@ -27,6 +32,8 @@ Norm::Norm(Device& device)
       norm_vjp_(device, "diff/network/norm_vjp", {kWorkgroup}),
       sum_parts_(device, "diff/network/sum_parts") {}
 
+/// Returns the number of threads that process all pixels of a slice. Workgroups do not
+/// share pixels of different channels.
 std::size_t Norm::count_threads(const Slice& slice) const {
     constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels *
@@ -38,6 +45,8 @@ void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
                      "partial sums of channels");
 }
 
+/// Returns the parameters of a sum over the pixels of each channel.
+/// @param kind what is summed: kMomentSums, kNormVjpSums or kPlainSums
 shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32_t kind) const {
     shared::ChannelSumsParams params{};
     // Only kNormVjpSums reads d_to. norm_vjp() replaces it.
@@ -51,19 +60,26 @@ shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32
     return params;
 }
 
+/// Submits the kernel that sums the pixels of each channel over parts of the images. One
+/// subgroup computes the sum of one part of one channel.
 void Norm::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
-    const std::uint32_t of_workgroup = kThreads / lanes_, jobs = params.n_channels * params.n_parts;
-    run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kThreads, params);
+    const std::uint32_t n_subgroups = params.n_channels * params.n_parts;
+    const std::uint32_t n_workgroups = div_ceil(n_subgroups, kThreads / lanes_);
+    run(stream, sums_, std::size_t(n_workgroups) * kThreads, params);
 }
 
-void Norm::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n, bool train) const {
-    run(s, finish_, in.channels,
+/// Computes the scale and shift that normalise each channel, including gamma and beta.
+/// @param train true: uses the mean and variance of this batch (from channel_sums()) and
+/// updates the running values. false: uses the running values.
+void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& weights, NormState& state,
+                         bool train) const {
+    run(stream, finish_, in.channels,
         {.partial = partial_.address(),
-         .beta_gamma = w.beta_gamma,
-         .running = w.running,
-         .moments = n.moments.address(),
-         .scale_shift = n.scale_shift.address(),
+         .beta_gamma = weights.beta_gamma,
+         .running = weights.running,
+         .moments = state.moments.address(),
+         .scale_shift = state.scale_shift.address(),
          .n_channels = in.channels,
          .n_parts = count_channel_sums(in.grid),
          .n_images = in.grid.n,
@@ -73,17 +89,20 @@ void Norm::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormS
          .epsilon = kNormEpsilon});
 }
 
-void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float drop) const {
+/// Computes out = dropout(relu(scale * in + shift)) for each pixel.
+/// @param dropout share of the values that become 0
+void Norm::apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
+                       float dropout) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
-    run(s, norm_, count_threads(in),
+    run(stream, norm_, count_threads(in),
         {.from = in.view,
          .to = out.view,
-         .scale_shift = n.scale_shift.address(),
+         .scale_shift = state.scale_shift.address(),
          .n_images = in.grid.n,
          .n_pixels = std::uint32_t(in.grid.n_image_pixels()),
          .n_channels = in.channels,
-         .dropout_key = n.dropout_key,
-         .dropout = drop});
+         .dropout_key = state.dropout_key,
+         .dropout = dropout});
 }
 
 void Norm::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {
@@ -97,8 +116,9 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
     apply_scale(s, in, n, out, 0.0f);
 }
 
-/// Computes the gradients of scale and shift, and then of the input. The input gradient
-/// needs these sums over the batch, so they come first.
+/// Computes the gradients of beta and gamma, and then of the input. The order matters: the
+/// mean and variance of the batch depend on every pixel. So the gradient of a pixel
+/// contains sums over the batch, which equal the gradients of beta and gamma.
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);
@@ -108,11 +128,12 @@ void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, con
     sums.dropout_key = state.dropout_key;
     sums.dropout = state.dropout;
     channel_sums(stream, sums);
-    run(stream, sum_parts_, 2 * in.channels,
+    const std::uint32_t n_sums = 2 * in.channels;  // beta and gamma of each channel
+    run(stream, sum_parts_, n_sums,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
          .n_parts = sums.n_parts,
-         .n = 2 * in.channels});
+         .n = n_sums});
     run(stream, norm_vjp_, count_threads(in),
         {.from = in.view,
          .d_to = d_out.view,

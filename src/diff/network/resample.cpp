@@ -6,14 +6,16 @@
 namespace relidar::network {
 namespace {
 
-/// Common parameters of all kernels. Only max_pool_vjp() uses `pooled`; it replaces it.
+/// Returns the parameters that all four kernels share.
+/// @param large,small the image sizes before and after max pooling, or after and before
+/// upsampling
 shared::ResampleParams resample_params(const Slice& in, const Slice& out, ImageBatchSize large,
                                        ImageBatchSize small) {
     RELIDAR_ASSERT_EQ(in.channels, out.channels);
     RELIDAR_ASSERT_EQ(large.n, small.n);
     return {.from = in.view,
             .to = out.view,
-            .pooled = in.view,
+            .pooled = in.view,  // only the kernel pool_vjp reads it, and max_pool_vjp() sets it
             .n_images = large.n,
             .n_channels = in.channels,
             .rows = large.rows,

@@ -49,6 +49,7 @@ void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>
             "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
+/// Returns a network with random weights and the normalisation of the training images.
 RayDropNetwork initial_network(const std::vector<RayDropImage>& all, const RayDropNetworkOptions& o,
                                std::uint64_t seed) {
     RayDropNetwork network = make_network(o);
@@ -69,8 +70,9 @@ std::vector<RotatedSample> sample_epoch(std::size_t n, int n_columns, bool rotat
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
-    for (RotatedSample& c : chosen)
-        c.column_shift = rotate ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
+    if (rotate)
+        for (RotatedSample& sample : chosen)
+            sample.column_shift = std::uint32_t(random() % std::uint64_t(n_columns));
     return chosen;
 }
 

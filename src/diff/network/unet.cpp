@@ -24,10 +24,12 @@ Unet::Unet(Device& device, const RayDropNetwork& network)
 Slice Unet::skip(std::size_t level) const {
     return levels_[level].joined.channel_range(upsampled_channels(widths_, level), widths_[level]);
 }
+
 Slice Unet::d_skip(std::size_t level) const {
     return levels_[level].d_joined.channel_range(upsampled_channels(widths_, level), widths_[level]);
 }
 
+/// Allocates the results of a block that the backward pass needs, and temporary sums.
 void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state) {
     state.active = Tensor(device, block.conv.n_in, grid, "activations");
     state.norm = NormState(device, block.conv.n_in);
@@ -38,33 +40,36 @@ void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchS
     conv.reserve_weight_sums(device, conv.n_partial_sums(grid, block.conv.n_in, block.conv.n_out));
 }
 
+/// Allocates the images of one level and, if requested, their gradients. `grid` is the
+/// image size of the level. The first level has no encoder blocks, the last no decoder
+/// blocks.
 void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid) {
     LevelBuffers& l = levels_[level];
-    const auto tensors = [&](Tensor& values, Tensor& gradients, std::uint32_t channels, ImageBatchSize of) {
-        values = Tensor(device, channels, of, "activations");
-        if (with_gradients_) gradients = Tensor(device, channels, of, "gradients of activations");
+    const auto allocate_images = [&](Tensor& values, Tensor& gradients, std::uint32_t channels) {
+        values = Tensor(device, channels, grid, "activations");
+        if (with_gradients_) gradients = Tensor(device, channels, grid, "gradients of activations");
     };
-    // Level l has the encoder blocks 2 l - 2 and 2 l - 1, and the decoder blocks 2 l
-    // and 2 l + 1.
     if (level > 0) {
-        tensors(l.pooled, l.d_pooled, widths_[level - 1], grid);
-        tensors(l.down_between, l.d_down_between, widths_[level], grid);
-        for (std::size_t k = 0; k < 2; ++k)
-            allocate_block(device, plan_.down[2 * level - 2 + k], grid, down_states_[2 * level - 2 + k]);
+        allocate_images(l.pooled, l.d_pooled, widths_[level - 1]);
+        allocate_images(l.down_between, l.d_down_between, widths_[level]);
+        for (const std::size_t block : encoder_blocks(level))
+            allocate_block(device, plan_.down[block], grid, down_states_[block]);
     }
-    if (2 * level >= plan_.up.size()) {  // smallest image size
-        tensors(l.up, l.d_up, widths_[level], grid);
+    const bool has_decoder = 2 * level < plan_.up.size();
+    if (!has_decoder) {
+        allocate_images(l.up, l.d_up, widths_[level]);
         return;
     }
-    tensors(l.joined, l.d_joined, joined_channels(widths_, level), grid);
-    tensors(l.up_between, l.d_up_between, joined_channels(widths_, level), grid);
-    tensors(l.up, l.d_up, decoder_channels(widths_, level), grid);
-    for (std::size_t k = 0; k < 2; ++k)
-        allocate_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
+    allocate_images(l.joined, l.d_joined, joined_channels(widths_, level));
+    allocate_images(l.up_between, l.d_up_between, joined_channels(widths_, level));
+    allocate_images(l.up, l.d_up, decoder_channels(widths_, level));
+    for (const std::size_t block : decoder_blocks(level))
+        allocate_block(device, plan_.up[block], grid, up_states_[block]);
 }
 
 void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
-    if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
+    const bool has_gradients = with_gradients_ || !with_gradients;
+    if (inputs_.grid == grid && has_gradients) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
     // Frees the old arrays before it allocates new arrays, because the memory may be too
@@ -77,9 +82,11 @@ void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
     logit_ = Tensor(device, 1, grid, "drop logits");
     if (with_gradients) d_logit_ = Tensor(device, 1, grid, "gradient of drop logits");
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
-    ImageBatchSize at = grid;
-    for (std::size_t level = 0; level < levels_.size(); ++level, at = half_size(at))
-        allocate_level(device, level, at);
+    ImageBatchSize level_grid = grid;
+    for (std::size_t level = 0; level < levels_.size(); ++level) {
+        allocate_level(device, level, level_grid);
+        level_grid = half_size(level_grid);
+    }
     for (const ConvOffsets* layer : {&plan_.first_conv, &plan_.last_conv})
         conv1_.reserve_weight_sums(device, conv1_.n_partial_sums(grid, layer->n_in, layer->n_out));
     norm_.reserve_sums(1, grid);
@@ -89,6 +96,7 @@ void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
         scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
 }
 
+/// Allocates the arrays of the attention, which works on the smallest images.
 void Unet::allocate_attention(Device& device) {
     const ImageBatchSize& smallest = levels_.back().up.grid;
     const std::uint32_t channels = widths_.back();
@@ -104,55 +112,68 @@ void Unet::allocate_attention(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_conv_block(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& out,
-                          Mode mode) {
-    const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(b.beta_gamma),
-                                   running_.address_as<glm::vec2, shared::RunningMoments>(b.running)};
-    if (mode == Mode::train) norm_.normalise_batch(s, in, norm_weights, a.norm, a.active);
-    else norm_.normalise(s, in, norm_weights, a.norm, a.active);
-    conv_kernels(b.conv).run_convolution(s, a.active, conv_weights(b.conv.weights), {}, out);
+/// Runs a block: normalisation, ReLU, dropout (only in training), convolution.
+/// @param state receives the results that the backward pass needs
+void Unet::run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
+                          const Slice& out, Mode mode) {
+    const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
+                                   running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
+    if (mode == Mode::train) norm_.normalise_batch(stream, in, norm_weights, state.norm, state.active);
+    else norm_.normalise(stream, in, norm_weights, state.norm, state.active);
+    conv_kernels(block.conv).run_convolution(stream, state.active, conv_weights(block.conv.weights), {}, out);
 }
 
+/// Writes the smallest images plus their self-attention to `mixed_`.
 void Unet::run_attention(Stream& stream, Mode mode) {
     const Tensor& bottom = levels_.back().up;
     run_conv_block(stream, *plan_.query, query_state_, bottom, qkv_, mode);
     attention_->attend(stream, qkv_, attention_state_, attended_);
     stream.copy(bottom.values.buffer(), mixed_.values.buffer(), bottom.values.size() * sizeof(float));
+    const bool add = true;  // residual connection
     conv1_.run_convolution(stream, attended_, conv_weights(plan_.project.weights),
-                           conv_bias(*plan_.project.bias), mixed_, true);
+                           conv_bias(*plan_.project.bias), mixed_, add);
 }
 
+/// Halves the images of the level above, and runs both encoder blocks. Writes the result
+/// to the skip connection or, at the smallest level, to `up`.
+void Unet::encode_level(Stream& stream, std::size_t level, Mode mode) {
+    const LevelBuffers& l = levels_[level];
+    const auto [first, second] = encoder_blocks(level);
+    const Slice output = level < smallest_level() ? skip(level) : l.up;
+    resample_.max_pool(stream, skip(level - 1), l.pooled);
+    run_conv_block(stream, plan_.down[first], down_states_[first], l.pooled, l.down_between, mode);
+    run_conv_block(stream, plan_.down[second], down_states_[second], l.down_between, output, mode);
+}
+
+/// Joins the enlarged images of the level below with the skip connection, and runs both
+/// decoder blocks.
+void Unet::decode_level(Stream& stream, std::size_t level, Mode mode) {
+    const LevelBuffers& l = levels_[level];
+    const auto [first, second] = decoder_blocks(level);
+    // A network with one level has no level below.
+    if (const std::uint32_t n_upsampled = upsampled_channels(widths_, level); n_upsampled > 0) {
+        const bool reads_attention = attention_ && level + 1 == smallest_level();
+        resample_.upsample(stream, reads_attention ? mixed_ : levels_[level + 1].up,
+                           l.joined.channel_range(0, n_upsampled));
+    }
+    run_conv_block(stream, plan_.up[first], up_states_[first], l.joined, l.up_between, mode);
+    run_conv_block(stream, plan_.up[second], up_states_[second], l.up_between, l.up, mode);
+}
+
+/// Computes the logits of the input images: encoder from the full image size to the
+/// smallest, attention, and decoder back to the full size.
 void Unet::run_all_layers(Stream& stream, Mode mode) {
-    // The encoder writes each level except the smallest into `joined` (skip
-    // connection).
     conv1_.run_convolution(stream, inputs_, conv_weights(plan_.first_conv.weights),
                            conv_bias(*plan_.first_conv.bias), skip(0));
-    const std::size_t n_levels = widths_.size() - 1;
-    for (std::size_t l = 1; l <= n_levels; ++l) {
-        const Slice pooled = levels_[l].pooled, between = levels_[l].down_between;
-        resample_.max_pool(stream, skip(l - 1), pooled);
-        run_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
-        run_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
-                       l < n_levels ? skip(l) : levels_[l].up, mode);
-    }
+    for (std::size_t level = 1; level <= smallest_level(); ++level) encode_level(stream, level, mode);
     if (attention_) run_attention(stream, mode);
-    // The decoder goes from the smallest level to the full size. It joins the upsampled
-    // images of the level below with the skip connection.
-    for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
-        const LevelBuffers& level = levels_[l];
-        if (const std::uint32_t below = upsampled_channels(widths_, l); below > 0) {
-            const bool smallest = l + 1 == n_levels;
-            resample_.upsample(stream, smallest && attention_ ? mixed_ : levels_[l + 1].up,
-                               level.joined.channel_range(0, below));
-        }
-        run_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined, level.up_between, mode);
-        run_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between, level.up, mode);
-    }
+    for (std::size_t level = n_decoder_levels(); level-- > 0;) decode_level(stream, level, mode);
     conv1_.run_convolution(stream, levels_[0].up, conv_weights(plan_.last_conv.weights),
                            conv_bias(*plan_.last_conv.bias), logit_);
 }
 
 void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate) {
+    // Each block drops other values.
     std::uint32_t key = dropout_key;
     for (std::vector<BlockState>* states : {&down_states_, &up_states_})
         for (BlockState& state : *states) {
@@ -164,6 +185,7 @@ void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate
 
 void Unet::run_inference(Stream& stream) { run_all_layers(stream, Mode::evaluate); }
 
+/// Computes the gradients of the weights and the bias of a convolution.
 void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out) {
     conv_kernels(layer).weights_vjp(stream, input, d_out,
                                     gradients_.address_as<float, shared::ConvWeights>(layer.weights));
@@ -171,14 +193,19 @@ void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input
         norm_.bias_vjp(stream, d_out, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& d_out,
-                     const Slice& d_in, bool add) {
-    const Slice d_active{{scratch_.values.address(), b.conv.n_in, 0}, b.conv.n_in, in.grid};
-    conv_vjp(s, b.conv, a.active, d_out);
-    conv_kernels(b.conv).input_vjp(s, d_out, conv_weights(b.conv.weights), d_active);
-    norm_.norm_vjp(s, in, a.norm, d_active, d_in, {gradients_, b.beta_gamma}, add);
+/// Backward pass of run_conv_block(): gradients of the parameters and of the input.
+/// @param add true: adds the gradient of the input to `d_in` instead of overwriting it
+void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
+                     const Slice& d_out, const Slice& d_in, bool add) {
+    const ConvOffsets& conv = block.conv;
+    const Slice d_active{{scratch_.values.address(), conv.n_in, 0}, conv.n_in, in.grid};
+    conv_vjp(stream, conv, state.active, d_out);
+    conv_kernels(conv).input_vjp(stream, d_out, conv_weights(conv.weights), d_active);
+    norm_.norm_vjp(stream, in, state.norm, d_active, d_in, {gradients_, block.beta_gamma}, add);
 }
 
+/// Backward pass of run_attention(). The residual connection passes on `d_mixed_`
+/// unchanged, and the gradient through the attention is added to it.
 void Unet::attention_vjp(Stream& stream) {
     const LevelBuffers& smallest = levels_.back();
     conv_vjp(stream, plan_.project, attended_, d_mixed_);
@@ -186,36 +213,42 @@ void Unet::attention_vjp(Stream& stream) {
     attention_->attend_vjp(stream, qkv_, attention_state_, d_attended_, d_qkv_);
     stream.copy(d_mixed_.values.buffer(), smallest.d_up.values.buffer(),
                 d_mixed_.values.size() * sizeof(float));
-    block_vjp(stream, *plan_.query, query_state_, smallest.up, d_qkv_, smallest.d_up, true);
+    const bool add = true;
+    block_vjp(stream, *plan_.query, query_state_, smallest.up, d_qkv_, smallest.d_up, add);
+}
+
+/// Backward pass of decode_level(). The gradient of `joined` contains the gradient of the
+/// skip connection, which encode_vjp() of the same level uses.
+void Unet::decode_vjp(Stream& stream, std::size_t level) {
+    const LevelBuffers& l = levels_[level];
+    const auto [first, second] = decoder_blocks(level);
+    block_vjp(stream, plan_.up[second], up_states_[second], l.up_between, l.d_up, l.d_up_between);
+    block_vjp(stream, plan_.up[first], up_states_[first], l.joined, l.d_up_between, l.d_joined);
+    if (const std::uint32_t n_upsampled = upsampled_channels(widths_, level); n_upsampled > 0) {
+        const bool reads_attention = attention_ && level + 1 == smallest_level();
+        resample_.upsample_vjp(stream, l.d_joined.channel_range(0, n_upsampled),
+                               reads_attention ? d_mixed_ : levels_[level + 1].d_up);
+    }
+}
+
+/// Backward pass of encode_level(). Adds to the gradient that the skip connection of the
+/// level above got from the decoder.
+void Unet::encode_vjp(Stream& stream, std::size_t level) {
+    const LevelBuffers& l = levels_[level];
+    const auto [first, second] = encoder_blocks(level);
+    const Slice d_output = level < smallest_level() ? d_skip(level) : l.d_up;
+    block_vjp(stream, plan_.down[second], down_states_[second], l.down_between, d_output, l.d_down_between);
+    block_vjp(stream, plan_.down[first], down_states_[first], l.pooled, l.d_down_between, l.d_pooled);
+    resample_.max_pool_vjp(stream, skip(level - 1), l.d_pooled, d_skip(level - 1));
 }
 
 void Unet::backward(Stream& stream) {
     // Processes all layers of run_all_layers() in reverse order.
-    const std::size_t n_levels = widths_.size() - 1;
     conv_vjp(stream, plan_.last_conv, levels_[0].up, d_logit_);
     conv1_.input_vjp(stream, d_logit_, conv_weights(plan_.last_conv.weights), levels_[0].d_up);
-    for (std::size_t l = 0; l < plan_.up.size() / 2; ++l) {
-        const LevelBuffers& level = levels_[l];
-        const Slice between = level.up_between, d_between = level.d_up_between;
-        block_vjp(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up, d_between);
-        block_vjp(stream, plan_.up[2 * l], up_states_[2 * l], level.joined, d_between, level.d_joined);
-        if (const std::uint32_t below = upsampled_channels(widths_, l); below > 0) {
-            const bool smallest = l + 1 == n_levels;
-            resample_.upsample_vjp(stream, level.d_joined.channel_range(0, below),
-                                   smallest && attention_ ? d_mixed_ : levels_[l + 1].d_up);
-        }
-    }
+    for (std::size_t level = 0; level < n_decoder_levels(); ++level) decode_vjp(stream, level);
     if (attention_) attention_vjp(stream);
-    // d_skip() already has the gradient from the decoder. max_pool_vjp() adds to it.
-    for (std::size_t l = n_levels; l > 0; --l) {
-        const LevelBuffers& level = levels_[l];
-        const Slice d_to = l < n_levels ? d_skip(l) : level.d_up, between = level.down_between;
-        block_vjp(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
-                  level.d_down_between);
-        block_vjp(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled, level.d_down_between,
-                  level.d_pooled);
-        resample_.max_pool_vjp(stream, skip(l - 1), level.d_pooled, d_skip(l - 1));
-    }
+    for (std::size_t level = smallest_level(); level > 0; --level) encode_vjp(stream, level);
     conv_vjp(stream, plan_.first_conv, inputs_, d_skip(0));
 }
 

@@ -5,6 +5,7 @@
 // over images of one size.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <vector>
 
@@ -14,6 +15,8 @@
 
 namespace relidar::network {
 
+/// Channels of a convolution, and the offsets of its parameters in the parameter array.
+/// Its weights have the shape [n_out, n_in, taps], with 1 tap (1x1) or 9 taps (3x3).
 struct ConvOffsets {
     std::uint32_t n_in = 0, n_out = 0, taps = 1;
     std::size_t weights = 0;
@@ -39,6 +42,11 @@ struct UnetLayout {
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetLayout(const RayDropNetwork& network);
+
+private:
+    ConvOffsets add_conv(std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps);
+    ConvOffsets add_biased_conv(std::uint32_t n_in, std::uint32_t n_out);
+    BlockOffsets add_block(std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps);
 };
 
 /// These functions count the channels of a decoder level: of its output, of its upsampled
@@ -47,20 +55,26 @@ std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::si
 std::uint32_t upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
-/// Initialises the parameters with Kaiming's uniform distribution. If the network is
-/// residual, its last convolution starts at 0, so that its first output is 0.
+/// Initialises the parameters of a network for training. If the network is residual, its
+/// last convolution starts at 0, so that its first output is 0.
+/// @param seed seed of the random weights
 void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uint64_t seed);
 
 class Unet {
 public:
     Unet(Device& device, const RayDropNetwork& network);
 
+    /// Allocates all arrays for images of one size, unless they already exist.
+    /// @param grid number and size of the images of a batch
     /// @param with_gradients true: also allocates memory for backward()
     void allocate(Device& device, ImageBatchSize grid, bool with_gradients);
+    /// Computes the logits of a training batch.
+    /// @param dropout_key key of the random numbers that select the dropped values
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
     /// Uses the running mean and variance, and no dropout.
     void run_inference(Stream& stream);
-    /// Follows forward(). The caller writes d_logits() before.
+    /// Computes the gradients of all parameters from d_logits(), which the caller writes
+    /// after forward().
     void backward(Stream& stream);
 
     /// No pending command on the device may use the old values.
@@ -115,17 +129,30 @@ private:
         return parameters_.address_as<float, shared::ConvBias>(offset);
     }
     Convolution& conv_kernels(const ConvOffsets& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
+    std::size_t smallest_level() const { return widths_.size() - 1; }
+    std::size_t n_decoder_levels() const { return plan_.up.size() / 2; }
+    // Indices of the two blocks of a level in UnetLayout::down and up. Level 0 has no
+    // encoder blocks.
+    static std::array<std::size_t, 2> encoder_blocks(std::size_t level) {
+        return {2 * level - 2, 2 * level - 1};
+    }
+    static std::array<std::size_t, 2> decoder_blocks(std::size_t level) { return {2 * level, 2 * level + 1}; }
+    /// Channels of `joined` that the encoder writes and the decoder reads (skip connection).
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
     void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state);
-    void run_conv_block(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& out,
-                        Mode mode);
-    void block_vjp(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& d_out,
-                   const Slice& d_in, bool add = false);
+    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
+                        const Slice& out, Mode mode);
+    void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
+                   const Slice& d_out, const Slice& d_in, bool add = false);
     void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out);
     void run_all_layers(Stream& stream, Mode mode);
+    void encode_level(Stream& stream, std::size_t level, Mode mode);
+    void encode_vjp(Stream& stream, std::size_t level);
+    void decode_level(Stream& stream, std::size_t level, Mode mode);
+    void decode_vjp(Stream& stream, std::size_t level);
     void run_attention(Stream& stream, Mode mode);
     void attention_vjp(Stream& stream);
 };
