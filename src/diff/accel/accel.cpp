@@ -48,14 +48,15 @@ struct AccelerationStructure::Impl {
 
 namespace {
 
-/// Returns the surfel ranges of all models that change their shape while they walk.
-/// Joins adjacent ranges.
+/// Returns the surfel ranges of all models that walk (have a length of stride), because
+/// their shape changes. Joins adjacent ranges.
 SurfelRanges animated_ranges(const std::vector<SurfelModel>& models) {
     SurfelRanges ranges;
     for (const SurfelModel& model : models) {
-        if (model.count == 0 || model.stride_m <= 0.0f) continue;
-        if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first)
-            ranges.back().count += model.count;
+        const bool walks = model.stride_m > 0.0f;
+        if (!walks || model.count == 0) continue;
+        const bool is_adjacent = !ranges.empty() && ranges.back().first + ranges.back().count == model.first;
+        if (is_adjacent) ranges.back().count += model.count;
         else ranges.push_back({model.first, model.count});
     }
     return ranges;
@@ -70,10 +71,10 @@ AccelerationStructure::~AccelerationStructure() = default;
 
 void AccelerationStructure::record_refit(Stream& stream, const DeviceScene& scene, bool force_rebuild) {
     Impl& a = *impl_;
-    const bool rebuild = force_rebuild || !a.built || a.outgrown ||
-                         (a.options.rebuild_every > 0 && a.refits >= a.options.rebuild_every);
+    const bool is_old = a.options.rebuild_every > 0 && a.refits >= a.options.rebuild_every;
+    const bool must_rebuild = force_rebuild || !a.built || a.outgrown || is_old;
     ++a.n_updates;
-    if (!rebuild) {
+    if (!must_rebuild) {
         a.refit_tree(stream, scene, {{0, scene.size()}});
         ++a.refits;
         return;
@@ -106,9 +107,10 @@ void AccelerationStructure::append_model(Stream& stream, const DeviceScene& scen
     if (a.hardware) {
         const SurfelModel& model = scene.layout().models.back();
         a.hardware->append_model(scene);
-        // false: a build, not a refit. The other models keep their trees.
-        a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, false);
-        return stream.submit_and_wait();
+        const bool refit_only = false;  // builds the new model; the others keep their trees
+        a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, refit_only);
+        stream.submit_and_wait();
+        return;
     }
     // Builds the tree of this model alone, then copies it behind the other trees.
     Bvh tree(stream.device(), added);
@@ -125,8 +127,9 @@ void AccelerationStructure::append_instances(const DeviceScene& scene) {
 void AccelerationStructure::record_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    // Ignores a cost that was measured before the last build.
-    if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
+    const std::optional<double> cost = a.software->read_cost(stream);
+    // `measured` is false if the cost was measured before the last build.
+    if (cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }

@@ -36,6 +36,7 @@ std::uint32_t round_up_4(std::uint32_t count) { return (count + 3) / 4 * 4; }
 std::uint32_t count_workgroups(std::uint32_t n_threads) {
     return (n_threads + kWorkgroupSize - 1) / kWorkgroupSize;
 }
+
 std::uint32_t surfel_tiles(std::uint32_t n_surfels) {
     return (n_surfels + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE;
 }
@@ -161,6 +162,7 @@ struct Bvh::Impl {
     }
     void allocate_instances(std::size_t capacity);
     void reserve_nodes(std::size_t n_surfels, std::size_t n_nodes);
+    void append_nodes(const Impl& added, std::uint32_t first_node, std::uint32_t first_surfel);
     shared::BvhBinary binary_bvh() const;
     shared::BvhWide wide_bvh() const;
     template <class T, class Meaning>
@@ -256,9 +258,7 @@ SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     return sort.run(stream, sort_buffers(first_set), sort_buffers(1 - first_set), n_key_bits());
 }
 
-/// Converts the binary trees to trees with up to eight children per node. First chooses
-/// the children level by level, then numbers the nodes by a prefix sum, and then writes
-/// them.
+/// Converts the binary trees of all models to wide trees (up to eight children per node).
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{.tree = binary_bvh(),
@@ -277,13 +277,17 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
-    // The number of nodes of a level is unknown on the host, so each launch has enough
-    // threads for the largest possible level. The last launch processes all remaining
-    // levels.
-    for (std::uint64_t width = n_models; params.level < max_levels() - 1;
-         ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
-        run(stream, wide_mark, width, params);
-    run(stream, wide_mark_rest, kWorkgroupSize, params);
+    // Chooses the children, one level per launch. The host does not know the number of nodes
+    // of a level, so each launch has enough threads for the largest possible level.
+    std::uint64_t max_level_nodes = n_models;
+    while (params.level < max_levels() - 1) {
+        run(stream, wide_mark, max_level_nodes, params);
+        max_level_nodes = std::min<std::uint64_t>(max_level_nodes * RELIDAR_BVH_WIDTH, bound);
+        ++params.level;
+    }
+    run(stream, wide_mark_rest, kWorkgroupSize, params);  // all remaining levels
+
+    // Numbers the nodes (count, prefix sum, index of each node), and writes them.
     run(stream, wide_count, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
     run(stream, wide_scan, kWorkgroupSize, params);
     run(stream, wide_place, bound, params);
@@ -293,11 +297,12 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
-    for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()})
-        stream.fill(*zero);
     // Models without surfels keep these initial values.
-    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
-        stream.fill(*none, RELIDAR_BVH_NO_NODE);
+    stream.fill(impl_->nodes);
+    stream.fill(impl_->arrivals);
+    stream.fill(impl_->count);
+    stream.fill(impl_->links.buffer(), RELIDAR_BVH_NO_NODE);
+    stream.fill(impl_->queue.buffer(), RELIDAR_BVH_NO_NODE);
     stream.submit_and_wait();
 }
 
@@ -325,18 +330,20 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     rebuild_top_level(stream, scene);
 }
 
-void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& r) {
-    for (const auto& [first, count] : r) {
-        if (count == 0) continue;
-        impl_->compute_boxes(s, scene, o, {first, count});
-        impl_->compute_node_boxes(s, first, first + count - 1);
+void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                      const SurfelRanges& ranges) {
+    for (const SurfelRange& range : ranges) {
+        if (range.count == 0) continue;
+        impl_->compute_boxes(stream, scene, options, range);
+        impl_->compute_node_boxes(stream, range.first, range.first + range.count - 1);
     }
-    rebuild_top_level(s, scene);
+    rebuild_top_level(stream, scene);
 }
 
 void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
-    // One workgroup builds the tree over all instances.
+    // One workgroup builds the tree over all instances, whose number is small. It sorts
+    // them, which needs a power of two of keys (`n_padded`).
     run(stream, b.top, kWorkgroupSize,
         {.bvh = bvh_addresses(),
          .instances = scene.instance_table().address(),
@@ -369,27 +376,35 @@ void Bvh::Impl::reserve_nodes(std::size_t n_surfels, std::size_t n_nodes) {
     arrivals.reserve(device, n_nodes, "wide node arrivals");
 }
 
-void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
-    Impl& b = *impl_;
-    const Impl& a = *added.impl_;
-    const std::uint32_t first_node = b.bound, first_surfel = scene.layout().models.back().first,
-                        n_surfels = first_surfel + a.n, n_nodes = first_node + a.bound;
-    // n surfels need at most n / 4 nodes and a root, so the spare ones get n / 4.
-    if (n_surfels > b.order.size() || n_nodes > b.nodes.size())
-        reserve_spare(n_surfels, [&](std::size_t n) { b.reserve_nodes(n, n_nodes + (n - n_surfels) / 4); });
-    // The copied indices count from the start of the added tree.
-    std::vector<shared::BvhNode> nodes = a.nodes.download(a.bound);
-    for (shared::BvhNode& node : nodes) {
+/// Copies nodes and their links of an added tree behind the other nodes. Their indices count
+/// from the start of the added tree, so they are shifted.
+void Bvh::Impl::append_nodes(const Impl& added, std::uint32_t first_node, std::uint32_t first_surfel) {
+    std::vector<shared::BvhNode> added_nodes = added.nodes.download(added.bound);
+    for (shared::BvhNode& node : added_nodes) {
         node.first_child += first_node;
         node.first_leaf += first_surfel;
     }
-    std::vector<glm::uvec2> links = a.links.download(a.bound);
-    for (glm::uvec2& link : links) {
-        if (link.x != RELIDAR_BVH_NO_NODE) link.x += first_node;
-        if (link.y != RELIDAR_BVH_NO_NODE) link.y += first_surfel;
+    std::vector<glm::uvec2> added_links = added.links.download(added.bound);
+    for (glm::uvec2& parent_and_surfel : added_links) {
+        if (parent_and_surfel.x != RELIDAR_BVH_NO_NODE) parent_and_surfel.x += first_node;
+        if (parent_and_surfel.y != RELIDAR_BVH_NO_NODE) parent_and_surfel.y += first_surfel;
     }
-    b.nodes.upload(nodes, first_node);
-    b.links.upload(links, first_node);
+    nodes.upload(added_nodes, first_node);
+    links.upload(added_links, first_node);
+}
+
+void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
+    Impl& b = *impl_;
+    const Impl& a = *added.impl_;
+    const std::uint32_t first_node = b.bound, first_surfel = scene.layout().models.back().first;
+    const std::uint32_t n_nodes = first_node + a.bound, n_surfels = first_surfel + a.n;
+    if (n_surfels > b.order.size() || n_nodes > b.nodes.size()) {
+        // Allocates spare memory for later models. n surfels need at most n / 4 nodes.
+        reserve_spare(n_surfels, [&](std::size_t capacity) {
+            b.reserve_nodes(capacity, n_nodes + (capacity - n_surfels) / 4);
+        });
+    }
+    b.append_nodes(a, first_node, first_surfel);
     b.node_boxes.upload(a.node_boxes.download(6 * std::size_t(a.bound)), 6 * std::size_t(first_node));
     b.arrivals.upload(std::vector<std::uint32_t>(a.bound, 0u), first_node);
     b.order.upload(a.order.download(a.n), first_surfel);
@@ -428,7 +443,7 @@ HostBvhCopy Bvh::download_bvh() const {
 
 void Bvh::measure_cost(Stream& stream) {
     Impl& b = *impl_;
-    // Leaves out appended trees, for which there are no sums.
+    // Each workgroup writes one sum. Leaves out appended trees, for which there are no sums.
     const auto n_nodes = std::uint32_t(std::min<std::size_t>(b.bound, kWorkgroupSize * b.cost_sums.size()));
     run(stream, b.cost_kernel, n_nodes,
         {.wide = b.wide_bvh(),

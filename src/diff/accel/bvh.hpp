@@ -45,11 +45,14 @@ public:
     /// top-level tree. Keeps the structure of the models' trees. Requires an earlier
     /// build_trees().
     /// @param ranges models to update. The surfels of other models must not have changed
-    void refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& ranges);
+    void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                     const SurfelRanges& ranges);
+    /// Submits the kernel that builds the tree over the instances at their current poses.
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
-    /// Copies the tree of `added`, the last model of `scene`, behind the other trees. See
-    /// AccelerationStructure::append_model() and append_instances().
+    /// Copies the tree of `added`, the last model of `scene`, behind the other trees. Waits
+    /// for the device.
     void append_tree(const DeviceScene& scene, const Bvh& added);
+    /// Allocates memory for all instances of the scene.
     void append_instances(const DeviceScene& scene);
 
     shared::BvhPointers bvh_addresses() const;

@@ -13,6 +13,7 @@ namespace {
 
 using enum SpecialisationConstantId;
 
+/// An acceleration structure of the driver, and the memory that holds it.
 struct VulkanAccelStructure {
     Device::Impl* device = nullptr;
     std::unique_ptr<Buffer> storage;
@@ -105,6 +106,35 @@ const ProxyTriangleMesh kIcosahedronMesh{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
+constexpr std::uint32_t kBoxBytes = 6 * sizeof(float), kVertexBytes = 3 * sizeof(float);
+
+/// Returns the cull mask of the k-th moving instance. A cull mask has 8 bits. Bit 0 selects
+/// all standing instances. A separate ray query tests each moving instance, because its pose
+/// depends on the time of the ray. So moving instances get different bits, which are reused
+/// after 7 instances.
+std::uint32_t moving_instance_mask(std::size_t k) {
+    return RELIDAR_STANDING_MASK << (1 + k % RELIDAR_MOVING_MASKS);
+}
+
+/// Describes an instance (a placed model) to the driver.
+/// @param index index of the instance, which a ray query reports for a hit
+/// @param mask a ray query finds the instance only if it selects a common bit
+/// @param blas_address acceleration structure of the model
+VkAccelerationStructureInstanceKHR make_vk_instance(std::size_t index, const glm::mat4& world_from_model,
+                                                    std::uint32_t mask, std::uint64_t blas_address) {
+    VkAccelerationStructureInstanceKHR result{};
+    // Vulkan stores the upper three rows of the matrix. glm stores columns.
+    for (int row = 0; row < 3; ++row)
+        for (int column = 0; column < 4; ++column)
+            result.transform.matrix[row][column] = world_from_model[column][row];
+    result.instanceCustomIndex = std::uint32_t(index) & 0xffffffu;  // a bit field with 24 bits
+    result.mask = mask & 0xffu;                                     // a bit field with 8 bits
+    // Proxies enclose surfels, so rays also enter them through the back of a triangle.
+    result.flags = VK_GEOMETRY_INSTANCE_TRIANGLE_FACING_CULL_DISABLE_BIT_KHR;
+    result.accelerationStructureReference = blas_address;
+    return result;
+}
+
 }  // namespace
 
 struct RayQueryAccel::Impl {
@@ -155,14 +185,21 @@ struct RayQueryAccel::Impl {
             reach = {d, 1, "largest distance from a hit to a corner of the bounding icosahedron"};
     }
 
+    /// Floats of a proxy: a box, or the corners of a mesh.
     std::size_t floats_per_surfel() const {
-        return proxy == ProxyShape::boxes ? 6 : 3 * std::size_t(mesh.n_corners);
+        const std::size_t bytes = proxy == ProxyShape::boxes ? kBoxBytes : kVertexBytes * mesh.n_corners;
+        return bytes / sizeof(float);
     }
     void set_geometry(BuildInput& input, const SurfelModel& model) const;
+    void set_instance_geometry();
     void reserve_indices(std::uint32_t n_surfels);
     void allocate_blas(const SurfelModel& model);
     void allocate_tlas(std::size_t n_instances);
     void allocate_scratch();
+    std::uint64_t align_scratch(std::uint64_t bytes) const {
+        const std::uint64_t alignment = device.impl().scratch_alignment;
+        return (bytes + alignment - 1) / alignment * alignment;
+    }
     void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
         // The kernel writes either vertices or boxes, so both use the same array.
         run(stream, proxies, range.count,
@@ -191,65 +228,74 @@ struct RayQueryAccel::Impl {
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Describes the geometry of one model, which is a part of the array `geometry`. The
-/// geometry is not opaque, so that the shader can test every candidate hit.
+/// Describes the proxies of one model to the driver. They are a part of the array
+/// `geometry`. The geometry is not marked as opaque, so that the shader tests every
+/// candidate hit.
 void RayQueryAccel::Impl::set_geometry(BuildInput& input, const SurfelModel& model) const {
+    const std::uint64_t first_proxy =
+        geometry.buffer().impl().address + sizeof(float) * floats_per_surfel() * model.first;
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
         input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
                                          nullptr,
-                                         {geometry.buffer().impl().address + 24ull * model.first},
-                                         24};
+                                         {first_proxy},
+                                         kBoxBytes};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
-        auto& t = input.geometry.geometry.triangles;
-        t = {};
-        t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
-        t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        t.vertexData.deviceAddress = geometry.buffer().impl().address + 12ull * mesh.n_corners * model.first;
-        t.vertexStride = 12;
-        t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
-        t.indexType = VK_INDEX_TYPE_UINT32;
-        t.indexData.deviceAddress = indices.buffer().impl().address;
+        VkAccelerationStructureGeometryTrianglesDataKHR& triangles = input.geometry.geometry.triangles;
+        triangles = {};
+        triangles.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
+        triangles.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
+        triangles.vertexData.deviceAddress = first_proxy;
+        triangles.vertexStride = kVertexBytes;
+        triangles.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
+        triangles.indexType = VK_INDEX_TYPE_UINT32;
+        triangles.indexData.deviceAddress = indices.buffer().impl().address;
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR |
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-/// Writes the instances to temporary memory and returns their device address. Leaves out
-/// absent instances and models without surfels.
-std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
-    const Scene& layout = scene.layout();
-    std::vector<VkAccelerationStructureInstanceKHR> rows;
-    std::vector<shared::MovingInstance> of_motion;
-    for (std::size_t i = 0; i < layout.instances.size(); ++i) {
-        const VulkanAccelStructure* model = blas[layout.instances[i].model].get();
-        if (!model || !scene.poses()[i].present) continue;
-        const glm::mat4 m(to_matrix(scene.poses()[i].world_from_model));
-        VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
-        for (int r = 0; r < 3; ++r)
-            for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
-        row.instanceCustomIndex = std::uint32_t(i) & 0xffffffu;
-        row.mask = RELIDAR_STANDING_MASK;
-        if (!scene.poses()[i].motion.is_stationary()) {
-            // A separate query tests each moving instance, so it gets one of the other
-            // mask bits.
-            row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
-            of_motion.push_back({std::uint32_t(i), layout.instances[i].model, row.mask});
-        }
-        row.instanceShaderBindingTableRecordOffset = 0;
-        row.flags = VK_GEOMETRY_INSTANCE_TRIANGLE_FACING_CULL_DISABLE_BIT_KHR;
-        row.accelerationStructureReference = model->address;
-    }
-    tlas_input.range.primitiveCount = std::uint32_t(rows.size());
-    n_moving = std::uint32_t(of_motion.size());
-    if (n_moving > 0)
-        stream.record_write(moving.buffer(), of_motion.data(), of_motion.size() * sizeof(of_motion[0]));
-    return rows.empty() ? 0 : stream.stage_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
+/// Describes the geometry of the top-level structure, which consists of instances.
+void RayQueryAccel::Impl::set_instance_geometry() {
+    tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
+    tlas_input.geometry.geometry.instances = {
+        VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
+    tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
+    tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
 }
 
-/// Writes the triangles of the largest model, which all models use.
+/// Writes the instances that the next build of the top-level structure reads. Leaves out
+/// absent instances and models without surfels. Also writes the list `moving`.
+/// @return address of the instances in temporary device memory
+std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
+    const std::vector<ModelInstance>& instances = scene.layout().instances;
+    std::vector<VkAccelerationStructureInstanceKHR> vk_instances;
+    std::vector<shared::MovingInstance> moving_instances;
+    for (std::size_t i = 0; i < instances.size(); ++i) {
+        const InstancePose& pose = scene.poses()[i];
+        const std::uint32_t model = instances[i].model;
+        if (!blas[model] || !pose.present) continue;
+        std::uint32_t mask = RELIDAR_STANDING_MASK;
+        if (!pose.motion.is_stationary()) {
+            mask = moving_instance_mask(moving_instances.size());
+            moving_instances.push_back({std::uint32_t(i), model, mask});
+        }
+        const glm::mat4 world_from_model(to_matrix(pose.world_from_model));
+        vk_instances.push_back(make_vk_instance(i, world_from_model, mask, blas[model]->address));
+    }
+    tlas_input.range.primitiveCount = std::uint32_t(vk_instances.size());
+    n_moving = std::uint32_t(moving_instances.size());
+    if (n_moving > 0)
+        stream.record_write(moving.buffer(), moving_instances.data(),
+                            moving_instances.size() * sizeof(moving_instances[0]));
+    if (vk_instances.empty()) return 0;
+    return stream.stage_bytes(vk_instances.data(), vk_instances.size() * sizeof(vk_instances[0])).address;
+}
+
+/// Writes the triangle indices of `n_surfels` proxies, unless enough exist. All models use
+/// the first of these indices, so `n_surfels` is the size of the largest model.
 void RayQueryAccel::Impl::reserve_indices(std::uint32_t n_surfels) {
     if (proxy != ProxyShape::triangles || n_surfels * mesh.corners.size() <= indices.size()) return;
     // Each surfel has a copy of the mesh. The corners of a copy follow the corners of the
@@ -261,24 +307,25 @@ void RayQueryAccel::Impl::reserve_indices(std::uint32_t n_surfels) {
     indices = Array<std::uint32_t>(device, corners, "proxy indices");
 }
 
-/// Allocates the structure of a model, and a part of the scratch buffer for it.
+/// Allocates the bottom-level structure (BLAS) of a model, and assigns a part of the
+/// scratch buffer to its builds.
 void RayQueryAccel::Impl::allocate_blas(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     set_geometry(input, model);
     blas_scratch.push_back(scratch_bytes);
     blas.push_back(nullptr);
+    if (model.count == 0) return;
     const auto n_triangles = std::uint32_t(mesh.corners.size() / 3);
-    const std::uint32_t n = model.count * (proxy == ProxyShape::boxes ? 1u : n_triangles);
-    if (n == 0) return;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = input.query_sizes(device.impl(), n);
+    const std::uint32_t n_primitives = model.count * (proxy == ProxyShape::boxes ? 1u : n_triangles);
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = input.query_sizes(device.impl(), n_primitives);
     blas.back() = std::make_unique<VulkanAccelStructure>(
         device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
         "acceleration structure of " + model.name);
-    const std::uint64_t alignment = device.impl().scratch_alignment;
-    scratch_bytes +=
-        (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
+    scratch_bytes += align_scratch(std::max(sizes.buildScratchSize, sizes.updateScratchSize));
 }
 
+/// Allocates the top-level structure (TLAS). Its build shares the scratch memory of the
+/// models, because it starts after their builds.
 void RayQueryAccel::Impl::allocate_tlas(std::size_t n_instances) {
     const VkAccelerationStructureBuildSizesInfoKHR sizes =
         tlas_input.query_sizes(device.impl(), std::uint32_t(std::max<std::size_t>(n_instances, 1)));
@@ -287,29 +334,28 @@ void RayQueryAccel::Impl::allocate_tlas(std::size_t n_instances) {
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
 }
 
+/// Allocates the scratch buffer of all builds, unless it is large enough. Vulkan requires
+/// an aligned address, so the buffer is larger by one alignment.
 void RayQueryAccel::Impl::allocate_scratch() {
-    const std::uint64_t alignment = device.impl().scratch_alignment;
-    if (scratch && scratch_bytes + alignment <= scratch.size_bytes()) return;
-    scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
-    scratch_address = (scratch.impl().address + alignment - 1) / alignment * alignment;
+    const std::uint64_t n_bytes = scratch_bytes + device.impl().scratch_alignment;
+    if (scratch && n_bytes <= scratch.size_bytes()) return;
+    scratch = Buffer(device, n_bytes, "acceleration structure scratch");
+    scratch_address = align_scratch(scratch.impl().address);
 }
 
-/// Allocates memory for the structures of all models and the top level. Does not build
-/// them. All builds share one scratch buffer, in which each model has a separate part.
+/// Allocates memory for the bottom-level structures of all models and for the top-level
+/// structure of the instances. record_build() builds them. All builds share one scratch
+/// buffer, in which each model has a separate part.
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy) {
     impl_ = std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive());
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
-    std::uint32_t largest = 0;
-    for (const SurfelModel& model : layout.models) largest = std::max(largest, model.count);
+    std::uint32_t n_largest = 0;  // number of surfels of the largest model
+    for (const SurfelModel& model : layout.models) n_largest = std::max(n_largest, model.count);
     a.geometry = Array<float>(device, scene.size() * a.floats_per_surfel(), "proxies");
-    a.reserve_indices(largest);
+    a.reserve_indices(n_largest);
     for (const SurfelModel& model : layout.models) a.allocate_blas(model);
-    a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
-    a.tlas_input.geometry.geometry.instances = {
-        VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
-    a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
-    a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
+    a.set_instance_geometry();
     a.allocate_tlas(layout.instances.size());
     a.allocate_scratch();
 }
@@ -319,22 +365,23 @@ RayQueryAccel::~RayQueryAccel() = default;
 void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                                  const SurfelRanges& ranges, bool refit_only) {
     Impl& a = *impl_;
-    std::uint32_t n = 0;
-    for (const SurfelRange& range : ranges) n += range.count;
-    // `reach` is a maximum over all 3D Gaussians: the distance between a hit and a corner
-    // of the enclosing icosahedron. It is reset only if all models are updated, because
-    // the other models would be missing from the new maximum.
-    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
+    std::uint32_t n_updated = 0;
+    for (const SurfelRange& range : ranges) n_updated += range.count;
+    // `reach` and `radii` are maxima over surfels, which the kernels only increase. They are
+    // reset only if all surfels are updated. Otherwise the other surfels would be missing
+    // from the new maxima.
+    const bool updates_all = n_updated == scene.size();
+    if (updates_all && a.reach.size() > 0) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxies(stream, scene, options, range);
-    // The radii are maxima too.
-    if (n == scene.size()) stream.fill(a.radii);
+    if (updates_all) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.compute_radii(stream, scene, options, range);
+
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
-        const auto is_in = [&](const SurfelRange& range) {
+        const auto contains_model = [&](const SurfelRange& range) {
             return range.contains_surfel(scene.layout().models[i].first);
         };
-        if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
+        if (!a.blas[i] || std::ranges::none_of(ranges, contains_model)) continue;
         a.blas_input[i].set_target(*a.blas[i], refit_only, a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(a.blas_input[i]);
     }
@@ -363,17 +410,17 @@ void RayQueryAccel::append_model(const DeviceScene& scene) {
     std::vector<std::uint32_t> radii = a.radii.download();
     radii.resize(models.size(), 0u);
     a.radii = {a.device, radii, "radii of models"};
-    // The array of the proxies may have moved, so all models get their new addresses.
     while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
+    // The array of the proxies may have moved, so all models get their new addresses.
     for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
     a.allocate_scratch();
 }
 
 void RayQueryAccel::append_instances(const DeviceScene& scene) {
     Impl& a = *impl_;
-    const std::size_t n = scene.layout().instances.size();
-    if (n <= a.moving.size()) return;
-    reserve_spare(n, [&](std::size_t capacity) {
+    const std::size_t n_instances = scene.layout().instances.size();
+    if (n_instances <= a.moving.size()) return;
+    reserve_spare(n_instances, [&](std::size_t capacity) {
         a.allocate_tlas(capacity);
         a.moving = {a.device, capacity, "moving instances"};
     });
@@ -383,12 +430,12 @@ void RayQueryAccel::append_instances(const DeviceScene& scene) {
 void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // Kernels store this float as an integer, because atomic maxima need integers.
-    // Positive floats have the same order as their bits.
-    addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
-    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also stored as float bits
     addresses.n_moving = a.n_moving;
+    // The kernels that compute these two maxima store floats as integers, because atomic
+    // maxima need integers. Positive floats have the same order as their bits.
+    addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
+    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();
 }
 
 }  // namespace relidar

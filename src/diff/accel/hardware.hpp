@@ -25,11 +25,12 @@ public:
     void record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                       const SurfelRanges& ranges, bool refit_only);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
-    /// Allocates memory for the last model of the scene, or for all its instances. See
-    /// AccelerationStructure::append_model(), which also builds the model.
+    /// Allocates memory for the last model of the scene, which record_build() must build.
     void append_model(const DeviceScene& scene);
+    /// Allocates memory for all instances of the scene.
     void append_instances(const DeviceScene& scene);
 
+    /// Sets the addresses that kernels need for ray queries.
     void write_addresses(AccelAddresses& addresses) const;
 
 private:
