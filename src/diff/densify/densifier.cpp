@@ -26,20 +26,18 @@ namespace {
 /// them.
 /// @return an empty string, or the reason why the allocation failed
 std::string allocation_error(Device& device, double n_bytes) {
-    // allocates in pieces, because drivers limit the size of one allocation
-    constexpr double kPiece = double(256 << 20);
+    // Allocates in pieces, because drivers limit the size of one allocation.
+    constexpr double kPieceBytes = double(256 << 20), kMinBytes = 4.0;
     std::vector<Buffer> pieces;
     try {
-        for (; n_bytes > 0.0; n_bytes -= kPiece)
-            pieces.emplace_back(device, std::size_t(std::min(std::max(n_bytes, 4.0), kPiece)),
+        for (; n_bytes > 0.0; n_bytes -= kPieceBytes)
+            pieces.emplace_back(device, std::size_t(std::clamp(n_bytes, kMinBytes, kPieceBytes)),
                                 "additional surfels");
     } catch (const OutOfDeviceMemory& error) {
         return error.what();
     }
     return {};
 }
-
-double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
 /// Purpose of random numbers. It is part of the seed, so that random numbers for
 /// different purposes are independent.
@@ -55,7 +53,7 @@ struct Densifier::Impl {
     Device& device;
     DensifyOptions options;
     float min_opacity;
-    double reset_opacity_to;
+    double reset_opacity_logit;
     std::uint64_t seed = 0;
     std::vector<double> extents_m;
     SurfelReorderer arrays;
@@ -72,19 +70,22 @@ struct Densifier::Impl {
         : device(d),
           options(o),
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
-          reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
+          reset_opacity_logit(logit(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min)))),
           arrays(d, std::uint32_t(scene.surfels.size()), n_frames, scene.surfels.parameters_used()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             extents_m.push_back(model_extent_m(scene, model));
     }
 
+    static double logit(double probability) { return std::log(probability / (1.0 - probability)); }
     std::uint64_t random_key(RandomPurpose purpose, int step) const {
         return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
     ModelCounts choose_actions(Stream& stream, const DeviceScene& scene, int step);
     std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
                                    double reserved_bytes_per_surfel, std::string& error);
+    std::string try_reserve(DeviceScene& scene, Adam& adam, std::uint32_t capacity, double reserved_bytes);
+    void rearrange_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step, const GrowthPlan& plan);
 };
 
 /// Runs the kernel that chooses an action for each surfel (keep, clone, split, drop).
@@ -92,6 +93,9 @@ struct Densifier::Impl {
 ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
+    // Large surfels are dropped only after step `large_from`.
+    const float max_extent_share =
+        step > options.large_from ? float(options.max_extent_share) : std::numeric_limits<float>::infinity();
     stream.fill(counters);
     relidar::run(stream, classify, scene.size(),
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
@@ -103,8 +107,7 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
                   .models = scene.model_table().address(),
                   .extents = stream.impl().stage_values(extents).cast_tag<shared::ModelExtents>(),
                   .min_opacity = min_opacity,
-                  .max_extent_share = step > options.large_from ? float(options.max_extent_share)
-                                                                : std::numeric_limits<float>::infinity(),
+                  .max_extent_share = max_extent_share,
                   .clone_extent_share = float(options.clone_extent_share),
                   .gradient_threshold = float(options.gradient_threshold),
                   .n_surfels = scene.size(),
@@ -112,56 +115,85 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
                   .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
-    ModelCounts result(extents.size());
+    ModelCounts counts(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i)
-        result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
-    return result;
+        counts[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
+    return counts;
+}
+
+/// Allocates memory for `capacity` surfels, if `reserved_bytes` of device memory stay free.
+/// @return an empty string, or the reason why there is not enough memory
+std::string Densifier::Impl::try_reserve(DeviceScene& scene, Adam& adam, std::uint32_t capacity,
+                                         double reserved_bytes) {
+    const std::uint32_t old_capacity = arrays.capacity();
+    if (capacity <= old_capacity) return allocation_error(device, reserved_bytes);
+    // Floats of parameters and both Adam moments (3 x), and of the surfel record (16).
+    const double scene_floats = 3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0;
+    const double bytes_per_surfel = double(arrays.bytes_per_surfel()) + 4.0 * scene_floats;
+    // The old and the new SH coefficients, the largest array, exist at the same time during
+    // the copy.
+    const double copied_bytes = 4.0 * kShFloats * old_capacity;
+    const std::string error = allocation_error(
+        device, reserved_bytes + bytes_per_surfel * (capacity - old_capacity) + copied_bytes);
+    if (!error.empty()) return error;
+    try {
+        scene.reserve(device, capacity);
+        adam.first_moments().reserve(device, capacity, "first moment");
+        adam.second_moments().reserve(device, capacity, "second moment");
+        arrays.reserve_surfels(capacity);
+    } catch (const OutOfDeviceMemory& out_of_memory) {
+        return out_of_memory.what();
+    }
+    return {};
 }
 
 /// Allocates memory for the surfels after a densification. If there is not enough memory,
-/// tries fewer surfels.
+/// halves the growth until it fits.
+/// @param reserved_bytes_per_surfel memory that must stay free for other objects
 /// @param error receives the reason if there is not enough memory
 /// @return number of surfels for which memory is available, at most `n_requested`
 std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
                                                 double reserved_bytes_per_surfel, std::string& error) {
-    const std::uint32_t before = scene.size();
-    // bytes per surfel for parameters, Adam moments and records
-    const double others = 4.0 * (3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0);
-    const double bytes = double(arrays.bytes_per_surfel()) + others;
-    const auto fits = [&](std::uint32_t target, double capacity) {
-        const std::uint32_t now = arrays.capacity();
-        const bool grows = capacity > now;
-        // Old and new SH coefficients, the largest array, exist at the same time during
-        // the copy.
-        const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        error = allocation_error(device, reserved_bytes_per_surfel * target +
-                                             (grows ? bytes * (capacity - now) + while_copied : 0.0));
-        if (!error.empty() || !grows) return error.empty();
-        try {
-            const std::uint32_t n = std::uint32_t(capacity);
-            scene.reserve(device, n);
-            adam.first_moments().reserve(device, n, "first moment");
-            adam.second_moments().reserve(device, n, "second moment");
-            arrays.reserve_surfels(n);
-        } catch (const OutOfDeviceMemory& e) {
-            error = e.what();
+    constexpr std::uint32_t kMinHalvedGrowth = 16;  // gives up instead of halving a smaller growth
+    const std::uint32_t n_before = scene.size();
+    std::uint32_t growth = n_requested > n_before ? n_requested - n_before : 0;
+    while (growth > 0) {
+        const std::uint32_t target = n_before + growth;
+        const double reserved_bytes = reserved_bytes_per_surfel * target;
+        if (target > arrays.capacity()) {
+            // Tries up to 1.5 times the memory, so that the next densifications need no
+            // allocation.
+            const std::uint32_t max_surfels = std::max(std::uint32_t(options.max_surfels), target);
+            const auto generous = std::uint32_t(std::min(1.5 * arrays.capacity(), double(max_surfels)));
+            error = try_reserve(scene, adam, std::max(target, generous), reserved_bytes);
+            if (error.empty()) return target;
         }
-        return error.empty();
-    };
-    // Halves the growth until it fits. Gives up below 16 new surfels.
-    for (std::uint32_t growth = n_requested > before ? n_requested - before : 0; growth > 0;
-         growth = growth >= 16 ? growth / 2 : 0) {
-        const std::uint32_t target = before + growth;
-        // Allocates up to 1.5 times the memory, so that the next densifications need no
-        // allocation. If this fails, tries the exact size.
-        const double generous = std::min(1.5 * double(arrays.capacity()),
-                                         double(std::max(std::uint32_t(options.max_surfels), target)));
-        const bool there = target <= arrays.capacity();
-        if (fits(target, there ? target : std::max(double(target), generous)) ||
-            (!there && fits(target, target)))
-            return target;
+        error = try_reserve(scene, adam, target, reserved_bytes);
+        if (error.empty()) return target;
+        growth = growth >= kMinHalvedGrowth ? growth / 2 : 0;
     }
-    return std::min(n_requested, before);
+    return std::min(n_requested, n_before);
+}
+
+/// Moves the surfels, their Adam moments and statistics to the new order, and computes the
+/// values of new surfels.
+void Densifier::Impl::rearrange_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
+                                        const GrowthPlan& plan) {
+    const std::uint32_t n_before = scene.size();
+    arrays.compute_indices(stream, plan, n_before);
+    const bool zero_new = true;  // new surfels start with Adam moments of zero
+    arrays.move_surfels(stream, scene.surfel_parameters(), !zero_new, plan.size());
+    arrays.move_surfels(stream, adam.first_moments(), zero_new, plan.size());
+    arrays.move_surfels(stream, adam.second_moments(), zero_new, plan.size());
+    // After the move, copies still have the values of the original.
+    relidar::run(stream, spawn, n_before,
+                 {.surfels = surfel_pointers(scene.surfel_parameters()),
+                  .action = arrays.action.address(),
+                  .n_rows = arrays.n_rows.address(),
+                  .starts = arrays.starts.address(),
+                  .n_surfels = n_before,
+                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
+    arrays.move_statistics(stream);
 }
 
 Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min,
@@ -204,42 +236,25 @@ bool Densifier::is_densify_step(int step) const {
 DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                          double reserved_bytes_per_surfel) {
     Impl& d = *impl_;
-    const std::uint32_t before = scene.size();
-    const ModelCounts counted = d.choose_actions(stream, scene, step);
-    GrowthPlan plan = limit_growth(plan_growth(counted, d.options, d.random_key(RandomPurpose::phase, step)),
-                                   d.memory_limit);
-    std::string error;
-    const std::uint32_t surfel_capacity =
+    const ModelCounts counts = d.choose_actions(stream, scene, step);
+    GrowthPlan plan = plan_growth(counts, d.options, d.random_key(RandomPurpose::phase, step));
+    plan = limit_growth(plan, d.memory_limit);
+    std::string error, note;
+    const std::uint32_t n_possible =
         d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel, error);
-    std::string note;
-    if (surfel_capacity < plan.size()) {
+    if (n_possible < plan.size()) {
         // Remembers the limit, so that later steps do not try again.
-        d.memory_limit = surfel_capacity;
-        plan = limit_growth(plan, surfel_capacity);
-        note = fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, error);
+        d.memory_limit = n_possible;
+        plan = limit_growth(plan, n_possible);
+        note = fmt::format("training stops adding surfels at {} surfels: {}", n_possible, error);
     }
-    DensifyReport report = densify_report(counted, plan);
+    DensifyReport report = densify_report(counts, plan);
     report.note = note;
-    if (report.n_removed() == 0 && report.added == 0) {
-        d.arrays.reset_sums(stream);
-        stream.submit_and_wait();
-        return report;
-    }
-    d.arrays.compute_indices(stream, plan, before);
-    d.arrays.move_surfels(stream, scene.surfel_parameters(), false, plan.size());
-    d.arrays.move_surfels(stream, adam.first_moments(), true, plan.size());
-    d.arrays.move_surfels(stream, adam.second_moments(), true, plan.size());
-    // After the move, both halves of a split still have the values of the original.
-    relidar::run(stream, d.spawn, before,
-                 {.surfels = surfel_pointers(scene.surfel_parameters()),
-                  .action = d.arrays.action.address(),
-                  .n_rows = d.arrays.n_rows.address(),
-                  .starts = d.arrays.starts.address(),
-                  .n_surfels = before,
-                  .key = std::uint32_t(d.random_key(RandomPurpose::classify, step))});
-    d.arrays.move_statistics(stream);
+    const bool is_unchanged = report.n_removed() == 0 && report.added == 0;
+    if (is_unchanged) d.arrays.reset_sums(stream);
+    else d.rearrange_surfels(stream, scene, adam, step, plan);
     stream.submit_and_wait();
-    scene.set_models(plan.assign_ranges(scene.layout().models, counted));
+    if (!is_unchanged) scene.set_models(plan.assign_ranges(scene.layout().models, counts));
     return report;
 }
 
@@ -251,7 +266,7 @@ void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, 
     if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.surfel_parameters().opacity_logit.address(),
-                  .max_logit = float(logit(impl_->reset_opacity_to)),
+                  .max_logit = float(impl_->reset_opacity_logit),
                   .n_surfels = scene.size()});
     stream.fill(adam.first_moments().opacity_logit);
     stream.fill(adam.second_moments().opacity_logit);

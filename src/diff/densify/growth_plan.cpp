@@ -10,17 +10,19 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
 }
 
 /// Returns the models with their surfel ranges after surfels were added and removed.
-std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> m, const ModelCounts& c) const {
-    std::uint32_t next = 0;
-    std::uint64_t weight = 0;
-    for (std::size_t i = 0; i < m.size(); ++i) {
-        const std::uint64_t above = weight + c[i][RELIDAR_DENSIFY_WEIGHT];
-        m[i].first = next;
-        m[i].count = c[i][RELIDAR_DENSIFY_KEPT] + cumulative_copies(above) - cumulative_copies(weight);
-        next += m[i].count;
-        weight = above;
+std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
+                                                   const ModelCounts& counts) const {
+    std::uint32_t first_surfel = 0;
+    std::uint64_t weight_before = 0;  // sum over all earlier models
+    for (std::size_t i = 0; i < models.size(); ++i) {
+        const std::uint64_t weight_after = weight_before + counts[i][RELIDAR_DENSIFY_WEIGHT];
+        const std::uint32_t n_copies = cumulative_copies(weight_after) - cumulative_copies(weight_before);
+        models[i].first = first_surfel;
+        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + n_copies;
+        first_surfel += models[i].count;
+        weight_before = weight_after;
     }
-    return m;
+    return models;
 }
 
 GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random) {
@@ -37,24 +39,25 @@ GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::
 }
 
 GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {
-    plan.n_new = std::min(plan.n_new, max_surfels > plan.survivors ? max_surfels - plan.survivors : 0u);
+    const std::uint32_t max_new = max_surfels > plan.survivors ? max_surfels - plan.survivors : 0u;
+    plan.n_new = std::min(plan.n_new, max_new);
     return plan;
 }
 
 DensifyReport densify_report(const ModelCounts& counts, const GrowthPlan& plan) {
-    DensifyReport r;
-    for (const ModelCounters& c : counts) {
-        r.invalid += c[RELIDAR_DENSIFY_INVALID];
-        r.faint += c[RELIDAR_DENSIFY_FAINT];
-        r.large += c[RELIDAR_DENSIFY_LARGE];
-        r.outside += c[RELIDAR_DENSIFY_OUTSIDE];
-        r.clones += c[RELIDAR_DENSIFY_CLONES];
-        r.splits += c[RELIDAR_DENSIFY_SPLITS];
+    DensifyReport report;
+    for (const ModelCounters& model : counts) {
+        report.invalid += model[RELIDAR_DENSIFY_INVALID];
+        report.faint += model[RELIDAR_DENSIFY_FAINT];
+        report.large += model[RELIDAR_DENSIFY_LARGE];
+        report.outside += model[RELIDAR_DENSIFY_OUTSIDE];
+        report.clones += model[RELIDAR_DENSIFY_CLONES];
+        report.splits += model[RELIDAR_DENSIFY_SPLITS];
     }
-    r.before = plan.survivors + r.n_removed();
-    r.added = plan.n_new;
-    r.after = plan.size();
-    return r;
+    report.before = plan.survivors + report.n_removed();
+    report.added = plan.n_new;
+    report.after = plan.size();
+    return report;
 }
 
 void DensifyReport::add_counts(const DensifyReport& later_report) {

@@ -21,10 +21,12 @@ using ModelCounters = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 using ModelCounts = std::vector<ModelCounters>;  ///< one row per model
 
 struct GrowthPlan {
-    std::uint32_t survivors = 0;
-    std::uint32_t total_weight = 0;
-    std::uint32_t n_new = 0;  ///< number of copies to distribute
-    std::uint32_t phase = 0;  ///< phase of the systematic sampling, below total_weight
+    std::uint32_t survivors = 0;     ///< surfels that are not removed
+    std::uint32_t total_weight = 0;  ///< sum of the weights of growing surfels
+    std::uint32_t n_new = 0;         ///< number of copies to distribute
+    /// Random number below total_weight. It selects which surfels get the copies, if there
+    /// are fewer copies than growing surfels (systematic sampling).
+    std::uint32_t phase = 0;
 
     std::uint32_t size() const { return survivors + n_new; }
     /// Returns how many of the `n_new` copies the first k surfels get together. This is
@@ -43,6 +45,7 @@ GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::
 /// remove existing surfels.
 GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels);
 
+/// Sums the counters of all models into the report of one densification.
 DensifyReport densify_report(const ModelCounts& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

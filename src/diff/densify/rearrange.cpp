@@ -9,6 +9,7 @@
 
 namespace relidar {
 
+/// Allocates all arrays for `n` surfels, and sets the statistics to zero.
 SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames,
                                  SurfelParameterSet used)
     : device_(device), allot_(device, "diff/densify/allot"), move_(device, "diff/densify/move") {
@@ -49,13 +50,17 @@ std::size_t SurfelReorderer::bytes_per_surfel() const {
     return 4 * (floats_per_surfel(scratch_surfels_.parameters_used()) + 6 + 2 * statistics.n_words);
 }
 
-/// Submits the kernels that compute the new array index of each surfel: a prefix sum of
-/// weights gives each surfel its copies, and a prefix sum of copies gives the indices.
+/// Submits the kernels that compute the new array index of each surfel. A surfel and its
+/// copies are consecutive rows of the new arrays. So the index of a surfel is the number of
+/// rows of all earlier surfels.
 void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before) {
     RELIDAR_ASSERT_LE(std::max(n_before, plan.size()), capacity());
-    before_ = n_before;
+    n_before_ = n_before;
+    // Sum of the weights of all earlier surfels, stored temporarily in `starts`.
     prefix_sum_.run(stream, {.address = weight.address().cast_tag<shared::ScanCounts>()},
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
+    // Distributes `n_new` copies in proportion to the weights. Writes the number of rows of
+    // each surfel: 0 if it is dropped, otherwise 1 plus its copies.
     run(stream, allot_, n_before,
         {.weight = weight.address(),
          .cumulative = starts.address().cast_tag<shared::WeightsBefore>(),
@@ -65,28 +70,34 @@ void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, st
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
+    // Number of rows of all earlier surfels.
     prefix_sum_.run(stream, {.address = n_rows.address().cast_tag<shared::ScanCounts>()},
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
 }
 
+/// Copies the row of each surfel to its new index and to its copies.
+/// @param rows [surfels, stride], receives the new order
+/// @param spare array of the same size, receives the old order
+/// @param zero_new true: new and changed surfels get zeros instead of the old values
 template <class T>
-void SurfelReorderer::move_rows(Stream& s, Array<T>& rows, Array<T>& to, std::uint32_t stride, bool zero) {
-    run(s, move_, before_,
+void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
+                                bool zero_new) {
+    run(stream, move_, n_before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
-         .to = to.template address_as<std::uint32_t, shared::NewRows>(),
+         .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .starts = starts.address(),
-         .n_surfels = before_,
+         .n_surfels = n_before_,
          .stride = stride,
-         .fresh = zero ? 1u : 0u});
-    // Now `rows` contains the new order.
-    std::swap(rows, to);
+         .fresh = zero_new ? 1u : 0u});
+    std::swap(rows, spare);
 }
 
-void SurfelReorderer::move_surfels(Stream& s, SurfelArrays& surfels, bool zero_new, std::uint32_t n_after) {
+void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new,
+                                   std::uint32_t n_after) {
     for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used()))
-        move_rows(s, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
+        move_rows(stream, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
                   group.count_floats(), zero_new);
     surfels.n = n_after;
 }

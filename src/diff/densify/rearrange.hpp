@@ -31,11 +31,13 @@ public:
     SurfelStatistics statistics;
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
+    /// [n] share of each surfel in the new copies, 0 if it does not grow
     Array<std::uint32_t, shared::GrowthWeights> weight;
     /// [n] index of each surfel after the densification. Copies of a surfel get the next
     /// indices. Before compute_indices() computes these indices, it uses the
     /// array for the prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
+    /// [n] number of surfels that replace a surfel: 0 (dropped), 1, or more (with copies)
     Array<std::uint32_t, shared::RowCounts> n_rows;
 
 private:
@@ -45,10 +47,10 @@ private:
     PrefixSum prefix_sum_{device_};
     Kernel<shared::AllotParams> allot_;
     Kernel<shared::MoveParams> move_;
-    std::uint32_t before_ = 0;
+    std::uint32_t n_before_ = 0;  ///< number of surfels before the densification
 
     template <class T>
-    void move_rows(Stream& s, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool zero_new);
+    void move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool zero_new);
 };
 
 }  // namespace relidar
