@@ -31,21 +31,23 @@ bool uses_hit_records(const Device& device, GradientReduction reduction, ShDirec
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
+/// Returns the specialisation constants of kernel diff/backward/trace: those of the forward
+/// pass, and how the gradients of hits are added to surfels.
 TraceConstants backward_constants(const Device& device, const ImageModel& model, ProxyShape proxy,
                                   const TraceOptions& options, const BackwardOptions& backward) {
-    TraceConstants all = trace_constants(device, proxy, options, model);
-    const bool gathered = uses_hit_records(device, backward.reduction, model.sh_direction);
-    all.push_back({GATHER, gathered ? 1u : 0u});
-    // If `exchanged`, the threads of a subgroup collect gradients in shared memory before
-    // the atomics. This reduces memory traffic, but needs
+    TraceConstants constants = trace_constants(device, proxy, options, model);
+    const bool writes_records = uses_hit_records(device, backward.reduction, model.sh_direction);
+    constants.push_back({GATHER, writes_records ? 1u : 0u});
+    // With coalesced atomics, the threads of a subgroup collect gradients in shared memory
+    // before the atomics. This reduces memory traffic, but needs
     // VK_KHR_shader_maximal_reconvergence.
-    const bool exchanged =
-        !gathered && backward.coalesced_atomics.value_or(should_coalesce(device) && lanes_reconverge(device));
-    all.push_back({COALESCED_ATOMICS, exchanged ? 1u : 0u});
-    // The exchange needs subgroup barriers. lavapipe (a CPU driver) executes them as
+    const bool can_coalesce = should_coalesce(device) && lanes_reconverge(device);
+    const bool coalesces = !writes_records && backward.coalesced_atomics.value_or(can_coalesce);
+    constants.push_back({COALESCED_ATOMICS, coalesces ? 1u : 0u});
+    // The collection needs subgroup barriers. lavapipe (a CPU driver) executes them as
     // barriers of the full workgroup. Therefore each workgroup has only one subgroup.
-    if (exchanged) all.push_back({WORKGROUP_SIZE, std::uint32_t(device.info().subgroup_size)});
-    return all;
+    if (coalesces) constants.push_back({WORKGROUP_SIZE, std::uint32_t(device.info().subgroup_size)});
+    return constants;
 }
 
 std::vector<SpecialisationConstant> gather_constants(const ImageModel& model, const TraceOptions& options) {
@@ -126,10 +128,11 @@ void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve_scratch(device_, n_rays_);
         reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
-                             .offset = offsetof(shared::RenderedRay, n_hits) / 4,
-                             .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address().cast_tag<shared::ScanPrefix>(), n_rays_,
+    // Reads the field `n_hits` of each rendered ray. Offset and stride count 32-bit words.
+    const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
+                                   .offset = offsetof(shared::RenderedRay, n_hits) / 4,
+                                   .stride = sizeof(shared::RenderedRay) / 4};
+    prefix_sum_.run(stream, hit_counts, first_hit_.address().cast_tag<shared::ScanPrefix>(), n_rays_,
                     n_hits_.address().cast_tag<shared::ScanTotal>());
 }
 
@@ -140,16 +143,17 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.capacity = sort_->capacity();
 }
 
-/// Sorts the hit records by gradient row and sums the gradients of each row. The sort
-/// keeps the order of hits, so that the sums are the same in every run.
+/// Sorts the hit records by gradient row (the row of a surfel in the array of gradients),
+/// and sums the records of each row. The sort keeps the order of hits, so that the sums are
+/// the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
-    const auto set = [&](int index) {
+    const auto sort_buffers = [&](int index) {
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
                            .order = slots_[index].address().cast_tag<shared::SortOrder>()};
     };
-    const SortBuffers sorted =
-        sort_->run(stream, set(0), set(1), std::uint32_t(std::bit_width(params.n_rows)),
-                   n_hits_.address().cast_tag<shared::SortCount>());
+    const auto n_key_bits = std::uint32_t(std::bit_width(params.n_rows));
+    const SortBuffers sorted = sort_->run(stream, sort_buffers(0), sort_buffers(1), n_key_bits,
+                                          n_hits_.address().cast_tag<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),
@@ -162,6 +166,8 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
                                       .most_hits = most_hits_.address(),
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
+    // A thread sums a block of records. A row that extends over several blocks is summed by
+    // the second kernel.
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);

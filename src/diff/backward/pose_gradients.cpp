@@ -18,21 +18,24 @@ struct BlockTable {
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
-/// Splits the surfels of each instance into blocks. Only the first instance of a model
-/// has the gradient of the view direction.
+/// Splits the surfels of each instance into blocks for the sums of gradients. Only the
+/// first instance of a model has the gradient of the view direction, because the direction
+/// belongs to the model's surfels.
 BlockTable split_into_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
-    std::vector<bool> viewed(layout.models.size(), false);
+    std::vector<bool> has_instance(layout.models.size(), false);
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
-        const std::uint32_t model = layout.instances[i].model;
-        const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
-                            first_row = scene.first_gradient_row(i);
+        const std::uint32_t model_index = layout.instances[i].model;
+        const SurfelModel& model = layout.models[model_index];
+        const std::uint32_t first_row = scene.first_gradient_row(i);
+        const bool is_first_instance = !has_instance[model_index];
+        has_instance[model_index] = true;
         table.first.push_back(std::uint32_t(table.blocks.size()));
-        for (std::uint32_t k = 0; k < n; k += kSurfelsPerBlock)
-            table.blocks.push_back(
-                {first + k, first_row + k, std::min(kSurfelsPerBlock, n - k), viewed[model] ? 0u : 1u});
-        viewed[model] = true;
+        for (std::uint32_t k = 0; k < model.count; k += kSurfelsPerBlock) {
+            const std::uint32_t n_surfels = std::min(kSurfelsPerBlock, model.count - k);
+            table.blocks.push_back({model.first + k, first_row + k, n_surfels, is_first_instance ? 1u : 0u});
+        }
     }
     table.first.push_back(std::uint32_t(table.blocks.size()));
     return table;
@@ -56,10 +59,9 @@ PoseGradientKernels::PoseGradientKernels(Device& device)
 void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                                  const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;
-    const auto n_instances = std::uint32_t(scene.layout().instances.size()),
-               n_blocks = std::uint32_t(sums.blocks.size());
+    const auto n_instances = std::uint32_t(scene.layout().instances.size());
+    const auto n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
-    // Adds surfels to blocks, blocks to instances, and instances to the sensor.
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),
@@ -75,6 +77,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
                   .d_poses = gradients.poses.address(),
                   .view_origin = view_origin_m,
                   .n_instances = n_instances});
+    // A motion of the sensor moves all instances the opposite way.
     relidar::run(stream, sensor_, 1,
                  {.instances = scene.instance_table().address(),
                   .d_poses = gradients.poses.address(),
@@ -86,13 +89,14 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
 DeviceGradients::DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection,
                                  std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.surfel_parameters().parameters_used()),
-      records(device, 16 * std::size_t(scene.count_rows()), "record gradient"),
+      records(device, 16 * std::size_t(scene.count_rows()), "record gradient"),  // 16 floats per row
       touched(device, scene.size(), "list of surfels with a gradient") {
-    // Rays: dL/d(origin, direction). Poses: dL/d(translation, rotation).
-    if (selection.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
+    constexpr std::size_t kRayFloats = 6;   // dL/d(origin, direction)
+    constexpr std::size_t kPoseFloats = 6;  // dL/d(translation, rotation)
+    if (selection.rays) rays = {device, kRayFloats * n_rays, "ray gradient"};
     if (!selection.poses) return;
-    poses = {device, 6 * scene.layout().instances.size(), "pose gradient"};
-    sensor = {device, 6, "sensor pose gradient"};
+    poses = {device, kPoseFloats * scene.layout().instances.size(), "pose gradient"};
+    sensor = {device, kPoseFloats, "sensor pose gradient"};
     pose_sums = std::make_unique<PoseGradientSums>(device, scene);
 }
 

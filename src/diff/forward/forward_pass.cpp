@@ -14,6 +14,22 @@
 
 namespace relidar {
 
+namespace {
+
+constexpr int kMaxChunk = 64;  // maximum number of hits that a ray sorts at a time
+
+/// Asserts that the arrays of a batch contain all of its rays.
+void assert_arrays_fit([[maybe_unused]] const RayBatch& batch) {
+    // Index after the last ray of the batch.
+    [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
+    RELIDAR_ASSERT_LE(end, batch.rays->size());
+    RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
+    // If the batch is an image, all rows have the same length.
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
+}
+
+}  // namespace
+
 struct ForwardPass::Impl {
     Device& device;
     ImageModel model;
@@ -28,16 +44,21 @@ struct ForwardPass::Impl {
     std::optional<HitListTracer> lists = {};  ///< set if rays write their hits to lists
 };
 
-ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy, const TraceOptions& o) {
-    if (o.chunk < 1 || o.chunk > 64)
-        fail<UsageError>("setting trace.chunk: found {}, expected 1 to 64", o.chunk);
-    if (o.initial_list_capacity < 1 || o.initial_list_capacity > RELIDAR_MOST_ROOM)
-        fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
-                         o.initial_list_capacity, RELIDAR_MOST_ROOM);
-    impl_.reset(new Impl{device, model, o, proxy});
-    if (uses_hit_lists(device, o))
-        impl_->lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, o, model),
-                             o.initial_list_capacity);
+/// Creates the kernels that render rays. There are two methods: kernel diff/forward/trace
+/// renders a ray with a small sorted buffer of hits. On GPUs, rays first write all hits to
+/// lists, and the kernel renders only rays whose lists overflow.
+ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
+                         const TraceOptions& options) {
+    if (options.chunk < 1 || options.chunk > kMaxChunk)
+        fail<UsageError>("setting trace.chunk: found {}, expected 1 to {}", options.chunk, kMaxChunk);
+    const int capacity = options.initial_list_capacity;  // hits per list
+    if (capacity < 1 || capacity > RELIDAR_MOST_ROOM)
+        fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}", capacity,
+                         RELIDAR_MOST_ROOM);
+    impl_.reset(new Impl{device, model, options, proxy});
+    if (uses_hit_lists(device, options))
+        impl_->lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, options, model),
+                             capacity);
 }
 
 ForwardPass::~ForwardPass() = default;
@@ -46,14 +67,9 @@ void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 void ForwardPass::record_forward(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
                                  const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
                                  StoredRayHits* stored_hits, const Array<shared::RenderedSurface>* surfaces) {
+    assert_arrays_fit(batch);
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_rays.size());
-    // Index after the last ray of the batch.
-    [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
-    RELIDAR_ASSERT_LE(end, batch.rays->size());
-    RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!stored_hits || stored_hits->can_store_hits(batch), true);
-    // If the batch is an image, all rows have the same length.
-    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.writes_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
     shared::ForwardParams params = {
@@ -82,21 +98,22 @@ std::uint32_t ForwardPass::consume_truncated() {
 
 RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
                                 const std::vector<shared::RenderedSurface>& surfaces) {
-    RenderedRayValues r;
+    RenderedRayValues result;
     for (const shared::RenderedRay& ray : rays) {
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) r.name.push_back(ray.name);
+        // Appends depth, intensity and the other blended values.
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) result.name.push_back(ray.name);
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-        r.transmittance.push_back(ray.transmittance);
-        r.median_depth.push_back(ray.median_depth);
-        r.hits.push_back(ray.n_hits);
-        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : std::int32_t(ray.instance));
+        result.transmittance.push_back(ray.transmittance);
+        result.median_depth.push_back(ray.median_depth);
+        result.hits.push_back(ray.n_hits);
+        result.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : std::int32_t(ray.instance));
     }
     for (const shared::RenderedSurface& surface : surfaces) {
-        r.normal.push_back(surface.normal);
-        r.mode_depth.push_back(surface.mode);
+        result.normal.push_back(surface.normal);
+        result.mode_depth.push_back(surface.mode);
     }
-    return r;
+    return result;
 }
 
 }  // namespace relidar

@@ -64,50 +64,62 @@ void HitListTracer::allocate_lists(std::size_t n_lists) {
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
 bool HitListTracer::has_overflowed(Stream& stream) {
-    if (!overflows_.is_pending() ||
-        stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kMaxPending)
-        return false;
+    // A stream has at most kMaxPending unfinished submissions. So the submission that copied
+    // the count is finished if that many submissions followed.
+    const bool is_finished = stream.impl().last_ticket + 1 >= counted_until_ + Stream::Impl::kMaxPending;
+    if (!overflows_.is_pending() || !is_finished) return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait_for_bytes(stream), sizeof count);
     const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
     return grows_ && hits_per_list_ < max_hits_per_list_ && n_overflows > 0;
 }
 
-/// Returns memory for one hit list per thread. Uses the hit memory of the backward pass
-/// (`kept`) if it is large enough.
-shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, const StoredRayHits* kept) {
-    const std::size_t n = StoredRayHits::round_up_threads(n_used);
-    if (n > kMostLists) return {};
-    if (has_overflowed(s)) {
-        hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        // Counts overflows of the new capacity from zero.
-        s.fill(n_overflows_);
-        overflows_before_ = 0;
-    }
+/// Doubles the capacity of new lists, after rays had more hits than their lists can hold.
+void HitListTracer::grow_lists(Stream& stream) {
+    hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
+    // Counts overflows of the new capacity from zero.
+    stream.fill(n_overflows_);
+    overflows_before_ = 0;
+}
+
+/// Returns memory for one hit list per thread, or empty lists if it is not available.
+/// @param kept hits that the forward pass stores for the backward pass. If a list fits into
+/// this memory, it is used instead of separate memory
+shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
+                                              const StoredRayHits* kept) {
+    const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
+    if (n_lists > kMostLists) return {};
+    if (has_overflowed(stream)) grow_lists(stream);
     const bool uses_kept =
         kept && kept->per_ray >= std::max(hits_per_list_, 1u) && kept->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =
-        allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n * hits_per_list_;
-    // The code below frees old lists. Waits first, because the GPU may still write to
-    // them.
-    if ((uses_kept ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n) s.submit_and_wait();
-    if (uses_kept) hits_ = {};
-    else if (!can_reuse_lists)
-        allocate_lists(
-            // Allocates at least as many lists as before.
-            std::max(n, allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0));
+        allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n_lists * hits_per_list_;
+    const bool frees_lists = uses_kept ? hits_.size() > 0 : !can_reuse_lists;
+    const bool frees_lengths = lengths_.size() < n_lists;
+    if (frees_lists || frees_lengths) stream.submit_and_wait();  // the GPU may still write to them
+
+    if (uses_kept) {
+        hits_ = {};
+    } else if (!can_reuse_lists) {
+        const std::size_t n_old_lists =
+            allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0;
+        allocate_lists(std::max(n_lists, n_old_lists));
+    }
     try {
-        if (lengths_.size() < n)
-            lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+        if (frees_lengths)
+            lengths_ =
+                Array<std::uint32_t, shared::ListLengths>(device_, n_lists, "lengths of lists of hits");
     } catch (const OutOfDeviceMemory&) {  // not enough memory for lists
         return {};
     }
     return {.hits = uses_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
-            .n = std::uint32_t(n_used),
+            .n = std::uint32_t(n_threads),
             .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
+/// Starts to copy the number of overflows to the host, unless the capacity cannot grow or an
+/// earlier copy was not read yet. has_overflowed() reads it.
 void HitListTracer::record_readback(Stream& stream) {
     if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
     overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
@@ -117,17 +129,20 @@ void HitListTracer::record_readback(Stream& stream) {
 /// Renders the rays with hit lists: fills the lists, sorts each list, and blends its
 /// hits. Without memory for lists it does nothing, and kernel diff/forward/trace renders
 /// all rays.
-void HitListTracer::render(Stream& s, const RayBatch& batch, shared::ForwardParams& p,
+void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                            const StoredRayHits* kept) {
-    const std::size_t n = count_threads(batch);
-    const shared::HitLists lists = reserve_lists(s, n, kept);
+    const std::size_t n_threads = count_threads(batch);
+    const shared::HitLists lists = reserve_lists(stream, n_threads, kept);
     if (lists.room == 0) return;
-    p.lists = lists;
-    p.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
-    relidar::run(s, append_, n, {.scene = p.scene, .lists = lists, .n_overflows = n_overflows_.address()});
-    record_readback(s);
-    relidar::run(s, sort_, n * std::size_t(device_.info().subgroup_size), {.lists = lists});
-    relidar::run(s, blend_, n, p);
+    const bool has_separate_memory = hits_.size() > 0;
+    params.lists = lists;
+    params.kept_in_lists = kept && !has_separate_memory ? 1 : 0;
+    relidar::run(stream, append_, n_threads,
+                 {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
+    record_readback(stream);
+    const auto subgroup_size = std::size_t(device_.info().subgroup_size);
+    relidar::run(stream, sort_, n_threads * subgroup_size, {.lists = lists});
+    relidar::run(stream, blend_, n_threads, params);
 }
 
 }  // namespace relidar

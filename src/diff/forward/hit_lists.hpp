@@ -27,14 +27,16 @@ public:
     /// Creates the kernels that fill, sort and blend hit lists.
     /// @param constants specialisation constants of the tracing kernels
     /// @param capacity initial capacity of a list in hits, limited to the maximum
-    HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& all, int capacity);
+    HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& constants,
+                  int capacity);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
     /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.
     /// All calls must use the same stream.
     /// @param kept memory of the hits for the backward pass. If it is large enough,
     /// lists use it, which avoids a copy
-    void render(Stream& s, const RayBatch& batch, shared::ForwardParams& p, const StoredRayHits* kept);
+    void render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+                const StoredRayHits* kept);
     std::uint32_t capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
@@ -43,7 +45,7 @@ private:
     Kernel<shared::ForwardParams> blend_;
     Kernel<shared::SortHitsParams> sort_;
     std::uint32_t max_hits_per_list_ = max_list_hits(device_), hits_per_list_;
-    bool grows_ = true;
+    bool grows_ = true;                          ///< false after an allocation has failed
     Array<shared::Hit> hits_;                    ///< empty if lists use the memory of stored hits
     std::uint32_t allocated_hits_per_list_ = 0;  ///< capacity of a list in `hits_`
     Array<std::uint32_t, shared::ListLengths> lengths_;
@@ -54,7 +56,8 @@ private:
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
     void allocate_lists(std::size_t n_lists);
-    shared::HitLists reserve_lists(Stream& s, std::size_t n_used, const StoredRayHits* kept);
+    void grow_lists(Stream& stream);
+    shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept);
     bool has_overflowed(Stream& stream);
     void record_readback(Stream& stream);
 };

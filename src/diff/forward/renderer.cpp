@@ -23,7 +23,7 @@ struct Renderer::Impl {
     DeviceScene scene;
     std::optional<AccelerationStructure> accel{std::in_place, device, scene, options.accel};
     ForwardPass forward{device, model, accel->proxy_shape(), options.trace};
-    bool placed = false;
+    bool placed = false;    ///< true if the instances have poses and the trees are built
     bool appended = false;  ///< true if models were added after the last full build of the trees
     glm::vec3 view_origin_m{0.0f};
     Array<DeviceRay> host_rays;  ///< rays that render_rays() uploads
@@ -72,8 +72,10 @@ struct Renderer::Impl {
     }
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& o)
-    : impl_(new Impl(device, scene, model, o)) {}
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
+                   const RendererOptions& options)
+    : impl_(new Impl(device, scene, model, options)) {}
+
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
@@ -86,34 +88,40 @@ void Renderer::wait_for_device() noexcept {
     impl_->device.impl().wait_idle();
 }
 
-/// Records a full update: poses, values that depend on the view, and a refit of the
-/// acceleration structure.
+/// Records the commands that prepare the scene for rendering, after surfels have changed.
+/// They compute the poses of the instances (Eq. 4-5 of the paper), the surfel values that
+/// depend on the view, and the boxes of the acceleration structure.
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (std::exchange(r.appended, false)) {
-        // The trees have memory to refit, but not to rebuild, the appended models.
+    if (r.appended) {
+        // append_model() has allocated memory to refit the trees, but not to rebuild them.
+        r.appended = false;
         r.stream.submit_and_wait();
         r.accel.reset();
         create_accel();
     }
     r.view_origin_m = view_origin_m;
-    r.scene.stage_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
+    r.scene.stage_poses(r.stream, instance_poses);
     r.scene.activate(r.stream, r.model, view_origin_m);
     r.accel->record_refit(r.stream, r.scene);
     r.placed = true;
 }
 
-/// Records new poses without a refit of rigid models. Models with a gait change their
-/// shape, so they need new surfel values and a refit.
+/// Records new poses of unchanged surfels. Rigid models need only new poses. Models with a
+/// gait (walking persons) change their shape, so they need new surfel values and a refit.
 void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) return update(instance_poses, view_origin_m);
+    if (!r.placed) {
+        update(instance_poses, view_origin_m);
+        return;
+    }
     r.view_origin_m = view_origin_m;
-    const bool bends = r.scene.moves_gait(instance_poses);
+    const bool changes_shape = r.scene.moves_gait(instance_poses);
     r.scene.stage_poses(r.stream, instance_poses);
-    if (bends || r.model.sh_direction == ShDirection::surfel)
-        r.scene.activate(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->refit_animated(r.stream, r.scene);
+    // Per-surfel harmonics are evaluated for the direction from the view origin.
+    const bool depends_on_view = r.model.sh_direction == ShDirection::surfel;
+    if (changes_shape || depends_on_view) r.scene.activate(r.stream, r.model, view_origin_m);
+    if (changes_shape) r.accel->refit_animated(r.stream, r.scene);
     else r.accel->record_top_level(r.stream, r.scene);
 }
 
@@ -132,7 +140,6 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.fit_hit_storage(count_threads(rays));
     }
     r.batch.rays = rays;
-    // Eq. 2-4 of the paper.
     r.forward.record_forward(r.stream, r.scene, *r.accel, rays, r.rendered,
                              r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
 }
@@ -162,7 +169,7 @@ RenderedRayValues Renderer::download_rays() {
     const std::size_t n = r.batch.rays.n_rays;
     if (!r.surfaces) return to_ray_values(r.rendered.download(n));
     RenderedRayValues rendering = to_ray_values(r.rendered.download(n), r.surfaces->download(n));
-    // The array contains both values. Removes those that were not requested.
+    // The device array contains both values. Removes the value that was not requested.
     if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
@@ -173,15 +180,16 @@ std::uint32_t Renderer::stored_hits_per_ray() const { return impl_->options.keep
 void Renderer::set_stored_hits(std::uint32_t hits_per_ray) {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
-    const std::uint32_t before = std::exchange(r.options.keep_hits, hits_per_ray);
+    const std::uint32_t old_hits_per_ray = r.options.keep_hits;
     // An earlier batch may have had more threads than rays.
-    const std::size_t n_threads =
-        std::max(r.rendered.size(), r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0);
+    const std::size_t n_old_threads = r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0;
+    const std::size_t n_threads = std::max(r.rendered.size(), n_old_threads);
+    r.options.keep_hits = hits_per_ray;
     try {
         r.allocate_hits(n_threads);
     } catch (const OutOfDeviceMemory&) {
         // Restores the old size, whose memory allocate_hits() has already freed.
-        r.options.keep_hits = before;
+        r.options.keep_hits = old_hits_per_ray;
         r.fit_hit_storage(n_threads);
         throw;
     }
@@ -210,6 +218,7 @@ Scene Renderer::download_scene() {
 std::uint32_t Renderer::append_model(const Scene& added) {
     Impl& r = *impl_;
     Scene model = added;
+    // If some models of the scene walk, all models need the parameters of a gait.
     if (r.scene.surfel_parameters().bends && !model.surfels.bends) model.surfels.add_still_gait();
     r.scene.surfel_parameters().check_group(model.surfels);
     // The acceleration structure must be built before a model can be appended.

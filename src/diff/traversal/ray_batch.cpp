@@ -14,9 +14,14 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
 }
 
 std::size_t count_threads(const RayBatch& batch) {
-    if (batch.columns == 0) return batch.n_rays;
-    const std::size_t rows = batch.n_rays / batch.columns;
-    return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;
+    const bool is_image = batch.columns > 0;
+    if (!is_image) return batch.n_rays;
+    // 32 neighbouring threads render a tile of 2 x 16 pixels.
+    constexpr std::size_t kTileRows = 2, kTileColumns = 16;
+    const std::size_t n_rows = batch.n_rays / batch.columns;
+    const std::size_t n_tiles =
+        (n_rows + kTileRows - 1) / kTileRows * ((batch.columns + kTileColumns - 1) / kTileColumns);
+    return n_tiles * kTileRows * kTileColumns;
 }
 
 std::uint32_t grow_stored_hits(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays) {
