@@ -59,6 +59,9 @@ struct ChamferLoss::Impl {
     Kernel<shared::ChamferParams> vjp{device, "diff/loss/chamfer_vjp"};
     std::uint32_t n_rays = 0;  ///< number of rays of the last batch
 
+    void compute_points(Stream& stream, const RenderedBatch& rendered_batch, const TargetBatch& batch) const;
+    void add_losses(Stream& stream, const RenderedBatch& rendered_batch, const TargetBatch& batch,
+                    const LossTermRow& terms) const;
     void tile_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& levels) const {
         RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
         // The boxes of single points have equal corners, so both inputs are the points.
@@ -128,52 +131,61 @@ std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weigh
 
 /// Records the Chamfer loss and its gradient: computes the points of both clouds, finds
 /// the nearest points in both directions, and adds the loss and its derivatives.
-void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& batch_rendered,
+void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered_batch,
                                  const TargetBatch& batch, const LossTermRow& terms) {
     Impl& c = *impl_;
-    const RayBatch& rays = batch_rendered.rays;
-    const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
-    Array<shared::RayGradient>& upstream = *batch_rendered.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_batch.upstream->size());
     c.n_rays = batch.n_rays;
-    const ImageTileLevels levels(batch);
-    const std::uint32_t normalised = c.weights.normalised_depth ? 1u : 0u;
     {
         const ConcurrentLaunchScope zeros(stream);
         stream.fill(c.counts);
         stream.fill(c.d_nearest_simulated);
     }
-    relidar::run(stream, c.points, batch.n_rays,
-                 {.rays = rays.rays->address(),
-                  .rendered = rendered.address(),
+    c.compute_points(stream, rendered_batch, batch);
+    c.find_both_ways(stream, ImageTileLevels(batch));
+    c.add_losses(stream, rendered_batch, batch, terms);
+}
+
+/// Computes the simulated and the measured point of each ray.
+void ChamferLoss::Impl::compute_points(Stream& stream, const RenderedBatch& rendered_batch,
+                                       const TargetBatch& batch) const {
+    relidar::run(stream, points, batch.n_rays,
+                 {.rays = rendered_batch.rays.rays->address(),
+                  .rendered = rendered_batch.rendered->address(),
                   .targets = batch.targets->address(),
-                  .simulated = c.simulated.points.address().cast_tag<shared::SimulatedPoints>(),
-                  .measured = c.measured.points.address().cast_tag<shared::MeasuredPoints>(),
-                  .counts = c.counts.address(),
+                  .simulated = simulated.points.address().cast_tag<shared::SimulatedPoints>(),
+                  .measured = measured.points.address().cast_tag<shared::MeasuredPoints>(),
+                  .counts = counts.address(),
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
                   .ray_stride = batch.stride,
-                  .normalised_depth = normalised});
-    c.find_both_ways(stream, levels);
-    const shared::ChamferParams chamfer{
-        .rays = rays.rays->address(),
-        .rendered = rendered.address(),
-        .simulated = c.simulated.points.address().cast_tag<shared::SimulatedPoints>(),
-        .measured = c.measured.points.address().cast_tag<shared::MeasuredPoints>(),
-        .nearest_measured = c.nearest_measured.address(),
-        .nearest_simulated = c.nearest_simulated.address(),
-        .counts = c.counts.address(),
-        .d_found = c.d_nearest_simulated.address(),
-        .upstream = upstream.address(),
+                  .normalised_depth = weights.normalised_depth ? 1u : 0u});
+}
+
+/// Adds the loss to `terms`, and its derivatives to the upstream gradients of the rays. A
+/// simulated point gets a derivative from its nearest measured point, and from each measured
+/// point whose nearest point it is. The first kernel sums the latter, the second adds both.
+void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered_batch,
+                                   const TargetBatch& batch, const LossTermRow& terms) const {
+    const shared::ChamferParams params{
+        .rays = rendered_batch.rays.rays->address(),
+        .rendered = rendered_batch.rendered->address(),
+        .simulated = simulated.points.address().cast_tag<shared::SimulatedPoints>(),
+        .measured = measured.points.address().cast_tag<shared::MeasuredPoints>(),
+        .nearest_measured = nearest_measured.address(),
+        .nearest_simulated = nearest_simulated.address(),
+        .counts = counts.address(),
+        .d_found = d_nearest_simulated.address(),
+        .upstream = rendered_batch.upstream->address(),
         .terms = terms.row_address(),
-        .weight = c.weights.chamfer,
+        .weight = weights.chamfer,
         .n_rays = batch.n_rays,
         .first_ray = batch.first,
         .ray_stride = batch.stride,
-        .normalised_depth = normalised};
-    relidar::run(stream, c.chamfer, batch.n_rays, chamfer);
-    relidar::run(stream, c.vjp, batch.n_rays, chamfer);
+        .normalised_depth = weights.normalised_depth ? 1u : 0u};
+    relidar::run(stream, chamfer, batch.n_rays, params);
+    relidar::run(stream, vjp, batch.n_rays, params);
 }
 
 std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest_points() const {

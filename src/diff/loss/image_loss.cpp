@@ -29,6 +29,9 @@ std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights
     return std::make_unique<ImageLoss>(device, weights, n_rays);
 }
 
+/// Records the losses of depth, intensity, drops and opacity of each ray, and the
+/// structural similarity (SSIM) of the intensity image if its weight is positive. Sums over
+/// rays become means: most terms are divided by the number of returns.
 void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
                                const LossTermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;
@@ -37,8 +40,8 @@ void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const 
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1,
                       batch.targets->size());
     const LossWeights& w = impl_->weights;
-    const float per_return = float(1.0 / std::max(batch.n_returned, 1.0)),
-                per_ray = float(1.0 / std::max(batch.n_known_rays, 1.0));
+    const float per_return = float(1.0 / std::max(batch.n_returned, 1.0));
+    const float per_ray = float(1.0 / std::max(batch.n_known_rays, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
                  {.rendered = rendered.address(),
                   .targets = batch.targets->address(),
@@ -53,7 +56,8 @@ void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const 
                   .first_ray = batch.first,
                   .ray_stride = batch.stride,
                   .normalised_depth = w.normalised_depth ? 1u : 0u});
-    if (!(w.intensity_ssim * w.intensity > 0.0f)) return;
+    const bool uses_ssim = w.intensity_ssim * w.intensity > 0.0f;
+    if (!uses_ssim) return;
     const ImageShape& image = batch.image;
     RELIDAR_ASSERT_LE(1u, image.rows);
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * RELIDAR_SSIM_FLOATS, impl_->statistics.size());

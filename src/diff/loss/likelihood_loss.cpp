@@ -24,18 +24,20 @@ std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& we
     return std::make_unique<LikelihoodLoss>(device, weights);
 }
 
-void LikelihoodLoss::add_ray_losses(Stream& s, const RenderedBatch& rays, const TargetBatch& batch,
-                                    const LossTermRow& row) {
-    const LossWeights& w = impl_->weights;
+/// Records the loss -log(likelihood of the measured range), averaged over the rays with a
+/// return. Adds its gradients to the upstream gradients of the rays.
+void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
+                                    const LossTermRow& terms) {
+    const LossWeights& weights = impl_->weights;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rays.upstream->size());
     const float per_return = float(1.0 / std::max(batch.n_returned, 1.0));
-    relidar::run(s, impl_->kernel, batch.n_rays,
+    relidar::run(stream, impl_->kernel, batch.n_rays,
                  {.rendered = rays.rendered->address(),
                   .targets = batch.targets->address(),
                   .upstream = rays.upstream->address(),
-                  .terms = row.row_address(),
-                  .weight = w.likelihood * per_return,
-                  .likelihood_floor = w.likelihood_floor,
+                  .terms = terms.row_address(),
+                  .weight = weights.likelihood * per_return,
+                  .likelihood_floor = weights.likelihood_floor,
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
                   .ray_stride = batch.stride});

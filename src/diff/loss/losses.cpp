@@ -6,6 +6,7 @@
 namespace relidar {
 namespace {
 
+// Returns true if the table of loss terms numbers them 0, 1, 2, ... in this order.
 constexpr bool are_terms_sorted() {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
@@ -20,29 +21,35 @@ static_assert(are_terms_sorted(),
 
 }  // namespace
 
-void Loss::add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
-void Loss::add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) {}
-
-std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& w, std::uint32_t n_rays) {
+/// Creates the losses with a positive weight. A loss can compute several terms, for example
+/// the image loss those of depth, intensity and drops.
+std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
+                                               std::uint32_t n_rays) {
     struct WeightedLossFactory {
         float weight;
-        LossFactory* maker;
+        LossFactory* make_loss;
     };
+    // The table has a row per term, with its weight and the loss that computes it.
     const WeightedLossFactory terms[] = {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
-    {w.setting, make_##maker##_loss},
+    {weights.setting, make_##maker##_loss},
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
     // The image loss must be first, because it overwrites the gradients. All other losses
     // add to them.
-    std::vector<LossFactory*> makers{make_image_loss};
-    for (const WeightedLossFactory& term : terms)
-        if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
-            makers.push_back(term.maker);
+    std::vector<LossFactory*> factories{make_image_loss};
+    for (const WeightedLossFactory& term : terms) {
+        const bool is_listed = std::ranges::find(factories, term.make_loss) != factories.end();
+        if (term.weight > 0.0f && !is_listed) factories.push_back(term.make_loss);
+    }
     std::vector<std::unique_ptr<Loss>> losses;
-    for (LossFactory* make : makers) losses.push_back(make(device, w, n_rays));
+    for (LossFactory* make_loss : factories) losses.push_back(make_loss(device, weights, n_rays));
     return losses;
 }
+
+// A loss overrides at least one of these functions.
+void Loss::add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
+void Loss::add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) {}
 
 }  // namespace relidar

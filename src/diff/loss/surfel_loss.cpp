@@ -23,20 +23,25 @@ std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weight
     return std::make_unique<ActorBoxLoss>(device, weights);
 }
 
+/// Records the loss of surfels that are outside the box of their actor or large compared
+/// with it, as a mean over the surfels of all models with a box. Adds its gradients to the
+/// surfels' gradients.
 void ActorBoxLoss::add_regularisers(Stream& stream, const DeviceScene& scene,
                                     const SurfelGradients& gradients, const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
     const std::vector<SurfelModel>& models = scene.layout().models;
-    double n_boxed = 0.0;
-    std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all models with a box
-    for (const SurfelModel& m : models) {
-        const bool has_box = m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f;
+    double n_boxed = 0.0;                         // number of surfels of models with a box
+    std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all these models
+    for (const SurfelModel& model : models) {
+        const glm::vec3& half_size_m = model.half_size_m;
+        const bool has_box = half_size_m.x > 0.0f && half_size_m.y > 0.0f && half_size_m.z > 0.0f;
         if (!has_box) continue;
-        n_boxed += m.count;
-        first = std::min(first, m.first);
-        end = m.first + m.count;
+        n_boxed += model.count;
+        first = std::min(first, model.first);
+        end = model.first + model.count;
     }
-    if (!(w.box > 0.0f) || first >= end) return;
+    const bool is_enabled = w.box > 0.0f;
+    if (!is_enabled || first >= end) return;
     relidar::run(stream, impl_->kernel, end - first,
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .d_surfels = surfel_pointers(*gradients.d_surfels),

@@ -30,8 +30,31 @@ std::vector<SpecialisationConstant> adam_constants(bool thread_per_float) {
     return {{ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u}, {WORKGROUP_SIZE, kStreamingThreads}};
 }
 
+/// Returns the factor that removes the bias of a moment, which starts at 0.
 float moment_correction(double beta, int step_number) {
     return float(1.0 / (1.0 - std::pow(beta, step_number)));
+}
+
+/// Returns kernel parameters with the constants of Adam for one step. The addresses and the
+/// layout of the rows are not set.
+shared::AdamParams make_adam_params(const AdamOptions& options, int step_number) {
+    shared::AdamParams params{};
+    params.beta1 = float(options.beta1);
+    params.beta2 = float(options.beta2);
+    params.epsilon = float(options.epsilon);
+    params.correction1 = moment_correction(options.beta1, step_number);
+    params.correction2 = moment_correction(options.beta2, step_number);
+    return params;
+}
+
+/// Sets the parts of a surfel's row in a parameter group. The row of spherical harmonics has
+/// a block of coefficients per channel. Every other row is one block.
+/// @param sh_degree highest degree of harmonics that is updated. It grows during training
+void set_row_layout(shared::AdamParams& params, const SurfelParameterGroup& group, int sh_degree) {
+    params.stride = group.count_floats();
+    params.block = group.harmonics ? group.row[1] : params.stride;
+    params.n_blocks = params.stride / params.block;
+    params.n_active = group.harmonics ? std::uint32_t((sh_degree + 1) * (sh_degree + 1)) : params.block;
 }
 
 }  // namespace
@@ -45,12 +68,40 @@ struct Adam::Impl {
     Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(per_float)};
     std::vector<float> logit_factors = {};       ///< [models] or empty
     std::optional<TouchedSurfelList> list = {};  ///< set if only the rows that have a gradient are updated
+
+    void set_rates(shared::AdamParams& params, const SurfelParameterGroup& group, const LearningRates& rates,
+                   Stream& stream) const;
 };
 
+/// Sets the learning rates of a parameter group, and their factors for single models.
+void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGroup& group,
+                           const LearningRates& rates, Stream& stream) const {
+    // All spherical harmonics except the constant one have a lower learning rate.
+    const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
+    params.learning_rate = float(rates.*group.rate * rest_factor);
+    params.first_scale = float(1.0 / std::max(rest_factor, 1e-12));
+    params.block_scale = float(group.harmonics ? rates.intensity_factor : 1.0);
+
+    // The channels of harmonics are intensity and logits. Models have factors for logits.
+    params.first_scaled_block = group.harmonics ? 1u : 0u;
+    const bool is_mean = group.rate == &LearningRates::mean;
+    const std::vector<float> none;
+    const std::vector<float>& model_factors =
+        group.harmonics ? logit_factors : (is_mean ? rates.mean_factors : none);
+    if (model_factors.empty()) return;
+    params.model_scale = stream.impl().stage_values(model_factors).cast_tag<shared::ModelRates>();
+    params.models = rates.models->address();
+    params.n_models = std::uint32_t(model_factors.size());
+}
+
+/// Allocates the moments of all surfels except the fixed ones, which are not updated, and
+/// sets them to zero.
 Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, SurfelParameterSet used) {
-    const std::uint32_t n = n_surfels - std::min(options.n_fixed, n_surfels);
-    impl_.reset(
-        new Impl{device, options, {device, n, "first moment", used}, {device, n, "second moment", used}});
+    const std::uint32_t n_updated = n_surfels - std::min(options.n_fixed, n_surfels);
+    impl_.reset(new Impl{device,
+                         options,
+                         {device, n_updated, "first moment", used},
+                         {device, n_updated, "second moment", used}});
     if (options.only_touched) impl_->list.emplace(device);
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
@@ -59,6 +110,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     // here, so that the zero fill cannot overwrite the uploaded moments.
     stream.submit_and_wait();
 }
+
 Adam::~Adam() = default;
 SurfelArrays& Adam::first_moments() { return impl_->moment1; }
 SurfelArrays& Adam::second_moments() { return impl_->moment2; }
@@ -80,56 +132,33 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
-    const bool listed = a.list && touched_flags;
-    if (listed) a.list->compact(stream, touched_flags->address(first), n_rows);
-    // Only harmonics up to the current degree are updated. The degree grows during
-    // training.
-    const std::uint32_t active_harmonics = std::uint32_t((sh_degree + 1) * (sh_degree + 1));
+    // Surfels without a gradient are skipped either by a list of the other surfels, or by a
+    // flag that each thread reads.
+    const bool uses_list = a.list && touched_flags;
+    if (uses_list) a.list->compact(stream, touched_flags->address(first), n_rows);
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
-        const std::uint32_t stride = group.count_floats(), block = group.harmonics ? group.row[1] : stride;
-        const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // All spherical harmonics except the constant one have a lower learning rate.
-        const double rest_factor = group.harmonics ? learning_rates.sh_rest_factor : 1.0;
-        const std::size_t from = std::size_t(first) * stride;
-        // Factors of the models. In the group of SH, they apply to all channels but the
-        // first: the logits.
-        const std::vector<float> none, &factors = group.harmonics ? a.logit_factors
-                                                  : group.rate == &LearningRates::mean
-                                                      ? learning_rates.mean_factors
-                                                      : none;
-        const bool by_model = !factors.empty();
-        const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? a.list->choose_threads(n_threads) : n_threads,
-            {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
-             .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
-             .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
-             .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
-             .touched = touched_flags && !listed ? touched_flags->address(first)
-                                                 : Address<std::uint32_t, shared::TouchedSurfels>{},
-             .rows = listed ? a.list->rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
-             .n_listed = listed ? a.list->count_address() : Address<std::uint32_t, shared::TouchedCount>{},
-             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
-                                                                  : Address<float, shared::ScaleBounds>{},
-             .model_scale = (by_model ? stream.impl().stage_values(factors) : Address<float>{})
-                                .cast_tag<shared::ModelRates>(),
-             .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
-             .learning_rate = float(learning_rates.*group.rate * rest_factor),
-             .beta1 = float(a.options.beta1),
-             .beta2 = float(a.options.beta2),
-             .epsilon = float(a.options.epsilon),
-             .correction1 = moment_correction(a.options.beta1, step_number),
-             .correction2 = moment_correction(a.options.beta2, step_number),
-             .first_scale = float(1.0 / std::max(rest_factor, 1e-12)),
-             .block_scale = float(group.harmonics ? learning_rates.intensity_factor : 1.0),
-             .n_models = std::uint32_t(factors.size()),
-             .first_scaled_block = group.harmonics ? 1u : 0u,
-             .first_row = first,
-             .n_rows = n_rows,
-             .stride = stride,
-             .block = block,
-             .n_blocks = n_blocks,
-             .n_active = n_active});
+        shared::AdamParams params = make_adam_params(a.options, step_number);
+        set_row_layout(params, group, sh_degree);
+        a.set_rates(params, group, learning_rates, stream);
+        params.first_row = first;
+        params.n_rows = n_rows;
+        // The moments have no rows for the fixed surfels at the start.
+        const std::size_t first_float = std::size_t(first) * params.stride;
+        params.values = group.device(parameters).address_as<float, shared::AdamValues>(first_float);
+        params.gradients = group.device(gradients).address_as<float, shared::AdamGradients>(first_float);
+        params.moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>();
+        params.moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>();
+        if (group.scales && a.max_log_scale.size() > 0) params.bounds = a.max_log_scale.address(first);
+        if (uses_list) {
+            params.rows = a.list->rows_address();
+            params.n_listed = a.list->count_address();
+        } else if (touched_flags) {
+            params.touched = touched_flags->address(first);
+        }
+        const std::uint32_t threads_per_row = a.per_float ? params.n_blocks * params.n_active : 1u;
+        const std::size_t n_threads = std::size_t(n_rows) * threads_per_row;
+        run(stream, a.kernel, uses_list ? a.list->choose_threads(n_threads) : n_threads, params);
     }
 }
 
@@ -158,17 +187,12 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
-    shared::AdamParams params{};
+    shared::AdamParams params = make_adam_params(a.options, step_number);
     params.values = values.address_as<float, shared::AdamValues>();
     params.gradients = gradients.address_as<float, shared::AdamGradients>();
     params.moment1 = a.moment1.address();
     params.moment2 = a.moment2.address();
     params.learning_rate = float(learning_rate);
-    params.beta1 = float(a.options.beta1);
-    params.beta2 = float(a.options.beta2);
-    params.epsilon = float(a.options.epsilon);
-    params.correction1 = moment_correction(a.options.beta1, step_number);
-    params.correction2 = moment_correction(a.options.beta2, step_number);
     // Each row has one value, so it has no blocks with different learning rates.
     params.first_scale = params.block_scale = 1.0f;
     params.n_rows = std::uint32_t(a.moment1.size());

@@ -12,32 +12,36 @@ namespace relidar {
 
 namespace {
 
+/// Returns the number of rays for which the renderer has memory.
 std::uint32_t max_batch_rays(const Renderer& renderer) {
     return std::uint32_t(renderer.last_batch().rendered->size());
 }
 
-struct UpstreamGradientField {
+/// Gradient of one rendered value, for example of the depth: an array of the caller, and
+/// the member of a ray's struct that receives its entries.
+struct UpstreamGradient {
     const char* name;
     const std::vector<float>& values;
-    float shared::RayGradient::*at;
+    float shared::RayGradient::*member;
 };
 
 /// Converts one array per rendered value to one struct per ray, because the backward pass
-/// reads structs.
+/// reads structs. An empty array leaves zeros.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
+    // The macro lists depth, weight, intensity, hit_logit and drop_logit.
     using shared::RayGradient;
-#define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
-    const UpstreamGradientField lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
-#undef RELIDAR_LANE
+#define RELIDAR_ROW(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
+    const UpstreamGradient upstream_gradients[] = {RELIDAR_IMAGE_VALUES(RELIDAR_ROW)};
+#undef RELIDAR_ROW
     std::vector<RayGradient> result(n_rays);
-    for (const auto& [name, values, at] : lanes) {
-        if (values.empty()) continue;
-        if (values.size() != n_rays)
+    for (const UpstreamGradient& upstream : upstream_gradients) {
+        if (upstream.values.empty()) continue;
+        if (upstream.values.size() != n_rays)
             fail(
                 "cannot use the gradient array of the rendered value '{}': found {} values, expected {} "
                 "values (one for each ray) or an empty array",
-                name, values.size(), n_rays);
-        for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
+                upstream.name, upstream.values.size(), n_rays);
+        for (std::size_t ray = 0; ray < n_rays; ++ray) result[ray].*upstream.member = upstream.values[ray];
     }
     return result;
 }
@@ -55,17 +59,18 @@ struct DifferentiableRenderer::Impl {
     GradientOptions options;
     BackwardPass backward;
     std::optional<DeviceGradients> gradients;  ///< no value while surfels are added or removed
-    Array<shared::RayGradient> upstream;
+    Array<shared::RayGradient> upstream;       ///< dL/d(rendered values) of each ray, which losses write
 
-    Impl(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& of_renderer,
-         const GradientOptions& of_gradients)
-        : renderer(device, scene, model, of_renderer),
-          options(of_gradients),
-          backward(device, model, renderer.accel().proxy_shape(), of_renderer.trace, of_gradients.sums),
-          upstream(device, of_renderer.n_rays, "loss gradients") {
-        allocate();
+    Impl(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& renderer_options,
+         const GradientOptions& gradient_options)
+        : renderer(device, scene, model, renderer_options),
+          options(gradient_options),
+          backward(device, model, renderer.accel().proxy_shape(), renderer_options.trace,
+                   gradient_options.sums),
+          upstream(device, renderer_options.n_rays, "loss gradients") {
+        allocate_gradients();
     }
-    void allocate() {
+    void allocate_gradients() {
         gradients.emplace(renderer.stream().device(), renderer.scene(), options.requested_gradients,
                           max_batch_rays(renderer));
         gradients->zero_untouched = options.zero_untouched;
@@ -74,17 +79,22 @@ struct DifferentiableRenderer::Impl {
     }
 };
 
+/// Creates the renderer, the kernels of the backward pass, and the arrays of gradients for
+/// the scene and for batches of options.n_rays rays.
 DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
-                                               const RendererOptions& o, const GradientOptions& gradients)
-    : impl_(new Impl(device, scene, model, o, gradients)) {}
+                                               const RendererOptions& options,
+                                               const GradientOptions& gradients)
+    : impl_(new Impl(device, scene, model, options, gradients)) {}
 
+/// Waits, because the device may still use the arrays that are freed now.
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
 RenderedBatch DifferentiableRenderer::last_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
     const std::size_t n_rays = max_batch_rays(renderer);
-    if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
+    // If the last batch was larger than all before, the renderer has allocated more rays.
+    if (impl_->upstream.size() < n_rays) {
         renderer.stream().submit_and_wait();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.requested_gradients.rays)
@@ -103,19 +113,21 @@ void DifferentiableRenderer::record_backward() {
 }
 
 HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& rendered_gradients) {
-    const RenderedBatch last = last_batch();
-    const std::size_t n_rays = last.rays.n_rays;
-    if (last.rays.rays == nullptr)
+    const RenderedBatch batch = last_batch();
+    const std::size_t n_rays = batch.rays.n_rays;
+    if (batch.rays.rays == nullptr)
         throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
     Stream& stream = impl_->renderer.stream();
     stream.submit_and_wait();
     impl_->upstream.upload(ray_gradients(rendered_gradients, n_rays));
     record_backward();
     stream.submit_and_wait();
-    const DeviceGradients& g = *impl_->gradients;
-    return {g.surfels.download(), g.touched.download(impl_->renderer.scene().size()),
-            download_array(g.poses, g.poses.size()), download_array(g.sensor, g.sensor.size()),
-            download_array(g.rays, 6 * n_rays)};
+    const DeviceGradients& gradients = *impl_->gradients;
+    return {.surfels = gradients.surfels.download(),
+            .touched = gradients.touched.download(impl_->renderer.scene().size()),
+            .poses = download_array(gradients.poses, gradients.poses.size()),
+            .sensor = download_array(gradients.sensor, gradients.sensor.size()),
+            .rays = download_array(gradients.rays, 6 * n_rays)};
 }
 
 /// Calls `change_surfels`, which adds or removes surfels. Frees the acceleration
@@ -125,12 +137,13 @@ void DifferentiableRenderer::resize(const std::function<void(double reserved_byt
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
     renderer.stream().submit_and_wait();
-    const std::uint64_t before = device.allocated_bytes();
+    const std::uint64_t bytes_before = device.allocated_bytes();
     renderer.release_accel();
     impl_->gradients.reset();
-    // Reports how many bytes per surfel are allocated again after the call.
-    change_surfels(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
-    impl_->allocate();
+    // These bytes are allocated again after the call, so it must leave them free.
+    const auto freed_bytes = double(bytes_before - device.allocated_bytes());
+    change_surfels(freed_bytes / std::max(renderer.scene().size(), 1u));
+    impl_->allocate_gradients();
     renderer.create_accel();
 }
 

@@ -18,17 +18,21 @@ namespace {
 
 constexpr int kRingSurfels = 300, kTestRays = 256;
 
-/// Returns surfels in a ring around the origin. Most rays hit several of them.
+constexpr float kFullTurnRad = 6.2831853f;
+
+/// Returns random surfels in a ring around the origin, with ranges of 3 to 30 m. Most rays
+/// hit several of them.
 Surfels make_ring() {
     std::mt19937 random(1);
     const auto uniform = [&](float low, float high) {
-        return low + (high - low) * float(random()) / 4294967296.0f;
+        constexpr float kRandomRange = 4294967296.0f;  // 2^32
+        return low + (high - low) * float(random()) / kRandomRange;
     };
     Surfels surfels;
     surfels.resize(kRingSurfels);
     std::ranges::fill(surfels.sh, 0.0f);
     for (std::size_t i = 0; i < kRingSurfels; ++i) {
-        const float angle = uniform(0.0f, 6.2831853f), range_m = uniform(3.0f, 30.0f);
+        const float angle = uniform(0.0f, kFullTurnRad), range_m = uniform(3.0f, 30.0f);
         surfels.mean[i] = {range_m * std::cos(angle), range_m * std::sin(angle), uniform(-2.0f, 2.0f)};
         surfels.rotation[i] = {uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f),
                                uniform(0.1f, 1.0f)};
@@ -41,7 +45,7 @@ Surfels make_ring() {
 WorldRays make_test_rays() {
     WorldRays rays;
     for (int i = 0; i < kTestRays; ++i) {
-        const float angle = 6.2831853f * float(i) / kTestRays, up = 0.1f * float(i % 5 - 2);
+        const float angle = kFullTurnRad * float(i) / kTestRays, up = 0.1f * float(i % 5 - 2);
         rays.origin.emplace_back(0.0f);
         rays.direction.push_back(glm::normalize(glm::vec3(std::cos(angle), std::sin(angle), up)));
     }
@@ -55,6 +59,7 @@ RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options,
     Renderer renderer(device, wrap_background(surfels), {}, {.accel = accel_options});
     renderer.update(glm::vec3(0.0f));
     if (tree_state == AccelTreeState::refitted) {
+        // Opposite directions, so that the boxes of the tree change.
         for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
         renderer.stream().submit_and_wait();
         renderer.upload_surfels(surfels);
@@ -63,14 +68,15 @@ RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options,
     return renderer.render_rays(make_test_rays());
 }
 
-/// Returns the largest subgroup size that gives correct results. Does not test the
-/// driver's default size again.
+/// Returns the largest subgroup size that gives correct results. Is called if the driver's
+/// default size gives wrong results.
 /// @param error text of the wrong result with the default size
 int fallback_subgroup(const DeviceOptions& options, const Device& device, const std::string& error) {
     const std::vector<int> sizes = subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
-        const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = *lanes});
+        // A new device uses the subgroup size of these test results.
+        const ScopedDeviceTestResults assumed_results(DeviceTestResults{.subgroup_size = *lanes});
         Device other(options);
         if (test_subgroups(other).empty()) return *lanes;
     }
@@ -88,40 +94,44 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
     if (gpu::has_fault("ray_query") && device.backend() == RayTracingBackend::ray_query)
         accel.margin_scale = 0.3f;
     const RenderedRayValues actual = render_ring(device, accel, tree_state);
+    // Brute force tests every surfel without a tree.
     const ForcedBehaviourScope forced(device, {.brute_force = true});
     const RenderedRayValues expected = render_ring(device, {}, tree_state);
     int n_wrong = 0;
-    for (std::size_t i = 0; i < kTestRays; ++i)
-        // A depth is also wrong if it is NaN.
-        n_wrong += actual.hits[i] != expected.hits[i] ||
-                   !(std::abs(actual.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
+    for (std::size_t ray = 0; ray < kTestRays; ++ray) {
+        const float error = std::abs(actual.depth[ray] - expected.depth[ray]);
+        const bool is_depth_right = error <= 1e-4f * (1.0f + expected.depth[ray]);  // false for NaN
+        if (actual.hits[ray] != expected.hits[ray] || !is_depth_right) ++n_wrong;
+    }
     return n_wrong;
 }
 
 /// Tests the methods that this device would use: float atomics, subgroup operations and
 /// hardware ray queries. Later tests use only what has passed before.
 DeviceTestResults test_device(const DeviceOptions& options) {
-    const ScopedDeviceTestResults trusting(DeviceTestResults{});
+    const ScopedDeviceTestResults no_results(DeviceTestResults{});  // tests with the driver's defaults
     Device device(options);
-    DeviceTestResults trust;
-    if (device.info().float_atomics) trust.float_atomics = test_atomic_adds(device, false) == 0.0;
-    trust.float_swaps = test_atomic_adds(device, true) == 0.0;
+    DeviceTestResults results;
+    const bool with_swaps = true;  // emulates float atomics by atomic swaps
+    if (device.info().float_atomics) results.float_atomics = test_atomic_adds(device, !with_swaps) == 0.0;
+    results.float_swaps = test_atomic_adds(device, with_swaps) == 0.0;
     // Only the kernels of the software ray tracer use subgroup operations.
-    if (device.info().software)
-        if (const std::string wrong = test_subgroups(device); !wrong.empty())
-            trust.subgroup_size = fallback_subgroup(options, device, wrong);
-    if (device.backend() != RayTracingBackend::ray_query) return trust;
+    if (device.info().software) {
+        const std::string error = test_subgroups(device);
+        if (!error.empty()) results.subgroup_size = fallback_subgroup(options, device, error);
+    }
+    if (device.backend() != RayTracingBackend::ray_query) return results;
     int n_wrong = 0;
-    if (trust.subgroup_size == 0) {
+    if (results.subgroup_size == 0) {
         n_wrong = count_wrong_rays(device);
     } else {
         // Traces with the subgroup size that has passed the test above.
-        const ScopedDeviceTestResults trusting_size(trust);
+        const ScopedDeviceTestResults results_so_far(results);
         Device other(options);
         n_wrong = count_wrong_rays(other);
     }
-    trust.ray_query = n_wrong == 0 ? CheckVerdict::right : CheckVerdict::wrong;
-    return trust;
+    results.ray_query = n_wrong == 0 ? CheckVerdict::right : CheckVerdict::wrong;
+    return results;
 }
 
 }  // namespace relidar
