@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the messages of Waymo Open 1.4. The field numbers are defined in dataset.proto
-// and label.proto. Skips fields with an unexpected wire type, because protobuf also skips
-// unknown fields.
+// Parses the messages of Waymo Open 1.4, which dataset.proto and label.proto define. A
+// message is a list of fields. Each field is a tag and a value. The tag contains the
+// number of the field in the .proto file and the encoding of its value (wire type). Skips
+// fields with an unexpected wire type, because protobuf also skips unknown fields.
 #include "read/datasets/waymo/waymo_frame.hpp"
 
 #include <algorithm>
@@ -21,21 +22,24 @@ namespace {
 using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 
-constexpr std::uint32_t make_varint_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::varint);
+/// Tag of a field with an integer or an enumerator.
+constexpr std::uint32_t integer_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::varint);
 }
-constexpr std::uint32_t message_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
+/// Tag of a field with a message, a text, bytes, or a packed list of numbers.
+constexpr std::uint32_t message_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::length_delimited);
 }
-constexpr std::uint32_t make_double_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::fixed64);
+constexpr std::uint32_t double_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::fixed64);
 }
-constexpr std::uint32_t make_float_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::fixed32);
+constexpr std::uint32_t float_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
 }
 
-// bytes; six channels of TOP have 4 MB
-constexpr std::size_t kMostInflated = std::size_t(32) << 20;
+// The largest image, TOP with six channels, has 4 MB. A damaged stream must not use up
+// the memory.
+constexpr std::size_t kMaxInflatedBytes = std::size_t(32) << 20;
 
 std::string_view read_bytes(pbf_reader& reader) {
     const protozero::data_view view = reader.get_view();
@@ -46,147 +50,182 @@ void append_doubles(pbf_reader& reader, std::vector<double>& values) {
     for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
-/// Parses a 4x4 matrix of doubles, row-major.
+/// Parses a message Transform: a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader reader, const std::string& where) {
+    constexpr std::uint32_t kNumber = double_tag(1), kPackedNumbers = message_tag(1);
     std::vector<double> m;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_double_tag(1)) m.push_back(reader.get_double());
-        else if (tag == message_tag(1)) append_doubles(reader, m);
+        if (tag == kNumber) m.push_back(reader.get_double());
+        else if (tag == kPackedNumbers) append_doubles(reader, m);
         else reader.skip();
     }
     if (m.size() != 16) fail("{}: found a transform of {} numbers, expected 16 numbers", where, m.size());
     return make_pose(m, where);
 }
 
-/// Accepts packed and unpacked inclinations, because writers of protobuf may choose.
+/// Parses a message LaserCalibration: the beam elevations (inclinations) of a LiDAR and
+/// its pose on the vehicle. The list of inclinations is either packed into one field, or
+/// has a field for each number, because protobuf allows both.
 LaserCalibration parse_calibration(pbf_reader reader, const std::string& where) {
+    // A tag is the number of the field in Waymo's dataset.proto, and its encoding.
+    constexpr std::uint32_t kLaserName = integer_tag(1), kInclination = double_tag(2),
+                            kPackedInclinations = message_tag(2), kMinInclination = double_tag(3),
+                            kMaxInclination = double_tag(4), kExtrinsic = message_tag(5);
     LaserCalibration calibration;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_varint_tag(1)) calibration.laser = reader.get_enum();
-        else if (tag == make_double_tag(2)) calibration.inclination_rad.push_back(reader.get_double());
-        else if (tag == message_tag(2)) append_doubles(reader, calibration.inclination_rad);
-        else if (tag == make_double_tag(3)) calibration.min_inclination_rad = reader.get_double();
-        else if (tag == make_double_tag(4)) calibration.max_inclination_rad = reader.get_double();
-        else if (tag == message_tag(5))
+        if (tag == kLaserName) calibration.laser = reader.get_enum();
+        else if (tag == kInclination) calibration.inclination_rad.push_back(reader.get_double());
+        else if (tag == kPackedInclinations) append_doubles(reader, calibration.inclination_rad);
+        else if (tag == kMinInclination) calibration.min_inclination_rad = reader.get_double();
+        else if (tag == kMaxInclination) calibration.max_inclination_rad = reader.get_double();
+        else if (tag == kExtrinsic)
             calibration.vehicle_from_laser = parse_transform(reader.get_message(), where + ", extrinsic");
         else reader.skip();
     }
     return calibration;
 }
 
+/// Parses the calibrations of all LiDARs from a message Context.
 void parse_calibrations(pbf_reader reader, SegmentFrame& frame_record, const std::string& where) {
+    constexpr std::uint32_t kLaserCalibrations = message_tag(3);
     while (reader.next())
-        if (reader.tag_and_type() == message_tag(3))
+        if (reader.tag_and_type() == kLaserCalibrations)
             frame_record.lasers.push_back(
                 parse_calibration(reader.get_message(), where + ": laser_calibrations"));
         else reader.skip();
 }
 
-/// Parses the image of returns, the poses of its pixels, and their labels.
+/// Parses a message RangeImage: three compressed images with the returns, the vehicle
+/// pose of each pixel, and the label of each pixel. The images stay compressed here.
 void parse_return_images(pbf_reader reader, LaserImages& laser) {
+    constexpr std::uint32_t kReturns = message_tag(2), kPixelPoses = message_tag(4),
+                            kPixelLabels = message_tag(6);
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == message_tag(2)) laser.first = read_bytes(reader);
-        else if (tag == message_tag(4)) laser.pixel_pose = read_bytes(reader);
-        else if (tag == message_tag(6)) laser.labels = read_bytes(reader);
+        if (tag == kReturns) laser.first = read_bytes(reader);
+        else if (tag == kPixelPoses) laser.pixel_pose = read_bytes(reader);
+        else if (tag == kPixelLabels) laser.labels = read_bytes(reader);
         else reader.skip();
     }
 }
 
-/// Both returns are messages of one type. Only the ranges of the second return are used.
+/// Parses a message Laser: the images of a LiDAR in one frame. First and second returns
+/// have messages of the same type. Poses and labels of the second message are ignored,
+/// because both returns share the pixels of the first.
 LaserImages parse_laser(pbf_reader reader) {
+    constexpr std::uint32_t kLaserName = integer_tag(1), kFirstReturn = message_tag(2),
+                            kSecondReturn = message_tag(3);
     LaserImages laser, second;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_varint_tag(1)) laser.laser = reader.get_enum();
-        else if (tag == message_tag(2)) parse_return_images(reader.get_message(), laser);
-        else if (tag == message_tag(3)) parse_return_images(reader.get_message(), second);
+        if (tag == kLaserName) laser.laser = reader.get_enum();
+        else if (tag == kFirstReturn) parse_return_images(reader.get_message(), laser);
+        else if (tag == kSecondReturn) parse_return_images(reader.get_message(), second);
         else reader.skip();
     }
     laser.second = second.first;
     return laser;
 }
 
-/// Parses centre, width, length, height and heading of a box. Their field numbers are 1
-/// to 7.
+/// Parses a message Box, whose fields are doubles with the numbers of `BoxField`. The
+/// heading is an angle about z in radians.
 void parse_box(pbf_reader reader, BoxLabel& label) {
-    double v[8] = {};
+    enum BoxField : std::uint32_t { kX = 1, kY, kZ, kWidth, kLength, kHeight, kHeading, kEnd };
+    double value[kEnd] = {};
     while (reader.next()) {
         const std::uint32_t field = reader.tag();
-        if (field >= 1 && field <= 7 && reader.wire_type() == pbf_wire_type::fixed64)
-            v[field] = reader.get_double();
+        const bool is_box_field = field >= kX && field < kEnd;
+        if (is_box_field && reader.wire_type() == pbf_wire_type::fixed64) value[field] = reader.get_double();
         else reader.skip();
     }
-    label.size_m = {v[5], v[4], v[6]};
-    label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
+    label.size_m = {value[kLength], value[kWidth], value[kHeight]};
+    label.world_from_box = {glm::angleAxis(value[kHeading], glm::dvec3(0, 0, 1)),
+                            {value[kX], value[kY], value[kZ]}};
 }
 
-/// Parses a labelled object. Ignores signs, which belong to the background.
+/// Parses a message Label: a labelled object with box, type and track id. Ignores signs,
+/// which belong to the background because they cannot move.
 void parse_label(pbf_reader reader, SegmentFrame& frame_record) {
+    constexpr std::uint32_t kBox = message_tag(1), kType = integer_tag(3), kTrackId = message_tag(4);
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == message_tag(1)) parse_box(reader.get_message(), label);
-        else if (tag == make_varint_tag(3)) type = reader.get_enum();
-        else if (tag == message_tag(4)) label.id = reader.get_string();
+        if (tag == kBox) parse_box(reader.get_message(), label);
+        else if (tag == kType) type = reader.get_enum();
+        else if (tag == kTrackId) label.id = reader.get_string();
         else reader.skip();
     }
     constexpr int kVehicleType = 1, kPedestrianType = 2, kCyclistType = 4;
     if (type == kVehicleType) label.category = "vehicle";
     else if (type == kPedestrianType) label.category = "pedestrian";
     else if (type == kCyclistType) label.category = "cyclist";
-    else return;  // a sign, which belongs to the background because it cannot move
+    else return;  // a sign
     frame_record.labels.push_back(std::move(label));
 }
 
-/// Parses a message of the type MatrixFloat or MatrixInt32. It contains values and
-/// dimensions.
-void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
-                  std::vector<std::int32_t>& dimensions) {
-    const bool is_integer = pixel_type == PixelType::integer;
+/// Parses a message MatrixShape: the lengths of the dimensions of an image.
+void parse_dimensions(pbf_reader reader, std::vector<std::int32_t>& dimensions) {
+    constexpr std::uint32_t kLength = integer_tag(1), kPackedLengths = message_tag(1);
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_float_tag(1)) values.push_back(reader.get_float());
-        else if (tag == make_varint_tag(1) && is_integer) values.push_back(float(reader.get_int32()));
-        else if (tag == message_tag(1) && is_integer)
-            for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
-        else if (tag == message_tag(1))
-            for (const float value : reader.get_packed_float()) values.push_back(value);
-        else if (tag == message_tag(2))
-            for (pbf_reader shape = reader.get_message(); shape.next();) {
-                const std::uint32_t kind = shape.tag_and_type();
-                if (kind == make_varint_tag(1)) dimensions.push_back(shape.get_int32());
-                else if (kind == message_tag(1))
-                    for (const std::int32_t dim : shape.get_packed_int32()) dimensions.push_back(dim);
-                else shape.skip();
-            }
+        if (tag == kLength) dimensions.push_back(reader.get_int32());
+        else if (tag == kPackedLengths)
+            for (const std::int32_t length : reader.get_packed_int32()) dimensions.push_back(length);
         else reader.skip();
     }
 }
 
-/// Decompresses a zlib stream of unknown size. Doubles the output until it fits, up to
-/// kMostInflated bytes.
+/// Parses a message MatrixFloat or MatrixInt32, an image of any number of channels. Both
+/// have the values in field 1 and the dimensions in field 2. The values are either packed
+/// into one field, or have a field each.
+void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
+                  std::vector<std::int32_t>& dimensions) {
+    constexpr std::uint32_t kFloat = float_tag(1), kInteger = integer_tag(1), kPackedValues = message_tag(1),
+                            kShape = message_tag(2);
+    const bool is_integer = pixel_type == PixelType::integer;
+    while (reader.next()) {
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == kFloat) values.push_back(reader.get_float());
+        else if (tag == kInteger && is_integer) values.push_back(float(reader.get_int32()));
+        else if (tag == kPackedValues && is_integer)
+            for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
+        else if (tag == kPackedValues)
+            for (const float value : reader.get_packed_float()) values.push_back(value);
+        else if (tag == kShape) parse_dimensions(reader.get_message(), dimensions);
+        else reader.skip();
+    }
+}
+
+/// Decompresses a zlib stream, which does not contain the size of its output. Doubles the
+/// output buffer until everything fits.
+/// @throws DataError if the stream is damaged or has more than kMaxInflatedBytes
 std::string inflate_zlib(std::string_view compressed_bytes, const std::string& where) {
     z_stream stream{};
     if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
     stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(compressed_bytes.data()));
     stream.avail_in = static_cast<uInt>(std::min<std::size_t>(compressed_bytes.size(), UINT32_MAX));
+
+    // The first buffer suffices for a compression of up to 4:1.
+    const std::size_t first_size = 4 * compressed_bytes.size() + 64;
     std::string bytes;
     int status = Z_OK;
-    while (status == Z_OK && bytes.size() <= kMostInflated) {
-        const std::size_t have = bytes.size();
-        bytes.resize(std::min(std::max(2 * have, 4 * compressed_bytes.size() + 64), kMostInflated + 1));
-        stream.next_out = reinterpret_cast<Bytef*>(&bytes[have]);
-        stream.avail_out = static_cast<uInt>(bytes.size() - have);
+    while (status == Z_OK && bytes.size() <= kMaxInflatedBytes) {
+        const std::size_t n_inflated = bytes.size();
+        // One byte above the limit shows that the stream is too large.
+        bytes.resize(std::min(std::max(2 * n_inflated, first_size), kMaxInflatedBytes + 1));
+        stream.next_out = reinterpret_cast<Bytef*>(&bytes[n_inflated]);
+        stream.avail_out = static_cast<uInt>(bytes.size() - n_inflated);
         status = ::inflate(&stream, Z_NO_FLUSH);
         bytes.resize(bytes.size() - stream.avail_out);
     }
     inflateEnd(&stream);
-    if (bytes.size() > kMostInflated)
-        fail("{}: a zlib stream unpacks to more than {} bytes, expected a range image", where, kMostInflated);
+
+    if (bytes.size() > kMaxInflatedBytes)
+        fail("{}: a zlib stream unpacks to more than {} bytes, expected a range image", where,
+             kMaxInflatedBytes);
     if (status != Z_STREAM_END) fail("{}: a zlib stream of {} bytes is damaged", where, bytes.size());
     return bytes;
 }
@@ -205,21 +244,23 @@ auto guard_parse(const std::string& where, const Parse& parse_function) {
 }  // namespace
 
 SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where) {
+    // fields of Waymo's message Frame
+    constexpr std::uint32_t kContext = message_tag(1), kTimestamp = integer_tag(2), kPose = message_tag(3),
+                            kLasers = message_tag(5), kLaserLabels = message_tag(6);
     SegmentFrame frame;
     bool has_pose = false;
-    // Field numbers of Waymo's message Frame: 1 context (calibrations), 2 time stamp, 3
-    // pose, 5 lasers (range images), 6 laser labels.
     guard_parse(where, [&] {
-        for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
-            const std::uint32_t tag = from.tag_and_type();
-            if (tag == message_tag(1)) parse_calibrations(from.get_message(), frame, where);
-            else if (tag == make_varint_tag(2)) frame.timestamp_us = from.get_int64();
-            else if (tag == message_tag(3)) {
-                frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose");
+        pbf_reader reader(record_bytes.data(), record_bytes.size());
+        while (reader.next()) {
+            const std::uint32_t tag = reader.tag_and_type();
+            if (tag == kContext) parse_calibrations(reader.get_message(), frame, where);
+            else if (tag == kTimestamp) frame.timestamp_us = reader.get_int64();
+            else if (tag == kPose) {
+                frame.world_from_vehicle = parse_transform(reader.get_message(), where + ": pose");
                 has_pose = true;
-            } else if (tag == message_tag(5)) frame.images.push_back(parse_laser(from.get_message()));
-            else if (tag == message_tag(6)) parse_label(from.get_message(), frame);
-            else from.skip();
+            } else if (tag == kLasers) frame.images.push_back(parse_laser(reader.get_message()));
+            else if (tag == kLaserLabels) parse_label(reader.get_message(), frame);
+            else reader.skip();
         }
     });
     if (!has_pose)
@@ -236,16 +277,19 @@ SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where
 InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
                             PixelType pixel_type) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
-    InflatedImage image;
-    std::vector<std::int32_t> dims;
     const std::string bytes = inflate_zlib(compressed_image, where);
+    InflatedImage image;
+    std::vector<std::int32_t> dims;  // rows, columns, channels
     guard_parse(
         where, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), pixel_type, image.values, dims); });
-    const bool fits =
-        dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
-        dims[2] == n_channels &&
+
+    const auto is_length = [](std::int32_t n, int most) { return n >= 1 && n <= most; };
+    const bool has_valid_size = dims.size() == 3 && is_length(dims[0], kMostRows) &&
+                                is_length(dims[1], kMostColumns) && dims[2] == n_channels;
+    const bool is_complete =
+        has_valid_size &&
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(n_channels);
-    if (!fits)
+    if (!is_complete)
         fail(
             "{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} values, "
             "with at most {} rows and {} columns",

@@ -43,7 +43,8 @@ struct SegmentFrame {
     /// set.
     std::vector<BoxLabel> labels;
 };
-/// Parses one record of a .tfrecord file.
+/// Parses one record of a .tfrecord file: time, vehicle pose, calibrations, compressed
+/// images and box labels of all LiDARs.
 /// @param where  name of the file and record number, for error messages
 /// @throws DataError with the field
 SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where);
@@ -57,14 +58,16 @@ struct InflatedImage {
     }
 };
 enum class PixelType { real, integer };
-/// Decompresses and parses an image.
-/// @param compressed_image  zlib stream
+/// Decompresses and parses an image: a zlib stream with a protobuf matrix of rows x
+/// columns x channels.
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
 InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
                             PixelType pixel_type = PixelType::real);
 
-/// Returns the elevation of each image row, from the top row to the bottom row.
+/// Returns the elevation of each image row, from the top row to the bottom row. If the
+/// calibration has no list of inclinations, the rows are evenly spaced.
+/// @throws DataError if the list does not have one inclination per row
 std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int n_rows,
                                        const std::string& where);
 
