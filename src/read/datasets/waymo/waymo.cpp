@@ -40,8 +40,10 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
+/// [numbers in Waymo's enum LaserName] Name of each LiDAR; number 0 is unused.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
+/// The .tfrecord file to read. Waymo calls a log a segment.
 struct RequestedSegment {
     fs::path file;
     FrameRange frames;
@@ -60,11 +62,14 @@ std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
     return files;
 }
 
-/// Selects the file of dataset.sequence, which may also name a part of the benchmark.
+/// Selects the file that the setting dataset.sequence names by the beginning of its name,
+/// or the first file. The setting may also name a part of the benchmark of the LiDAR-RT
+/// paper (ws1, wd1, ...), which is a range of frames of a segment.
 RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
     const std::vector<fs::path> files = list_segments(file_or_folder);
     const DriveFrames part = find_drive(options, kWaymoBenchmark);
-    if (part.drive.empty()) {
+    const bool is_unnamed = part.drive.empty();
+    if (is_unnamed) {
         RequestedSegment segment{files.front(), part.frames};
         if (files.size() > 1)
             segment.notes = {fmt::format(
@@ -117,28 +122,40 @@ const LaserImages& find_laser_images(const SegmentFrame& record, int laser_id, c
          kLaserNames[laser_id]);
 }
 
-/// Returns the vehicle pose at which the roof LiDAR (TOP) faces forward. Waymo stores a
-/// vehicle pose for each pixel of TOP. Uses the pixel with a return that is nearest to
-/// the middle column.
-Pose forward_pose(const SegmentFrame& frame_record, const std::string& place) {
-    if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
-        return frame_record.world_from_vehicle;
-    const std::string in_top = place + ": TOP";
-    const InflatedImage image = inflate_image(frame_record.images.front().first, kImageChannels, in_top);
-    const std::optional<InflatedImage> poses = read_pose_image(frame_record.images.front(), image, in_top);
+/// Returns the index of the pixel with a return that is nearest to the middle column, or
+/// nothing for an image without returns.
+std::optional<std::size_t> find_middle_return(const InflatedImage& range_image) {
+    const std::size_t n_pixels = std::size_t(range_image.rows) * std::size_t(range_image.columns);
     std::optional<std::size_t> nearest;
-    int away = image.columns;
-    for (std::size_t at = 0; poses && at < std::size_t(image.rows) * std::size_t(image.columns); ++at) {
-        const int from_middle = std::abs(int(at % std::size_t(image.columns)) - image.columns / 2);
-        if (image.pixel_values(at)[0] > 0.0f && from_middle < away) {
-            nearest = at;
-            away = from_middle;
-        }
+    int nearest_columns = range_image.columns;  // distance from the middle
+    for (std::size_t pixel = 0; pixel < n_pixels; ++pixel) {
+        const int column = int(pixel % std::size_t(range_image.columns));
+        const int columns_from_middle = std::abs(column - range_image.columns / 2);
+        const bool has_return = range_image.pixel_values(pixel)[0] > 0.0f;
+        if (!has_return || columns_from_middle >= nearest_columns) continue;
+        nearest = pixel;
+        nearest_columns = columns_from_middle;
     }
-    return nearest ? read_pixel_pose(*poses, *nearest) : frame_record.world_from_vehicle;
+    return nearest;
 }
 
-/// Read for all frames before any scan, because rays need the poses of all frames.
+/// Returns the vehicle pose at which the roof LiDAR (TOP) faces forward. The middle
+/// column of its image faces forward, and Waymo stores a vehicle pose for each pixel with
+/// a return. Without such a pixel, returns the pose of the record.
+Pose forward_pose(const SegmentFrame& frame_record, const std::string& place) {
+    // Images are sorted by LiDAR, and TOP is the first.
+    if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
+        return frame_record.world_from_vehicle;
+    const LaserImages& top = frame_record.images.front();
+    const std::string in_top = place + ": TOP";
+    const InflatedImage image = inflate_image(top.first, kImageChannels, in_top);
+    const std::optional<InflatedImage> poses = read_pose_image(top, image, in_top);
+    const std::optional<std::size_t> middle = find_middle_return(image);
+    return poses && middle ? read_pixel_pose(*poses, *middle) : frame_record.world_from_vehicle;
+}
+
+/// Data of a frame without its scans. All headers are read before any scan, because a ray
+/// is moved with the interpolated poses of all frames.
 struct WaymoFrameHeader {
     std::int64_t timestamp_us = 0;
     Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
@@ -154,44 +171,55 @@ WaymoFrameHeader read_header(const TfRecordReader& records, int record_index) {
     return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
 }
 
-/// Returns the median time between frames, or 0.1 s if there is only one frame.
+/// Returns the median time between frames, which is the duration of a revolution. A
+/// single frame gets 0.1 s, the nominal duration of Waymo's LiDARs.
+/// @throws DataError if the duration is not plausible
 double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const std::string& place) {
+    constexpr double kNominalPeriod_s = 0.1;
     std::vector<double> steps_s;
     for (std::size_t i = 1; i < frame_headers.size(); ++i)
         steps_s.push_back(1e-6 * double(frame_headers[i].timestamp_us - frame_headers[i - 1].timestamp_us));
-    if (steps_s.empty()) return 0.1;
+    if (steps_s.empty()) return kNominalPeriod_s;
     const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
         fail("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", place, period_s);
     return period_s;
 }
 
+const LaserCalibration& find_calibration(const SegmentFrame& frame_record, int laser_id,
+                                         const std::string& place) {
+    const auto calibration = std::ranges::find(frame_record.lasers, laser_id, &LaserCalibration::laser);
+    if (calibration == frame_record.lasers.end())
+        fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists", place,
+             kLaserNames[laser_id]);
+    return *calibration;
+}
+
 /// Returns the model of a LiDAR: beams, columns and pose on the vehicle. Waymo does not
-/// store a model, so it follows from the calibration and the image size.
+/// store a model, so it follows from the calibration and the size of the range image.
 Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& laser_images, double period_s,
                        const std::string& place) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
         fail("{}: found the laser number {}, expected 1 to {}", place, laser_images.laser,
              std::size(kLaserNames) - 1);
-    const auto calibration = std::find_if(frame_record.lasers.begin(), frame_record.lasers.end(),
-                                          [&](const auto& c) { return c.laser == laser_images.laser; });
-    if (calibration == frame_record.lasers.end())
-        fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists", place,
-             kLaserNames[laser_images.laser]);
-    const InflatedImage image = inflate_image(laser_images.first, kImageChannels,
-                                              fmt::format("{}: {}", place, kLaserNames[laser_images.laser]));
+    const LaserCalibration& calibration = find_calibration(frame_record, laser_images.laser, place);
     Lidar lidar{kLaserNames[laser_images.laser], {}, {}};
+    const InflatedImage image =
+        inflate_image(laser_images.first, kImageChannels, fmt::format("{}: {}", place, lidar.name));
+
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
     lidar.sensor.period_s = period_s;
+    // Column 0 is half a column clockwise from straight backward (azimuth pi).
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
-    for (const double elevation : row_elevations_rad(*calibration, image.rows, place))
+    for (const double elevation : row_elevations_rad(calibration, image.rows, place))
         lidar.sensor.beams.push_back({elevation});
+
     // Removes the yaw of the mount, because the middle column of every range image faces
     // the front of the vehicle.
-    const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
-    const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
-    lidar.vehicle_from_sensor = calibration->vehicle_from_laser * turned;
+    const glm::dvec3 ahead = calibration.vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
+    const Pose without_yaw{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
+    lidar.vehicle_from_sensor = calibration.vehicle_from_laser * without_yaw;
     return lidar;
 }
 
@@ -199,11 +227,13 @@ Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& lase
 class RangeImageReader {
 public:
     /// Creates a reader for one LiDAR in one frame.
+    /// @param model_rays  rays of the LiDAR without correction for its motion
     /// @param clamps  if true, intensities are clamped to 1; if false, they are scaled
     /// with tanh
-    RangeImageReader(const Log& sequence, const Frame& frame, RayTable model, std::string place, bool clamps)
+    RangeImageReader(const Log& sequence, const Frame& frame, RayTable model_rays, std::string place,
+                     bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
-        scan.rays = std::move(model);
+        scan.rays = std::move(model_rays);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
         // All rays of a column fire at the same time, so one pose per column is enough.
@@ -226,21 +256,8 @@ public:
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (!poses) correct_ray(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f) correct_ray(ray, read_pixel_pose(*poses, ray));
-        if (!lidar_images.labels.empty()) {
-            // two values: object instance and class
-            const InflatedImage labels = inflate_scan_image(lidar_images.labels, 2, PixelType::integer);
-            scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
-            for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-                if (scan.range_m[ray] > 0.0f)
-                    scan.classes[ray] =
-                        from_waymo(int(std::clamp(labels.pixel_values(ray)[1], 0.0f, 255.0f)));
-        }
-        if (lidar_images.second.empty()) return;
-        AdditionalReturns& second = scan.second_returns.emplace_back(
-            AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
-        copy_returns(inflate_scan_image(lidar_images.second), second.range_m, second.intensity);
-        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
+        if (!lidar_images.labels.empty()) copy_classes(lidar_images.labels);
+        if (!lidar_images.second.empty()) copy_second_returns(lidar_images.second);
     }
 
 private:
@@ -276,6 +293,27 @@ private:
         }
     }
 
+    /// Sets the class of each ray with a return.
+    void copy_classes(std::string_view compressed_labels) {
+        constexpr int kLabelChannels = 2, kClassChannel = 1;  // channel 0 is the object instance
+        const InflatedImage labels =
+            inflate_scan_image(compressed_labels, kLabelChannels, PixelType::integer);
+        scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
+        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
+            if (scan.range_m[ray] > 0.0f)
+                scan.classes[ray] =
+                    from_waymo(int(std::clamp(labels.pixel_values(ray)[kClassChannel], 0.0f, 255.0f)));
+    }
+
+    /// Adds the second returns. Ignores those of rays without a first return.
+    void copy_second_returns(std::string_view compressed_image) {
+        AdditionalReturns& second = scan.second_returns.emplace_back(
+            AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
+        copy_returns(inflate_scan_image(compressed_image), second.range_m, second.intensity);
+        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
+            if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
+    }
+
     /// Changes the ray in the sensor frame, so that the interpolated pose of the log puts
     /// it at the correct place in the world. The dataset has an exact vehicle pose for
     /// each ray, but the log only interpolates between vehicle poses.
@@ -289,25 +327,34 @@ private:
     }
 };
 
-/// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
-/// the LiDARs.
+/// Returns the LiDARs that have a range image in a record.
+std::vector<Lidar> read_waymo_lidars(const TfRecordReader& records, int record_index, double period_s,
+                                     bool only_top_lidar) {
+    const std::string record = records.read_record(std::size_t(record_index)),
+                      where = record_location(records, record_index);
+    const SegmentFrame frame = parse_frame(record, where);
+    std::vector<Lidar> lidars;
+    for (const LaserImages& images : frame.images)
+        if (!images.first.empty() && (!only_top_lidar || images.laser == kTopLaser))
+            lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
+    if (lidars.empty())
+        fail("{}: found no range image{} in the record, expected at least one", where,
+             only_top_lidar ? " of the LiDAR TOP" : "");
+    return lidars;
+}
+
+/// Adds LiDARs, frames and box labels to the log, but no scans. The first loaded record
+/// defines the LiDARs. Time 0 is the first record of the file, even if it is not loaded.
+/// @param frame_headers  headers of the loaded records, beginning with `first_record`
 void add_segment_frames(Log& sequence, const TfRecordReader& records,
                         const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
                         bool only_top_lidar) {
     const double period_s = frame_period_s(frame_headers, records.file_path().string());
-    const std::string first = records.read_record(std::size_t(first_record)),
-                      where = record_location(records, first_record);
-    const SegmentFrame frame = parse_frame(first, where);
-    sequence.lidars.clear();
-    for (const LaserImages& images : frame.images)
-        if (!images.first.empty() && (!only_top_lidar || images.laser == kTopLaser))
-            sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
-    if (sequence.lidars.empty())
-        fail("{}: found no range image{} in the record, expected at least one", where,
-             only_top_lidar ? " of the LiDAR TOP" : "");
+    sequence.lidars = read_waymo_lidars(records, first_record, period_s, only_top_lidar);
     const std::int64_t start_us =
         parse_frame(records.read_record(0), record_location(records, 0)).timestamp_us;
     set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
+
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. The
@@ -323,41 +370,51 @@ void add_segment_frames(Log& sequence, const TfRecordReader& records,
     sequence.boxes = build_tracks(labels);
 }
 
-/// Reads the scans of all LiDARs. Parses each record only once, because it contains the
-/// images of all LiDARs.
-void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
-    ScanErrorCollector broken(options.skip_broken);
+/// Returns the rays of each LiDAR, without correction for motion. The dataset has ray
+/// times only for the roof LiDAR (TOP). Rays of other LiDARs get the time of the frame.
+std::vector<RayTable> make_model_rays(const std::vector<Lidar>& lidars) {
     std::vector<RayTable> models;
-    for (const Lidar& lidar : sequence.lidars) {
+    for (const Lidar& lidar : lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // The dataset has ray times only for the roof LiDAR (TOP). Rays of other LiDARs
-        // get the time of the frame.
         if (lidar.name != kLaserNames[kTopLaser])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
-    const std::size_t n_lidars = sequence.lidars.size();
-    progress_for(
-        sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
-            // The LiDARs of a sweep have consecutive frames, which share one record.
-            const int record = sequence.frames[sweep * n_lidars].index;
-            const std::string data = records.read_record(std::size_t(record)),
-                              where = record_location(records, record);
-            const SegmentFrame parsed = parse_frame(data, where);
-            for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
-                Frame& frame = sequence.frames[sweep * n_lidars + lidar];
-                const std::string& name = sequence.lidars[lidar].name;
-                // position of the LiDAR in Waymo's list of LiDARs
-                const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
-                                      std::begin(kLaserNames));
-                broken.guard(sweep * n_lidars + lidar, [&] {
-                    RangeImageReader reader(sequence, frame, models[lidar],
-                                            fmt::format("{}: {}", where, name),
-                                            options.waymo.clamp_intensity);
-                    reader.to_scan(find_laser_images(parsed, laser, where), parsed.world_from_vehicle);
-                    frame.scan = std::move(reader.scan);
-                });
-            }
-        });
+    return models;
+}
+
+/// Reads the scan of one LiDAR from a parsed record.
+/// @param place  name of the record, for error messages
+Scan read_laser_scan(const Log& sequence, const Frame& frame, const SegmentFrame& record,
+                     const RayTable& model_rays, const std::string& place, bool clamps_intensity) {
+    const std::string& name = sequence.lidar_of(frame).name;
+    const int laser_id = int(std::ranges::find(kLaserNames, name) - std::begin(kLaserNames));
+    RangeImageReader reader(sequence, frame, model_rays, fmt::format("{}: {}", place, name),
+                            clamps_intensity);
+    reader.to_scan(find_laser_images(record, laser_id, place), record.world_from_vehicle);
+    return std::move(reader.scan);
+}
+
+/// Reads the scans of all frames in parallel. A broken scan is an error, or is skipped if
+/// the user allows it. The LiDARs of a sweep have consecutive frames in the log, and their
+/// images are in one record, which is parsed only once.
+void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
+    ScanErrorCollector broken(options.skip_broken);
+    const std::vector<RayTable> model_rays = make_model_rays(sequence.lidars);
+    const std::size_t n_lidars = sequence.lidars.size(), n_sweeps = sequence.frames.size() / n_lidars;
+    progress_for(n_sweeps, options.progress, "reading range images", [&](std::size_t sweep) {
+        const std::size_t first_frame = sweep * n_lidars;
+        const int record_index = sequence.frames[first_frame].index;
+        const std::string data = records.read_record(std::size_t(record_index)),
+                          where = record_location(records, record_index);
+        const SegmentFrame record = parse_frame(data, where);
+        for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
+            Frame& frame = sequence.frames[first_frame + lidar];
+            broken.guard(first_frame + lidar, [&] {
+                frame.scan = read_laser_scan(sequence, frame, record, model_rays[lidar], where,
+                                             options.waymo.clamp_intensity);
+            });
+        }
+    });
     broken.remove_broken(sequence);
 }
 
@@ -366,12 +423,14 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
 Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     const RequestedSegment segment = choose_segment(path, options);
     const TfRecordReader records(segment.file);
+    // Frame numbers are int. A real segment has about 200 records.
     const int n_records = int(std::min<std::size_t>(records.size(), 1 << 30));
-    const auto [begin, end] = limit_frames(segment.frames, n_records, segment.file.string());
-    std::vector<WaymoFrameHeader> heads(std::size_t(end - begin));
-    progress_for(heads.size(), options.progress, "reading poses", [&, first = begin](std::size_t index) {
-        heads[index] = read_header(records, first + int(index));
+    const FrameRange loaded = limit_frames(segment.frames, n_records, segment.file.string());
+    std::vector<WaymoFrameHeader> headers(std::size_t(loaded.end - loaded.begin));
+    progress_for(headers.size(), options.progress, "reading poses", [&](std::size_t index) {
+        headers[index] = read_header(records, loaded.begin + int(index));
     });
+
     Log sequence;
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
@@ -383,7 +442,7 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
-    add_segment_frames(sequence, records, heads, begin, segment.top_alone);
+    add_segment_frames(sequence, records, headers, loaded.begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     // The scans need the poses of the dataset, so the user's poses replace them later.
     read_record_scans(sequence, records, options);
