@@ -46,28 +46,34 @@ std::vector<std::string_view> split_at_spaces(std::string_view line) {
     return words;
 }
 
+/// Returns the words of a line, also if the line is a comment.
+std::vector<std::string_view> split_header(const std::string& line) {
+    std::string_view text = trim(line);
+    if (text.starts_with('#')) text.remove_prefix(1);
+    return split_at_spaces(text);
+}
+
 /// Column names are in a comment that contains "qw", or in a line whose first word is not
 /// a number.
 bool is_header_line(const std::string& line) {
-    const std::vector<std::string_view> words =
-        split_at_spaces(trim(line).substr(trim(line).starts_with('#') ? 1 : 0));
+    const std::vector<std::string_view> words = split_header(line);
     if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
     return !words.empty() && !parse_number(words[0]);
 }
 
-/// Returns the column index of each name in kPoseNames. Accepts the names of the TUM
-/// format, too.
+/// Reads the line with the column names of a pose file. Returns the column index of each
+/// name in kPoseNames (time_s x y z qw qx qy qz), which can be in any order. Also accepts
+/// the names of the TUM format: timestamp tx ty tz.
 std::vector<int> pose_columns(const std::string& header_line, const std::string& place) {
-    std::vector<std::string_view> words =
-        split_at_spaces(trim(header_line).substr(trim(header_line).starts_with('#') ? 1 : 0));
-    for (std::string_view& word : words) {
-        if (word == "timestamp" || word == "time") word = "time_s";
-        if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
+    std::vector<std::string_view> names = split_header(header_line);
+    for (std::string_view& name : names) {
+        if (name == "timestamp" || name == "time") name = "time_s";
+        if (name == "tx" || name == "ty" || name == "tz") name.remove_prefix(1);
     }
-    const std::vector<int> at = find_columns(words, kPoseNames, place);
-    for (std::size_t c = 0; c < at.size(); ++c)
-        if (at[c] < 0) fail("{}: the column '{}' is missing", place, kPoseNames[c]);
-    return at;
+    const std::vector<int> column_of = find_columns(names, kPoseNames, place);
+    for (std::size_t k = 0; k < column_of.size(); ++k)
+        if (column_of[k] < 0) fail("{}: the column '{}' is missing", place, kPoseNames[k]);
+    return column_of;
 }
 
 /// A row has a time, a position, and a quaternion or three angles.
@@ -76,26 +82,32 @@ struct PoseRows {
     bool has_names = false;  ///< true if a line with column names defines the order of the columns
 };
 
-/// Parses the numbers in a line.
-/// @param expected_count_or_zero  expected number of values; 0 means 7 or 8
-std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count_or_zero,
-                                   const std::string& place) {
-    const auto v = parse_numbers(strip_comment(line));
-    if (!v ||
-        (expected_count_or_zero > 0 ? v->size() != expected_count_or_zero : v->size() != 7 && v->size() != 8))
-        fail("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", place, quote(line));
-    if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kMaxTrackValue; }))
-        fail("{}: found '{}', expected finite numbers of at most {}{}", place, quote(line), kMaxTrackValue,
-             v->front() > kMaxTrackValue ? ", and a time in seconds" : "");
-    return *v;
+bool is_unit_quaternion(double w, double x, double y, double z) {
+    return std::abs(glm::length(glm::dquat(w, x, y, z)) - 1.0) <= kUnitLengthTolerance;
 }
 
-/// Throws if the poses have no times. Otherwise x y z and a quaternion would be read as a
-/// time, a position and three angles.
+/// Parses the numbers of one pose: a time, a position, and a quaternion (8 numbers) or
+/// three angles (7 numbers).
+/// @param expected_count  number of values in the earlier rows, which all rows must have
+std::vector<double> parse_pose_row(const std::string& line, std::optional<std::size_t> expected_count,
+                                   const std::string& place) {
+    const auto row = parse_numbers(strip_comment(line));
+    const std::size_t n = row ? row->size() : 0;
+    const bool is_known_count = expected_count ? n == *expected_count : n == 7 || n == 8;
+    if (!row || !is_known_count)
+        fail("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", place, quote(line));
+    if (!std::ranges::all_of(*row, [](double value) { return std::abs(value) <= kMaxTrackValue; }))
+        fail("{}: found '{}', expected finite numbers of at most {}{}", place, quote(line), kMaxTrackValue,
+             row->front() > kMaxTrackValue ? ", and a time in seconds" : "");
+    return *row;
+}
+
+/// Throws if the poses have no times: 7 numbers could be a time, a position and three
+/// angles, or a position and a quaternion. If the last four numbers of all rows have
+/// length 1, they are a quaternion.
 void require_row_times(const PoseRows& pose_rows, const std::string& name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
-        return row.size() == 7 && std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <=
-                                      kUnitLengthTolerance;
+        return row.size() == 7 && is_unit_quaternion(row[3], row[4], row[5], row[6]);
     };
     if (!pose_rows.rows.empty() && std::ranges::all_of(pose_rows.rows, ends_with_quaternion))
         fail(
@@ -104,37 +116,46 @@ void require_row_times(const PoseRows& pose_rows, const std::string& name) {
             name);
 }
 
-/// Parses all poses of a file. Sorts the columns of each row in the order of kPoseNames.
+/// Checks that a row is later than the row before it, and that its quaternion has length
+/// 1, if it has one.
+void check_pose_row(const std::vector<double>& row, const PoseRows& earlier, const std::string& where) {
+    if (!earlier.rows.empty() && !(row[0] > earlier.rows.back()[0]))
+        fail("{}: found the time {} s after {} s, expected increasing times", where, row[0],
+             earlier.rows.back()[0]);
+    if (row.size() == 8 && !is_unit_quaternion(row[4], row[5], row[6], row[7]))
+        fail("{}: found a quaternion of length {}, expected length 1", where,
+             glm::length(glm::dquat(row[4], row[5], row[6], row[7])));
+}
+
+/// Parses all poses of a file, except their meaning. If a line names the columns, the
+/// values of each row are sorted in the order of kPoseNames.
 PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& name) {
-    PoseRows rows;
-    std::vector<int> at;
+    PoseRows result;
+    std::vector<int> column_of;  // [kPoseNames] column in the file; empty without names
+    std::optional<std::size_t> expected_count;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         const std::string where = fmt::format("{} line {}", name, i + 1);
-        if (rows.rows.empty() && is_header_line(lines[i])) {
-            at = pose_columns(lines[i], where);
-            rows.has_names = true;
+        if (result.rows.empty() && is_header_line(lines[i])) {
+            column_of = pose_columns(lines[i], where);
+            expected_count = column_of.size();
+            result.has_names = true;
             continue;
         }
         if (strip_comment(lines[i]).empty()) continue;
-        std::size_t expected_count_or_zero = at.size();
-        if (at.empty() && !rows.rows.empty()) expected_count_or_zero = rows.rows[0].size();
-        std::vector<double> row = parse_pose_row(lines[i], expected_count_or_zero, where);
-        if (const std::vector<double> read = row; !at.empty())
-            for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[std::size_t(at[c])];
-        if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
-            fail("{}: found the time {} s after {} s, expected increasing times", where, row[0],
-                 rows.rows.back()[0]);
-        if (row.size() == 8) {
-            const double length = glm::length(glm::dquat(row[4], row[5], row[6], row[7]));
-            if (!(std::abs(length - 1.0) <= kUnitLengthTolerance))
-                fail("{}: found a quaternion of length {}, expected length 1", where, length);
-        }
-        rows.rows.push_back(std::move(row));
+
+        const std::vector<double> values = parse_pose_row(lines[i], expected_count, where);
+        expected_count = values.size();
+        std::vector<double> row = values;
+        for (std::size_t k = 0; k < column_of.size(); ++k) row[k] = values[std::size_t(column_of[k])];
+        check_pose_row(row, result, where);
+        result.rows.push_back(std::move(row));
     }
-    require_row_times(rows, name);
-    return rows;
+    require_row_times(result, name);
+    return result;
 }
 
+/// Makes a track of the rows.
+/// @param rotation_of_row  computes the rotation from the numbers after the position
 template <class RotationOf>
 PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
@@ -156,59 +177,76 @@ std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) 
     return interpretations;
 }
 
-/// Returns all meanings of the numbers, such as another order of the quaternion. The
-/// documented one is first.
+/// Returns all plausible meanings of the numbers in a pose file: other orders of the
+/// quaternion, degrees instead of radians, and inverse poses. The documented meaning is
+/// first. The caller tests which one fits the scans.
 std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
-    using Row = std::vector<double>;
-    const auto angles = [](const Row& row, double unit) {
-        return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
+    using Row = std::vector<double>;  // time, x, y, z, and four or three numbers of the rotation
+    const auto w_first = [](const Row& row) { return glm::dquat(row[4], row[5], row[6], row[7]); };
+    const auto w_last = [](const Row& row) { return glm::dquat(row[7], row[4], row[5], row[6]); };
+    const auto radians = [](const Row& row) { return make_rotation(row[6], row[5], row[4]); };
+    const auto degrees = [](const Row& row) {
+        constexpr double kDegree = kPi / 180.0;
+        return make_rotation(kDegree * row[6], kDegree * row[5], kDegree * row[4]);
     };
+    const bool has_quaternions = pose_rows.rows[0].size() == 8;
     std::vector<PoseReading> readings;
-    if (pose_rows.rows[0].size() == 8) {
-        const std::string named = "columns in the order of the header line";
-        readings.push_back(
-            {pose_rows.has_names ? named : kScalarFirst,
-             make_row_track(pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
-        if (!pose_rows.has_names)
-            readings.push_back({kScalarLast, make_row_track(pose_rows, [](const Row& r) {
-                                    return glm::dquat(r[7], r[4], r[5], r[6]);
-                                })});
-    } else {
-        readings.push_back({"roll, pitch and yaw in radians",
-                            make_row_track(pose_rows, [&](const Row& r) { return angles(r, 1.0); })});
-        readings.push_back({"roll, pitch and yaw in degrees",
-                            make_row_track(pose_rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
-    }
+    if (has_quaternions && pose_rows.has_names)
+        readings = {{"columns in the order of the header line", make_row_track(pose_rows, w_first)}};
+    else if (has_quaternions)
+        readings = {{kScalarFirst, make_row_track(pose_rows, w_first)},
+                    {kScalarLast, make_row_track(pose_rows, w_last)}};
+    else
+        readings = {{"roll, pitch and yaw in radians", make_row_track(pose_rows, radians)},
+                    {"roll, pitch and yaw in degrees", make_row_track(pose_rows, degrees)}};
     return add_inverses(std::move(readings));
 }
 
-/// Returns a hint why poses do not cover the frames: times in another unit, leap seconds,
-/// or another clock.
-std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
-    // maximum relative difference of equal times or durations in different units
+/// Returns a hint if the poses last about 1000, 10^6 or 10^9 times as long as the frames,
+/// or the reverse. Then one of both files probably has times in another unit. Otherwise
+/// returns an empty string.
+std::string unit_hint(double pose_span_s, double frame_span_s) {
+    // The poses may begin earlier or end later than the frames.
     constexpr double kMaxRelativeDifference = 0.3;
-    const double pose_span_s = track.time_s.back() - track.time_s.front(),
-                 frame_span_s = frames.back().time_s - frames.front().time_s;
-    double per_second = 1.0;
+    double factor = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
-        per_second *= 1000.0;
+        factor *= 1000.0;
         const auto is_longer = [&](double longer_s, double shorter_s) {
-            return shorter_s > 0.0 &&
-                   std::abs(longer_s / per_second / shorter_s - 1.0) < kMaxRelativeDifference;
+            return shorter_s > 0.0 && std::abs(longer_s / factor / shorter_s - 1.0) < kMaxRelativeDifference;
         };
-        const bool is_pose = is_longer(pose_span_s, frame_span_s);
-        if (is_pose || is_longer(frame_span_s, pose_span_s))
+        const bool are_poses_longer = is_longer(pose_span_s, frame_span_s);
+        if (are_poses_longer || is_longer(frame_span_s, pose_span_s))
             return fmt::format("; the times of the {} seem to be in {}, expected seconds",
-                               is_pose ? "poses" : "frames", unit);
+                               are_poses_longer ? "poses" : "frames", unit);
     }
-    // Clocks without leap seconds differ from UTC or from each other by these constants.
-    for (const auto& [leap_s, cause] :
-         {std::pair(37, "TAI minus UTC"), {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}})
-        for (const int shift_s : {leap_s, -leap_s})
-            if (frames.front().time_s >= track.time_s.front() - shift_s - kMostBeyond_s &&
-                frames.back().time_s <= track.time_s.back() - shift_s + kMostBeyond_s)
-                return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", leap_s,
-                                   shift_s > 0 ? "earlier" : "later", cause, leap_s);
+    return "";
+}
+
+/// Returns a hint if the poses would cover all frames after a shift by the difference of
+/// two common clocks. Otherwise returns an empty string.
+std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>& frames) {
+    // These clocks differ by a constant number of seconds, because only UTC has leap
+    // seconds and the others began in different years.
+    constexpr std::pair<int, const char*> kDifferences[] = {
+        {37, "TAI minus UTC"}, {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}};
+    for (const auto& [difference_s, name] : kDifferences)
+        for (const int earlier_s : {difference_s, -difference_s}) {
+            const double begin_s = track.time_s.front() - earlier_s - kMostBeyond_s,
+                         end_s = track.time_s.back() - earlier_s + kMostBeyond_s;
+            if (frames.front().time_s >= begin_s && frames.back().time_s <= end_s)
+                return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", difference_s,
+                                   earlier_s > 0 ? "earlier" : "later", name, difference_s);
+        }
+    return "";
+}
+
+/// Returns a hint for the user why poses do not cover the frames: times in another unit,
+/// leap seconds, or another clock. Returns an empty string if poses cover some frames.
+std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
+    std::string hint =
+        unit_hint(track.time_s.back() - track.time_s.front(), frames.back().time_s - frames.front().time_s);
+    if (hint.empty()) hint = leap_second_hint(track, frames);
+    if (!hint.empty()) return hint;
     if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
     if (!is_plain_folder)
         return fmt::format(
@@ -220,7 +258,9 @@ std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& fram
            "the time of the first scan from the times of the poses";
 }
 
-/// Interpolates the poses at the frames, which may be slightly outside the track.
+/// Interpolates the poses at the times of the frames, which may be at most kMostBeyond_s
+/// outside the track.
+/// @throws DataError with a hint about the cause for a frame farther outside
 std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogFrame>& frames,
                                   const std::string& name, bool is_plain_folder) {
     std::vector<Pose> poses;
@@ -235,15 +275,16 @@ std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogF
     return poses;
 }
 
-/// Notes poses that are much farther apart than the scans, usually because of a wrong
-/// unit.
+/// Adds a note if the poses are much farther apart than the scans. The usual cause is a
+/// wrong unit of their times.
 void note_sparse_poses(const PoseTrack& track, const std::vector<LogFrame>& frames, const std::string& name,
                        Notes& notes) {
-    std::vector<double> times_s;
+    std::vector<double> scan_times_s;  // of one LiDAR, because LiDARs can sweep simultaneously
     for (const LogFrame& frame : frames)
-        if (frame.lidar == frames.front().lidar) times_s.push_back(frame.time_s);
-    if (track.time_s.size() < 2 || times_s.size() < 2) return;
-    const double pose_step_s = median_interval_s(track.time_s), frame_step_s = median_interval_s(times_s);
+        if (frame.lidar == frames.front().lidar) scan_times_s.push_back(frame.time_s);
+    if (track.time_s.size() < 2 || scan_times_s.size() < 2) return;
+    const double pose_step_s = median_interval_s(track.time_s),
+                 frame_step_s = median_interval_s(scan_times_s);
     if (pose_step_s > kMostScansPerPose * frame_step_s)
         notes.push_back(
             fmt::format("{}: poses are {:.3g} s apart, but scans are {:.3g} s apart, and poses in between "
@@ -251,17 +292,20 @@ void note_sparse_poses(const PoseTrack& track, const std::vector<LogFrame>& fram
                         name, pose_step_s, frame_step_s));
 }
 
+/// Returns the time of a box label: its key "time_s", or the time of the frame whose
+/// number is in its key "frame".
 double label_time_s(const JsonField& label, const std::vector<LogFrame>& all_frames) {
     if (label.has_member("time_s")) return label.at("time_s").number_in(-kMaxTrackValue, kMaxTrackValue);
     const std::int64_t number = label.at("frame").integer_in(0, 99999999);
-    const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
-                                    [&](const LogFrame& f) { return f.number == number; });
+    const auto frame = std::ranges::find(all_frames, number, &LogFrame::number);
     if (frame == all_frames.end())
         label.at("frame").reject(fmt::format("found frame {}", number),
                                  "expected the number of a frame of the log");
     return frame->time_s;
 }
 
+/// Reads the pose world_from_box of a label: the position of the box centre in metres, and
+/// the rotation as an angle about z or as a quaternion w x y z.
 Pose read_label_pose(const JsonField& label) {
     const auto p = label.at("position").numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
@@ -270,12 +314,12 @@ Pose read_label_pose(const JsonField& label) {
     if (label.has_member("yaw_deg"))
         return {glm::angleAxis(label.at("yaw_deg").number_in(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
-    // in the order w, x, y, z
     const auto q = label.at("quaternion").numbers<4>();
-    // check_sequence() checks the quaternion's length
+    // check_sequence() checks the length of the quaternion later, for all datasets.
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
+/// Reads one entry of boxes.json: the box of a track at one time.
 BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all_frames) {
     label.check_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
@@ -287,34 +331,33 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all
             read_label_pose(label)};
 }
 
-}  // namespace
+[[noreturn]] void fail_without_poses(const std::string& file_name) {
+    fail("{}: the file has no pose, expected lines of 12 or 8 numbers", file_name);
+}
 
-std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
-                                            const ScanPairReader& read_scan_pairs_for_pose_check,
-                                            Notes& notes) {
-    if (!does_path_exist(pose_file)) return std::nullopt;
-    std::vector<std::string> lines = split_lines(read_text_file(pose_file));
-    for (std::string& line : lines) std::ranges::replace(line, ',', ' ');
-    const auto first = std::find_if(lines.begin(), lines.end(),
-                                    [](const std::string& line) { return !strip_comment(line).empty(); });
-    if (first == lines.end())
-        fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
-    if (split_at_spaces(strip_comment(*first)).size() != 12) {
-        const PoseRows rows = parse_pose_rows(lines, pose_file.string());
-        if (rows.rows.empty())
-            fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
-        const std::vector<PoseReading> readings = list_conventions(rows);
-        // Only relidar writes these column names. The meaning of the numbers is therefore
-        // certain.
-        const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
-        const std::size_t k =
-            is_certain ? 0
-                       : choose_poses(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes);
-        note_sparse_poses(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
-        // Only plain folders give pairs of scans.
-        return poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string(),
-                               bool(read_scan_pairs_for_pose_check));
-    }
+/// Reads poses with times, which need not be the times of the frames, and interpolates
+/// them at the frames.
+std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const std::string& file_name,
+                                   const std::vector<LogFrame>& frames, const ScanPairReader& read_scan_pairs,
+                                   Notes& notes) {
+    const PoseRows rows = parse_pose_rows(lines, file_name);
+    if (rows.rows.empty()) fail_without_poses(file_name);
+    const std::vector<PoseReading> readings = list_conventions(rows);
+    // Only relidar writes the column name time_s. The meaning of the numbers is then
+    // certain.
+    const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
+    const std::size_t chosen = is_certain ? 0 : choose_poses(readings, read_scan_pairs, file_name, notes);
+    const PoseTrack& track = readings[chosen].world_from_vehicle;
+    note_sparse_poses(track, frames, file_name, notes);
+    // Only plain folders give pairs of scans.
+    const bool is_plain_folder = bool(read_scan_pairs);
+    return poses_at_frames(track, frames, file_name, is_plain_folder);
+}
+
+/// Reads a 3x4 matrix for each frame: line i belongs to frame number i. Inverts the poses
+/// if the vehicle then drives forward and the scans overlap better.
+std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
+                                    const ScanPairReader& read_scan_pairs, Notes& notes) {
     std::vector<int> numbers;
     for (const LogFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = kitti::read_matrices(pose_file, numbers);
@@ -323,9 +366,27 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
             track.append(frames[i].time_s, poses[i]);
     const std::vector<PoseReading> readings = add_inverses({{"matrices", std::move(track)}});
-    if (choose_poses(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)
+    const bool is_inverted = choose_poses(readings, read_scan_pairs, pose_file.string(), notes) > 0;
+    if (is_inverted)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
+}
+
+}  // namespace
+
+std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
+                                            const ScanPairReader& read_scan_pairs_for_pose_check,
+                                            Notes& notes) {
+    constexpr std::size_t kMatrixNumbers = 12;
+    if (!does_path_exist(pose_file)) return std::nullopt;
+    std::vector<std::string> lines = split_lines(read_text_file(pose_file));
+    for (std::string& line : lines) std::ranges::replace(line, ',', ' ');
+    const auto first =
+        std::ranges::find_if(lines, [](const std::string& line) { return !strip_comment(line).empty(); });
+    if (first == lines.end()) fail_without_poses(pose_file.string());
+    if (split_at_spaces(strip_comment(*first)).size() == kMatrixNumbers)
+        return load_matrix_poses(pose_file, frames, read_scan_pairs_for_pose_check, notes);
+    return load_timed_poses(lines, pose_file.string(), frames, read_scan_pairs_for_pose_check, notes);
 }
 
 std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<LogFrame>& loaded_frames,
@@ -336,14 +397,15 @@ std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<Lo
     const JsonField root(json, file, "");
     root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");
+    // Keeps labels in the time of the loaded frames. At the ends of the log, keeps labels
+    // before the first and after the last frame, too.
     const double first_s = loaded_frames.front().time_s, last_s = loaded_frames.back().time_s;
-    // At the ends of the log, labels outside the times of the frames count too.
-    const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;
+    const double begin_s = first_s == all_frames.front().time_s ? -INFINITY : first_s,
+                 end_s = last_s == all_frames.back().time_s ? INFINITY : last_s;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         const BoxLabel label = read_box_label(boxes.at(i), all_frames);
-        if ((from_start || label.time_s >= first_s) && (to_end || label.time_s <= last_s))
-            labels.push_back(label);
+        if (label.time_s >= begin_s && label.time_s <= end_s) labels.push_back(label);
     }
     return build_tracks(labels);
 }

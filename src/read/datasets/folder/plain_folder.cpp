@@ -29,11 +29,13 @@ std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const Da
     std::size_t n_missing = 0;
     for (const LogFrame& frame : header.frames) {
         if (!options.frames.contains(frame.number)) continue;
-        const bool there = does_path_exist(frame.scan);
-        if (!there && !options.allow_missing_scans)
+        if (does_path_exist(frame.scan)) {
+            frames.push_back(frame);
+            continue;
+        }
+        if (!options.allow_missing_scans)
             fail("{}: no such file, expected the scan of frame {}", frame.scan.string(), frame.number);
-        n_missing += !there;
-        if (there) frames.push_back(frame);
+        ++n_missing;
     }
     if (frames.empty())
         fail<UsageError>(
@@ -44,6 +46,7 @@ std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const Da
     return frames;
 }
 
+/// Returns the points of a scan that is stored as a range image, in the sensor frame.
 std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
                                          const read::PointFileUnits& units, const LogFrame& frame) {
     const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
@@ -55,33 +58,38 @@ std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
     return points;
 }
 
-/// Reads consecutive scans of the first LiDAR, evenly spread over the log. Skips
-/// unreadable files.
-read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
-    constexpr std::size_t kScanPairs = 4;
-    read::ScanPairs pairs;
-    std::vector<const LogFrame*> of_first;
-    for (const LogFrame& frame : frames)
-        if (frame.lidar == 0) of_first.push_back(&frame);
+/// Returns the points of a scan in the vehicle frame.
+std::vector<glm::vec3> read_vehicle_points(const read::SequenceHeader& header, const LogFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-    const Pose& mounting = header.lidars[0].lidar.vehicle_from_sensor;
-    const auto read_points = [&](const LogFrame& frame) {
-        if (read::is_image_file(frame.scan)) return read_image_points(header, units, frame);
+    std::vector<glm::vec3> points;
+    if (read::is_image_file(frame.scan)) {
+        points = read_image_points(header, units, frame);
+    } else {
         const read::PointTable table = read::read_point_file(frame.scan, units.columns);
-        return read::convert_table(table, units, frame.time_s, frame.scan.string()).position_m;
-    };
-    const auto read = [&](const LogFrame& frame) {
-        std::vector<glm::vec3> points = read_points(frame);
-        for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
-        return points;
-    };
-    const std::size_t n = of_first.empty() ? 0 : std::min(kScanPairs, of_first.size() - 1);
-    for (std::size_t k = 0; k < n; ++k) {
-        const std::size_t i = k * (of_first.size() - 1) / n;
+        points = read::convert_table(table, units, frame.time_s, frame.scan.string()).position_m;
+    }
+    const Pose& vehicle_from_sensor = header.lidars[std::size_t(frame.lidar)].lidar.vehicle_from_sensor;
+    for (glm::vec3& p : points) p = glm::vec3(vehicle_from_sensor * glm::dvec3(p));
+    return points;
+}
+
+/// Reads a few pairs of consecutive scans of the first LiDAR, evenly spread over the log.
+/// With correct poses, the scans of a pair overlap. Skips unreadable files.
+read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
+    constexpr std::size_t kMaxPairs = 4;  // enough for a decision, and fast to read
+    std::vector<const LogFrame*> first_lidar_frames;
+    for (const LogFrame& frame : frames)
+        if (frame.lidar == 0) first_lidar_frames.push_back(&frame);
+    read::ScanPairs pairs;
+    if (first_lidar_frames.empty()) return pairs;
+    const std::size_t n_steps = first_lidar_frames.size() - 1, n_pairs = std::min(kMaxPairs, n_steps);
+    for (std::size_t k = 0; k < n_pairs; ++k) {
+        const std::size_t step = k * n_steps / n_pairs;
+        const LogFrame &first = *first_lidar_frames[step], &second = *first_lidar_frames[step + 1];
         try {
-            pairs.add_scan_pair(of_first[i]->time_s, read(*of_first[i]), of_first[i + 1]->time_s,
-                                read(*of_first[i + 1]));
+            pairs.add_scan_pair(first.time_s, read_vehicle_points(header, first), second.time_s,
+                                read_vehicle_points(header, second));
         } catch (const DataError&) {
             continue;  // the error is reported when the scans are read
         }
@@ -89,26 +97,29 @@ read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::v
     return pairs;
 }
 
-/// Returns identity poses if poses.txt is missing or damaged and the user selected other
-/// poses.
+/// Returns the vehicle pose of each frame from poses.txt. If this file is missing or
+/// damaged and the user selected other poses (dataset.poses), returns identity poses,
+/// which the other poses replace later.
 std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::SequenceHeader& header,
                                      const std::vector<LogFrame>& frames, const DatasetOptions& options,
                                      Notes& notes) {
     const fs::path file = folder / read::kPosesFile;
-    const auto pairs = [&] { return read_scan_pairs(header, frames); };
-    Notes unused_notes;
+    const bool are_replaced = !options.poses_file.empty();
+    const auto read_pairs = [&] { return read_scan_pairs(header, frames); };
+    Notes pose_notes;
     try {
-        if (const auto poses =
-                read::load_poses(file, frames, pairs, options.poses_file.empty() ? notes : unused_notes))
-            return *poses;
+        const auto poses = read::load_poses(file, frames, read_pairs, pose_notes);
+        // Notes about poses that are not used would confuse the user.
+        if (!are_replaced) notes.insert(notes.end(), pose_notes.begin(), pose_notes.end());
+        if (poses) return *poses;
     } catch (const DataError& error) {
-        if (options.poses_file.empty()) throw;
-        // The poses are replaced later, but boxes in world coordinates need them.
+        if (!are_replaced) throw;
+        // Boxes in world coordinates were placed with the poses of this file.
         if (does_path_exist(folder / read::kBoxesFile))
             notes.push_back(
                 fmt::format("{}; boxes in world coordinates may be at wrong places", error.what()));
     }
-    if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
+    if (are_replaced) return std::vector<Pose>(frames.size());
     fail(
         "{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name another file, or "
         "dataset.poses=none to estimate the poses from the scans",
@@ -121,6 +132,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
     const read::SequenceHeader head = read::read_header(folder, options.max_range_m);
+
     Log sequence;
     sequence.name = head.name;
     sequence.source = log_folder.string();
@@ -129,6 +141,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const read::HeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
+
     const std::vector<LogFrame> frames = select_frames(head, options, sequence.notes);
     const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
@@ -142,8 +155,10 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);
     else centre_log(sequence);
-    const read::ScanLayout layout{
-        {head.lidars.begin(), head.lidars.end()}, head.motion_compensated, /*is_described=*/true};
+
+    const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
+                                  .motion_compensated = head.motion_compensated,
+                                  .is_described = true};
     read::read_scans(sequence, layout, head.units, files, options);
     return sequence;
 }

@@ -31,8 +31,12 @@ Json make_json(const glm::dquat& quaternion) {
     return {quaternion.w, quaternion.x, quaternion.y, quaternion.z};
 }
 
+/// Name of the file with the scanning pattern of a LiDAR. It may be large, so it is not
+/// part of sequence.json.
 std::string sensor_file_name(std::size_t lidar_index) { return fmt::format("sensor_{}.json", lidar_index); }
 
+/// Returns the entry of a LiDAR in sequence.json: its pose on the vehicle, and its beams or
+/// the name of the file with its scanning pattern.
 Json make_json(const Lidar& lidar, std::size_t lidar_index) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {
@@ -49,7 +53,9 @@ std::string scan_file_name(const Log& sequence, const Frame& frame) {
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
-/// Omits notes with an id, because loading the folder finds these faults again.
+/// Returns the text of sequence.json, which describes the log: LiDARs, frames and
+/// conventions. Omits notes with an id, because loading the folder finds these faults
+/// again.
 std::string sequence_json(const Log& sequence) {
     Notes notes = sequence.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
@@ -75,12 +81,14 @@ std::string sequence_json(const Log& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-/// Writes poses in the world of the dataset, with all digits of a double.
+/// Returns the text of poses.txt: a line per pose in the world of the dataset. Writes all
+/// digits of a double, so that loading gives equal poses.
 std::string poses_text(const Log& sequence) {
     const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
-        const auto& [q, t] = track.pose[i];
+        const glm::dquat& q = track.pose[i].rotation;
+        const glm::dvec3& t = track.pose[i].translation;
         text += number_text(track.time_s[i]);
         for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + number_text(v);
         text += "\n";
@@ -88,10 +96,11 @@ std::string poses_text(const Log& sequence) {
     return text;
 }
 
+/// Returns the text of boxes.json: one entry for each box and time, in the world of the
+/// dataset.
 std::string boxes_json(const Log& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {
-        // Moves the box back to the world of the dataset.
         const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},
@@ -104,6 +113,7 @@ std::string boxes_json(const Log& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+/// Returns true if save_folder() could have written this file or folder of a log.
 bool is_log_entry(const fs::path& entry) {
     const std::string name = entry.filename().string();
     if (name == read::kHeadFile || name == read::kPosesFile || name == read::kBoxesFile) return true;
@@ -113,15 +123,16 @@ bool is_log_entry(const fs::path& entry) {
            });
 }
 
-/// Protects files of the user: replaces only a log of which relidar wrote all files.
+/// Throws unless the folder is missing or empty, or is a log that may be replaced. This
+/// protects files of the user: with `overwrite`, relidar must have written all files.
 void require_target(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder)) return;
     if (fs::is_directory(folder)) {
         const std::vector<fs::path> entries = list_folder(folder);
         if (entries.empty()) return;
-        if (overwrite && does_path_exist(folder / read::kHeadFile) &&
-            std::ranges::all_of(entries, is_log_entry))
-            return;
+        const bool is_log =
+            does_path_exist(folder / read::kHeadFile) && std::ranges::all_of(entries, is_log_entry);
+        if (overwrite && is_log) return;
     }
     fail<UsageError>(
         "{}: this path exists, expected a new name or an empty folder; --force replaces a log if the folder "
@@ -132,17 +143,20 @@ void require_target(const fs::path& folder, bool overwrite) {
 }  // namespace
 
 void save_folder(const Log& log, const fs::path& target_folder, const LogFolderOptions& options) {
+    // Removes a slash at the end, so that the path has a name and a parent.
     const fs::path normalized_target = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
     require_target(normalized_target, options.overwrite);
     const StagedFolder staged(normalized_target);
+
     fs::create_directory(staged.path() / "scans");
     progress_for(log.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
         const Frame& frame = log.frames[index];
         read::write_scan_npz(staged.path() / scan_file_name(log, frame), frame.scan, !log.rolling_shutter);
     });
     for (std::size_t l = 0; l < log.lidars.size(); ++l)
-        if (const Lidar& lidar = log.lidars[l]; lidar.pattern)
-            write_text_file(staged.path() / sensor_file_name(l), format_sensor_json(sensor_of(lidar)) + "\n");
+        if (log.lidars[l].pattern)
+            write_text_file(staged.path() / sensor_file_name(l),
+                            format_sensor_json(sensor_of(log.lidars[l])) + "\n");
     if (options.poses) write_text_file(staged.path() / read::kPosesFile, poses_text(log));
     if (!log.boxes.empty()) write_text_file(staged.path() / read::kBoxesFile, boxes_json(log));
     write_text_file(staged.path() / read::kHeadFile, sequence_json(log));
