@@ -25,6 +25,7 @@ constexpr double kUnitLength = 1e-2;              // tolerance of the length of 
 constexpr double kMostUneven = 1.0;               // largest deviation of a column from equal steps, in steps
 constexpr std::int64_t kMostLate_us = 1'000'000;  // largest time between a ray and its frame
 
+/// Reads a list of n angles in radians.
 std::vector<double> read_angles(const JsonField& field, std::size_t n) {
     std::vector<double> angles = field.numbers();
     if (angles.size() != n)
@@ -34,7 +35,8 @@ std::vector<double> read_angles(const JsonField& field, std::size_t n) {
     return angles;
 }
 
-/// Returns the bits of the mask of valid returns, or nothing if the frame has no mask.
+/// Returns which returns of a frame are valid. Reads a mask of packed bits, in which the
+/// highest bit of a byte is the first. Without a mask, all returns are valid.
 std::vector<bool> read_valid(const Component& lidar, const std::string& frame, std::size_t n) {
     std::vector<bool> valid(n, true);
     const std::string path = frame + "/ray_bundle_returns_valid_mask_packed";
@@ -42,6 +44,43 @@ std::vector<bool> read_valid(const Component& lidar, const std::string& frame, s
     const auto bytes = read_zarr_array<std::uint8_t>(*lidar.store, path, {(n + 7) / 8});
     for (std::size_t i = 0; i < n; ++i) valid[i] = (bytes[i / 8] >> (7 - i % 8) & 1) != 0;
     return valid;
+}
+
+/// Returns the number of columns of a full turn, if the columns of the model are in nearly
+/// equal steps. A model can have fewer columns than a turn.
+std::optional<int> count_columns(const SpinningModel& model) {
+    const double sign = model.is_clockwise ? -1.0 : 1.0, first = model.azimuth_rad.front();
+    const std::size_t n = model.azimuth_rad.size();
+    std::vector<double> steps;
+    for (std::size_t j = 1; j < n; ++j)
+        steps.push_back(std::remainder(sign * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
+    const double step = steps.empty() ? 0.0 : compute_median(std::move(steps));
+    const double least_step = 2.0 * kPi * double(model.elevation_rad.size()) / double(kMaxRays);
+    if (!(step > least_step)) return std::nullopt;
+    const int columns = int(std::lround(2.0 * kPi / step));
+    if (n > std::size_t(columns)) return std::nullopt;
+    const double even_step = 2.0 * kPi / columns;
+    for (std::size_t j = 0; j < n; ++j) {
+        const double expected = first + sign * double(j) * even_step;
+        if (std::abs(std::remainder(model.azimuth_rad[j] - expected, 2.0 * kPi)) > kMostUneven * even_step)
+            return std::nullopt;
+    }
+    return columns;
+}
+
+/// Limits the field of view of a sensor to the azimuths of the model, unless the model has
+/// a full turn. The offsets of the rows shift their image columns, so the field of view
+/// contains the columns of all rows.
+void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
+    const double sign = model.is_clockwise ? -1.0 : 1.0, even_step = 2.0 * kPi / sensor.columns;
+    const auto [low, high] = std::ranges::minmax_element(
+        sensor.beams, {}, [&](const Beam& beam) { return offset_columns(beam, sensor.columns); });
+    const double least = even_step * offset_columns(*low, sensor.columns),
+                 most = even_step * offset_columns(*high, sensor.columns);
+    const double wide_rad = double(model.azimuth_rad.size() - 1) * even_step + most - least;
+    if (wide_rad >= 2.0 * kPi - 1.5 * even_step) return;
+    const double begin = model.azimuth_rad.front() + (model.is_clockwise ? most : least);
+    sensor.azimuth_rad = {{begin, begin + sign * wide_rad}};
 }
 
 }  // namespace
@@ -70,27 +109,17 @@ std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std
 }
 
 std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams) {
+    const std::optional<int> columns = count_columns(model);
+    if (!columns) return std::nullopt;
     SpinningSensor sensor;
     sensor.clockwise = model.is_clockwise;
     sensor.period_s = model.period_s;
-    const double sign = model.is_clockwise ? -1.0 : 1.0, first = model.azimuth_rad.front();
-    const std::size_t n = model.azimuth_rad.size();
-    std::vector<double> steps;
-    for (std::size_t j = 1; j < n; ++j)
-        steps.push_back(std::remainder(sign * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
-    const double step = steps.empty() ? 0.0 : compute_median(std::move(steps));
-    if (!(step > 2.0 * kPi * double(model.elevation_rad.size()) / double(kMaxRays))) return std::nullopt;
-    sensor.columns = int(std::lround(2.0 * kPi / step));
-    const double even_step = 2.0 * kPi / sensor.columns;
-    if (n > std::size_t(sensor.columns)) return std::nullopt;
-    for (std::size_t j = 0; j < n; ++j) {
-        const double expected = first + sign * double(j) * even_step;
-        if (std::abs(std::remainder(model.azimuth_rad[j] - expected, 2.0 * kPi)) > kMostUneven * even_step)
-            return std::nullopt;
-    }
+    sensor.columns = *columns;
     // Column 0 is the first column at or below +180 degrees.
-    const double below = kPi - first;
+    const double even_step = 2.0 * kPi / sensor.columns, below = kPi - model.azimuth_rad.front();
     sensor.first_azimuth_rad = kPi - (below - even_step * std::floor(below / even_step));
+
+    // The sensor has its beams from the highest to the lowest.
     std::vector<std::size_t> rows(beams.size());
     std::iota(rows.begin(), rows.end(), std::size_t(0));
     std::ranges::stable_sort(rows, std::greater{}, [&](std::size_t row) { return beams[row].elevation_rad; });
@@ -99,17 +128,7 @@ std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<
         model.beam_of_row[row] = sensor.beams.size();
         sensor.beams.push_back(beams[row]);
     }
-    // The field of view contains the image columns of all rows, which are shifted by the
-    // offsets of the rows.
-    const auto [low, high] = std::ranges::minmax_element(
-        sensor.beams, {}, [&](const Beam& beam) { return offset_columns(beam, sensor.columns); });
-    const double least = even_step * offset_columns(*low, sensor.columns),
-                 most = even_step * offset_columns(*high, sensor.columns);
-    const double wide_rad = double(n - 1) * even_step + most - least;
-    if (wide_rad < 2.0 * kPi - 1.5 * even_step) {
-        const double begin = first + (model.is_clockwise ? most : least);
-        sensor.azimuth_rad = {{begin, begin + sign * wide_rad}};
-    }
+    limit_view(sensor, model);
     return sensor;
 }
 
@@ -128,16 +147,12 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar) {
     return frames;
 }
 
-RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us) {
-    const std::string path = fmt::format("{}/frames/{}", lidar.path, frame.end_us);
-    const std::string rays = path + "/ray_bundle", returns = path + "/ray_bundle_returns";
-    const ZarrStore& store = *lidar.store;
-    const ZarrJson of_rays = read_zarr_attributes(store, rays),
-                   of_returns = read_zarr_attributes(store, returns);
-    const auto n = std::size_t(of_rays.root().at("n_rays").integer_in(0, std::int64_t(kMaxRays))),
-               n_returns = std::size_t(of_returns.root().at("n_returns").integer_in(0, kMostReturns));
-    const std::string where = fmt::format("{}: {}", store.name(), path);
-    RayBundle bundle;
+namespace {
+
+/// Reads the directions and times of all rays of a frame.
+/// @param rays  name of the group in the store
+void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::string& rays, std::size_t n,
+                     const StoredFrame& frame, std::int64_t time_us, const std::string& where) {
     const auto directions = read_zarr_array<float>(store, rays + "/direction", {n, 3});
     const auto times_us = read_zarr_array<std::uint64_t>(store, rays + "/timestamp_us", {n});
     for (std::size_t i = 0; i < n; ++i) {
@@ -154,26 +169,49 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
                  frame.end_us);
         bundle.time_offset_s.push_back(float(1e-6 * double(late_us)));
     }
-    if (store.has_key(rays + "/model_element/.zarray"))
-        bundle.element = read_zarr_array<std::uint16_t>(store, rays + "/model_element", {n, 2});
+}
+
+/// Reads the ranges and intensities of all returns of a frame. The arrays in the store
+/// have n_returns rows of one value per ray. Moves the valid returns of each ray to the
+/// front, so that a missing first return does not make a dropped ray.
+/// @param path  name of the frame's group in the store
+void read_return_arrays(RayBundle& bundle, const Component& lidar, const std::string& path,
+                        std::size_t n_returns) {
+    const std::size_t n = bundle.direction.size();
+    const std::string returns = path + "/ray_bundle_returns";
     const std::vector<bool> valid = read_valid(lidar, path, n * n_returns);
-    auto range_m = read_zarr_array<float>(store, returns + "/distance_m", {n_returns, n});
-    auto intensity = read_zarr_array<float>(store, returns + "/intensity", {n_returns, n});
-    for (std::size_t k = 0; k < range_m.size(); ++k) {
-        const bool is_return = valid[k] && std::isfinite(range_m[k]) && range_m[k] > 0.0f;
-        if (!is_return) range_m[k] = 0.0f;
-        intensity[k] = is_return && std::isfinite(intensity[k]) ? std::clamp(intensity[k], 0.0f, 1.0f) : 0.0f;
-    }
-    // Moves the returns of each ray to the front, so that a missing first return does not
-    // make a dropped ray.
+    const auto range_m = read_zarr_array<float>(*lidar.store, returns + "/distance_m", {n_returns, n});
+    const auto intensity = read_zarr_array<float>(*lidar.store, returns + "/intensity", {n_returns, n});
     bundle.range_m.assign(n_returns, std::vector<float>(n, 0.0f));
     bundle.intensity = bundle.range_m;
-    for (std::size_t i = 0; i < n; ++i)
-        for (std::size_t r = 0, k = 0; r < n_returns; ++r)
-            if (const std::size_t at = r * n + i; range_m[at] > 0.0f) {
-                bundle.range_m[k][i] = range_m[at];
-                bundle.intensity[k++][i] = intensity[at];
-            }
+    for (std::size_t i = 0; i < n; ++i) {
+        std::size_t n_valid = 0;  // returns of this ray
+        for (std::size_t r = 0; r < n_returns; ++r) {
+            const std::size_t at = r * n + i;
+            if (!valid[at] || !std::isfinite(range_m[at]) || !(range_m[at] > 0.0f)) continue;
+            bundle.range_m[n_valid][i] = range_m[at];
+            bundle.intensity[n_valid][i] =
+                std::isfinite(intensity[at]) ? std::clamp(intensity[at], 0.0f, 1.0f) : 0.0f;
+            ++n_valid;
+        }
+    }
+}
+
+}  // namespace
+
+RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us) {
+    const std::string path = fmt::format("{}/frames/{}", lidar.path, frame.end_us);
+    const std::string rays = path + "/ray_bundle";
+    const ZarrStore& store = *lidar.store;
+    const ZarrJson ray_attributes = read_zarr_attributes(store, rays),
+                   return_attributes = read_zarr_attributes(store, path + "/ray_bundle_returns");
+    const auto n = std::size_t(ray_attributes.root().at("n_rays").integer_in(0, std::int64_t(kMaxRays))),
+               n_returns = std::size_t(return_attributes.root().at("n_returns").integer_in(0, kMostReturns));
+    RayBundle bundle;
+    read_ray_arrays(bundle, store, rays, n, frame, time_us, fmt::format("{}: {}", store.name(), path));
+    if (store.has_key(rays + "/model_element/.zarray"))
+        bundle.element = read_zarr_array<std::uint16_t>(store, rays + "/model_element", {n, 2});
+    read_return_arrays(bundle, lidar, path, n_returns);
     return bundle;
 }
 
@@ -185,7 +223,7 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
 // are lines over 1 / rho, which are fitted to the points of each row.
 namespace {
 
-constexpr double kLeastRho_m = 1.0;         // nearer points have inaccurate directions
+constexpr double kLeastRho_m = 1.0;         // Nearer points have inaccurate directions
 constexpr double kMaxSlopeError_m = 0.005;  // largest standard error of an origin
 constexpr read::RobustLineOptions kRowFit{.n_passes = 3, .min_points = 50};
 // Origins are used if they make the angle between rays and points clearly smaller.
@@ -210,6 +248,7 @@ double misfit_rad(const Beam& beam, const RowPoint& point) {
     return 2.0 * std::asin(std::min(1.0, 0.5 * glm::distance(to_point, ray.direction)));
 }
 
+/// Returns the median angle between the points of all rows and the rays of their beams.
 double median_misfit(const std::vector<Beam>& beams, const std::vector<std::vector<RowPoint>>& rows) {
     std::vector<double> angles;
     for (std::size_t row = 0; row < rows.size(); ++row)
@@ -217,47 +256,62 @@ double median_misfit(const std::vector<Beam>& beams, const std::vector<std::vect
     return angles.empty() ? 0.0 : compute_median(std::move(angles));
 }
 
-}  // namespace
-
-FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model) {
-    FittedBeams fitted;
-    std::vector<Beam> of_model;
-    for (std::size_t row = 0; row < model.elevation_rad.size(); ++row)
-        of_model.push_back(
-            {.elevation_rad = model.elevation_rad[row], .azimuth_offset_rad = model.offset_rad[row]});
-    std::vector<std::vector<RowPoint>> rows(of_model.size());
-    for (const RayBundle& bundle : bundles)
-        for (std::size_t i = 0; i < bundle.element.size() / 2 && !bundle.range_m.empty(); ++i) {
+/// Returns the first returns of some frames, grouped by the row of the model. Leaves out
+/// near points, and rays without an element of the model.
+std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundle>& bundles,
+                                                      const SpinningModel& model) {
+    std::vector<std::vector<RowPoint>> rows(model.elevation_rad.size());
+    for (const RayBundle& bundle : bundles) {
+        if (bundle.range_m.empty()) continue;
+        for (std::size_t i = 0; i < bundle.element.size() / 2; ++i) {
             const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
             if (row >= rows.size() || column >= model.azimuth_rad.size()) continue;
             const RowPoint point{double(bundle.range_m[0][i]) * bundle.direction[i],
                                  model.azimuth_rad[column]};
-            if (point.rho_m() < kLeastRho_m) continue;
-            rows[row].push_back(point);
-            ++fitted.n_returns;
-        }
-    fitted.beams = of_model;
-    for (std::size_t row = 0; row < rows.size(); ++row) {
-        std::vector<glm::dvec2> heights, azimuths;
-        for (const RowPoint& point : rows[row]) {
-            heights.emplace_back(1.0 / point.rho_m(), point.position_m.z / point.rho_m());
-            azimuths.emplace_back(1.0 / point.rho_m(), point.azimuth_rad());
-        }
-        Beam& beam = fitted.beams[row];
-        if (const auto line = fit_robust_line(heights, kRowFit); line.slope_error < kMaxSlopeError_m) {
-            beam.elevation_rad = std::atan(line.at_zero);
-            beam.origin_up_m = line.slope * std::cos(beam.elevation_rad);
-        }
-        if (const auto line = fit_robust_line(azimuths, kRowFit); line.slope_error < kMaxSlopeError_m) {
-            beam.azimuth_offset_rad = line.at_zero;
-            beam.origin_left_m = line.slope;
+            if (point.rho_m() >= kLeastRho_m) rows[row].push_back(point);
         }
     }
-    fitted.model_misfit_rad = median_misfit(of_model, rows);
+    return rows;
+}
+
+/// Fits the direction and the origin of a beam to its points, with the two lines over
+/// 1 / rho above. Keeps values whose line is not determined well.
+void fit_beam(Beam& beam, const std::vector<RowPoint>& points) {
+    std::vector<glm::dvec2> heights, azimuths;
+    for (const RowPoint& point : points) {
+        heights.emplace_back(1.0 / point.rho_m(), point.position_m.z / point.rho_m());
+        azimuths.emplace_back(1.0 / point.rho_m(), point.azimuth_rad());
+    }
+    const read::RobustLine height_line = fit_robust_line(heights, kRowFit),
+                           azimuth_line = fit_robust_line(azimuths, kRowFit);
+    if (height_line.slope_error < kMaxSlopeError_m) {
+        beam.elevation_rad = std::atan(height_line.at_zero);
+        beam.origin_up_m = height_line.slope * std::cos(beam.elevation_rad);
+    }
+    if (azimuth_line.slope_error < kMaxSlopeError_m) {
+        beam.azimuth_offset_rad = azimuth_line.at_zero;
+        beam.origin_left_m = azimuth_line.slope;
+    }
+}
+
+}  // namespace
+
+FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model) {
+    std::vector<Beam> model_beams;
+    for (std::size_t row = 0; row < model.elevation_rad.size(); ++row)
+        model_beams.push_back(
+            {.elevation_rad = model.elevation_rad[row], .azimuth_offset_rad = model.offset_rad[row]});
+    const std::vector<std::vector<RowPoint>> rows = collect_row_points(bundles, model);
+    FittedBeams fitted{.beams = model_beams};
+    for (std::size_t row = 0; row < rows.size(); ++row) {
+        fit_beam(fitted.beams[row], rows[row]);
+        fitted.n_returns += rows[row].size();
+    }
+    fitted.model_misfit_rad = median_misfit(model_beams, rows);
     fitted.misfit_rad = median_misfit(fitted.beams, rows);
     fitted.is_better =
         fitted.model_misfit_rad > kLeastMisfit_rad && fitted.misfit_rad < kClearly * fitted.model_misfit_rad;
-    if (!fitted.is_better) fitted.beams = of_model;
+    if (!fitted.is_better) fitted.beams = model_beams;
     return fitted;
 }
 
@@ -269,33 +323,38 @@ NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vecto
       beams_(lidars_.size()),
       images_(lidars_.size()),
       ray_of_element_(lidars_.size()) {
-    for (std::size_t l = 0; l < lidars_.size(); ++l) {
-        if (!models_[l]) continue;
-        const SpinningModel& model = *models_[l];
-        const std::size_t n_columns = model.azimuth_rad.size();
-        const SpinningSensor& sensor = log.lidars[l].sensor;
-        const int n = sensor.columns;
-        std::vector<std::size_t> row_of_beam(sensor.beams.size());
-        for (std::size_t row = 0; row < row_of_beam.size(); ++row) row_of_beam[model.beam_of_row[row]] = row;
-        beams_[l] = make_generators(sensor.beams);
-        const double sign = model.is_clockwise ? -1.0 : 1.0;
-        images_[l] = make_rays(sensor);
-        ray_of_element_[l].assign(model.elevation_rad.size() * n_columns, -1);
-        for (std::size_t ray = 0; ray < images_[l].size(); ++ray) {
-            const std::size_t beam = images_[l].channel[ray], row = row_of_beam[beam];
-            const glm::dvec3 d(images_[l].direction[ray]);
-            const double turned = sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad -
-                                          model.azimuth_rad.front());
-            const auto column = std::size_t((std::lround(turned / (2.0 * kPi) * n) % n + n) % n);
-            if (column >= n_columns) continue;
-            ray_of_element_[l][row * n_columns + column] = int(ray);
-            // The columns of the sensor are in equal steps, those of the model nearly.
-            const double even_rad = model.azimuth_rad.front() + sign * 2.0 * kPi * double(column) / n;
-            const glm::dquat turn =
-                make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
-            images_[l].direction[ray] = glm::vec3(turn * d);
-            images_[l].origin[ray] = glm::vec3(turn * glm::dvec3(images_[l].origin[ray]));
-        }
+    for (std::size_t l = 0; l < lidars_.size(); ++l)
+        if (models_[l]) make_image(l, log.lidars[l].sensor);
+}
+
+void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
+    const SpinningModel& model = *models_[lidar];
+    const std::size_t n_columns = model.azimuth_rad.size();  // of the model, maybe not a full turn
+    const int n = sensor.columns;
+    const double sign = model.is_clockwise ? -1.0 : 1.0, first_rad = model.azimuth_rad.front();
+    std::vector<std::size_t> row_of_beam(sensor.beams.size());
+    for (std::size_t row = 0; row < row_of_beam.size(); ++row) row_of_beam[model.beam_of_row[row]] = row;
+
+    beams_[lidar] = make_generators(sensor.beams);
+    RayTable& image = images_[lidar] = make_rays(sensor);
+    std::vector<int>& ray_of_element = ray_of_element_[lidar];
+    ray_of_element.assign(model.elevation_rad.size() * n_columns, -1);
+    for (std::size_t ray = 0; ray < image.size(); ++ray) {
+        // Finds the column of the model from the azimuth of the ray without the offset of
+        // its beam.
+        const std::size_t beam = image.channel[ray];
+        const glm::dvec3 d(image.direction[ray]);
+        const double turned =
+            sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad - first_rad);
+        const auto column = std::size_t((std::lround(turned / (2.0 * kPi) * n) % n + n) % n);
+        if (column >= n_columns) continue;
+        ray_of_element[row_of_beam[beam] * n_columns + column] = int(ray);
+        // The columns of the sensor are in equal steps, those of the model nearly.
+        const double even_rad = first_rad + sign * 2.0 * kPi * double(column) / n;
+        const glm::dquat turn =
+            make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
+        image.direction[ray] = glm::vec3(turn * d);
+        image.origin[ray] = glm::vec3(turn * glm::dvec3(image.origin[ray]));
     }
 }
 
@@ -341,55 +400,66 @@ Scan NcoreScans::read_rays(std::size_t frame) const {
 void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar,
                             const std::string& where) const {
     const std::size_t n_rows = models_[lidar]->elevation_rad.size(), n = models_[lidar]->azimuth_rad.size();
-    const std::vector<int>& ray_of = ray_of_element_[lidar];
     std::vector<bool> is_stored(scan.rays.size(), false);
-    std::vector<double> delay_s(n, 0.0), count(n, 0.0);  // [columns] measured minus nominal time
+    std::vector<double> delay_sum_s(n, 0.0), count(n, 0.0);  // [columns] measured minus nominal times
     for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
         const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
         if (row >= n_rows || column >= n)
             fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row,
                  column, n_rows, n);
-        const int ray = ray_of[row * n + column];
+        const int ray = ray_of_element_[lidar][row * n + column];
         if (ray < 0) continue;
         const auto at = std::size_t(ray);
         if (is_stored[at] && scan.range_m[at] > 0.0f) continue;
-        delay_s[column] += double(bundle.time_offset_s[i]) - double(images_[lidar].time_offset_s[at]);
+        delay_sum_s[column] += double(bundle.time_offset_s[i]) - double(images_[lidar].time_offset_s[at]);
         count[column] += 1.0;
         is_stored[at] = true;
         scan.rays.direction[at] = glm::vec3(bundle.direction[i]);
         scan.rays.time_offset_s[at] = bundle.time_offset_s[i];
-        const BeamRays& beam = beams_[lidar][models_[lidar]->beam_of_row[row]];
-        for (std::size_t r = 0; r < bundle.range_m.size() && bundle.range_m[r][i] > 0.0f; ++r) {
-            const glm::dvec3 point = double(bundle.range_m[r][i]) * bundle.direction[i];
-            if (r == 0) {
-                // The ray starts at the origin of its beam and ends at the point.
-                const glm::dvec3 origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
-                const double range_m = glm::distance(point, origin);
-                if (!(range_m > kNearest_m)) break;
-                scan.rays.origin[at] = glm::vec3(origin);
-                scan.rays.direction[at] = glm::vec3((point - origin) / range_m);
-                scan.range_m[at] = float(range_m);
-                scan.intensity[at] = bundle.intensity[0][i];
-                continue;
-            }
-            if (scan.second_returns.size() < r)
-                scan.second_returns.push_back(
-                    {std::vector<float>(scan.rays.size(), 0.0f), std::vector<float>(scan.rays.size(), 0.0f)});
-            scan.second_returns[r - 1].range_m[at] =
-                float(glm::distance(point, glm::dvec3(scan.rays.origin[at])));
-            scan.second_returns[r - 1].intensity[at] = bundle.intensity[r][i];
-        }
+        place_returns(scan, at, bundle, i, beams_[lidar][models_[lidar]->beam_of_row[row]]);
     }
+
     // A column without a ray has the delay of the column before, or of the first column
     // with a ray.
-    double delay = 0.0;
-    for (std::size_t j = n; j-- > 0;)
-        if (count[j] > 0.0) delay = delay_s[j] / count[j];
+    const auto first = std::ranges::find_if(count, [](double n_rays) { return n_rays > 0.0; });
+    if (first == count.end()) return;
+    auto last_with_ray = std::size_t(first - count.begin());
     for (std::size_t j = 0; j < n; ++j) {
-        if (count[j] > 0.0) delay = delay_s[j] / count[j];
-        for (std::size_t row = 0; row < n_rows; ++row)
-            if (const int ray = ray_of[row * n + j]; ray >= 0 && !is_stored[std::size_t(ray)])
-                scan.rays.time_offset_s[std::size_t(ray)] += float(delay);
+        if (count[j] > 0.0) last_with_ray = j;
+        const double delay_s = delay_sum_s[last_with_ray] / count[last_with_ray];
+        for (std::size_t row = 0; row < n_rows; ++row) {
+            const int ray = ray_of_element_[lidar][row * n + j];
+            if (ray >= 0 && !is_stored[std::size_t(ray)])
+                scan.rays.time_offset_s[std::size_t(ray)] += float(delay_s);
+        }
+    }
+}
+
+/// Copies the returns of a stored ray to a ray of the image, which starts at the origin of
+/// its beam and ends at the first return. The other returns get the distances of their
+/// points from this origin.
+void NcoreScans::place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
+                               const BeamRays& beam) {
+    for (std::size_t r = 0; r < bundle.range_m.size(); ++r) {
+        const float stored_range_m = bundle.range_m[r][stored_ray];
+        if (!(stored_range_m > 0.0f)) break;
+        const glm::dvec3 point = double(stored_range_m) * bundle.direction[stored_ray];
+        if (r == 0) {
+            const glm::dvec3 origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
+            const double range_m = glm::distance(point, origin);
+            if (!(range_m > kNearest_m)) break;
+            scan.rays.origin[ray] = glm::vec3(origin);
+            scan.rays.direction[ray] = glm::vec3((point - origin) / range_m);
+            scan.range_m[ray] = float(range_m);
+            scan.intensity[ray] = bundle.intensity[0][stored_ray];
+            continue;
+        }
+        const std::size_t n = scan.rays.size();
+        if (scan.second_returns.size() < r)
+            scan.second_returns.push_back({std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
+        AdditionalReturns& further = scan.second_returns[r - 1];
+        further.range_m[ray] = float(glm::distance(point, glm::dvec3(scan.rays.origin[ray])));
+        further.intensity[ray] = bundle.intensity[r][stored_ray];
     }
 }
 

@@ -49,8 +49,10 @@ struct StoredFrame {
     std::int64_t start_us = 0, end_us = 0;
     std::int64_t middle_us() const { return start_us + (end_us - start_us) / 2; }
 };
+/// Lists the sweeps of a LiDAR in the order of their times.
 std::vector<StoredFrame> list_stored_frames(const Component& lidar);
 
+/// Reads the rays and returns of a sweep.
 /// @param time_us  reference time of the frame in the log
 RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us);
 
@@ -95,8 +97,13 @@ private:
     /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image
     std::vector<std::vector<int>> ray_of_element_;
 
+    /// Computes the rays of a LiDAR's image and `ray_of_element_`. Turns the rays of each
+    /// column to its azimuth in the model.
+    void make_image(std::size_t lidar, const SpinningSensor& sensor);
     RayBundle read_bundle(std::size_t frame) const;
     void place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar, const std::string& where) const;
+    static void place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
+                              const BeamRays& beam);
 };
 
 }  // namespace relidar::ncore

@@ -36,22 +36,26 @@ std::optional<std::string> sequence_name(const fs::path& path) {
     return name.substr(0, name.rfind(".ncore4"));
 }
 
-/// Returns the stores of the sequence of a store, or of the only sequence in a folder.
+/// Returns the files or folders (stores) of one sequence. The stores of a sequence are in
+/// one folder and have equal names up to ".ncore4".
+/// @param path  one of the stores, or a folder with a single sequence
 std::vector<fs::path> find_stores(const fs::path& path) {
     // Keeps the name of a link, because the file that it names can have any name.
     fs::path full = fs::absolute(path).lexically_normal();
     if (!full.has_filename()) full = full.parent_path();
-    std::optional<std::string> chosen = sequence_name(full);
-    const bool is_store = chosen.has_value(), is_folder = fs::is_directory(full);
+    std::optional<std::string> found_name = sequence_name(full);
+    const bool is_store = found_name.has_value(), is_folder = fs::is_directory(full);
     std::vector<fs::path> stores;
     for (const fs::path& entry : list_folder(is_store ? full.parent_path() : full)) {
         const auto name = sequence_name(entry);
-        // A folder can have a sequence in both forms.
-        if (!name || (is_store && (name != chosen || fs::is_directory(entry) != is_folder))) continue;
-        if (chosen && name != chosen)
-            fail("{} has the sequences {} and {}; select one of its files", path.string(), quote(*chosen),
+        if (!name) continue;
+        // A folder can have the same sequence as files and as folders.
+        const bool is_same_form = fs::is_directory(entry) == is_folder;
+        if (is_store && !(name == found_name && is_same_form)) continue;
+        if (found_name && name != found_name)
+            fail("{} has the sequences {} and {}; select one of its files", path.string(), quote(*found_name),
                  quote(*name));
-        chosen = name;
+        found_name = name;
         stores.push_back(entry);
     }
     if (stores.empty()) fail("{} contains no store of NCore, expected *{}", path.string(), kArchiveEnding);
@@ -59,38 +63,46 @@ std::vector<fs::path> find_stores(const fs::path& path) {
     return stores;
 }
 
-/// Splits a key "('source', 'target')", which Python wrote.
+/// Splits a key "('source', 'target')", the text of a Python tuple, into both names. A
+/// name has double quotes if it contains a single quote.
 std::pair<std::string, std::string> split_edge(const std::string& key, const std::string& where) {
     std::vector<std::string> names;
-    for (std::size_t at = 1; at < key.size() && names.size() < 2;) {
-        const std::size_t end = key.find(key[at], at + 1);
-        if ((key[at] != '\'' && key[at] != '"') || end == std::string::npos) break;
-        names.push_back(key.substr(at + 1, end - at - 1));
-        at = end + 3;  // the quote, a comma and a blank
+    std::size_t opening = 1;  // position of the quote before a name
+    while (opening < key.size() && names.size() < 2) {
+        const char mark = key[opening];
+        const std::size_t closing = key.find(mark, opening + 1);
+        if ((mark != '\'' && mark != '"') || closing == std::string::npos) break;
+        names.push_back(key.substr(opening + 1, closing - opening - 1));
+        opening = closing + 3;  // skips the quote, a comma and a blank
     }
     if (names.size() != 2 || key.front() != '(' || key.back() != ')')
         fail("{}: the edge is '{}', expected ('source', 'target')", where, quote(key));
     return {names[0], names[1]};
 }
 
+/// Reads the poses that join two coordinate frames, without the names of the frames. A
+/// fixed edge has one matrix "pose". A moving edge has matrices "poses" with times.
 PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence) {
     PoseGraph::Edge edge;
     edge.is_fixed = field.has_member("pose");
     const JsonField poses = field.at(edge.is_fixed ? "pose" : "poses");
     const std::vector<double> numbers = poses.flat_numbers(3);
     std::vector<double> times_s;
-    if (edge.is_fixed) times_s = {0.0};
-    else
-        for (std::size_t i = 0; i < field.at("timestamps_us").size(); ++i)
-            times_s.push_back(sequence.seconds_of(read_time_us(field.at("timestamps_us").at(i))));
+    if (edge.is_fixed) {
+        times_s = {0.0};
+    } else {
+        const JsonField stamps = field.at("timestamps_us");
+        for (std::size_t i = 0; i < stamps.size(); ++i)
+            times_s.push_back(sequence.seconds_of(read_time_us(stamps.at(i))));
+    }
     if (times_s.empty() || numbers.size() != kPoseNumbers * times_s.size())
         poses.reject(fmt::format("found {} numbers for {} times", numbers.size(), times_s.size()),
                      fmt::format("expected {} numbers for each time", kPoseNumbers));
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         if (i > 0 && !(times_s[i] > times_s[i - 1]))
             field.at("timestamps_us").at(i).reject("found no later time", "expected increasing times");
-        edge.track.append(times_s[i], make_pose(std::span(numbers).subspan(kPoseNumbers * i, kPoseNumbers),
-                                                poses.at(edge.is_fixed ? 0 : i).location()));
+        const auto matrix = std::span(numbers).subspan(kPoseNumbers * i, kPoseNumbers);
+        edge.track.append(times_s[i], make_pose(matrix, poses.at(edge.is_fixed ? 0 : i).location()));
     }
     return edge;
 }
@@ -149,6 +161,7 @@ PoseGraph::PoseGraph(const NcoreSequence& sequence, Notes& notes) {
             const ZarrJson attributes = component.attributes(group);
             for (const auto& [key, value] : attributes.json.items()) {
                 auto [source, target] = split_edge(key, attributes.where);
+                // The graph stays a tree, so that only one path joins two frames.
                 if (find_path(source, target)) {
                     ++n_repeated;
                     continue;
@@ -174,18 +187,21 @@ bool PoseGraph::has_frame(const std::string& name) const {
 
 std::optional<PoseGraph::Path> PoseGraph::find_path(const std::string& source,
                                                     const std::string& target) const {
-    std::map<std::string, Path> reached{{source, {}}};
-    for (std::deque<std::string> open{source}; !open.empty(); open.pop_front()) {
-        if (open.front() == target) return reached[target];
+    // breadth-first search
+    std::map<std::string, Path> path_to{{source, {}}};  // frames that were reached
+    std::deque<std::string> queue{source};              // reached frames whose edges were not followed
+    for (; !queue.empty(); queue.pop_front()) {
+        const std::string frame = queue.front();
+        if (frame == target) return path_to[target];
         for (const Edge& edge : edges_)
             for (const bool is_reverse : {false, true}) {
                 const Step step{&edge, is_reverse};
                 const std::string& next = is_reverse ? edge.source : edge.target;
-                if (step.begin() != open.front() || reached.contains(next)) continue;
-                Path path = reached[open.front()];
+                if (step.begin() != frame || path_to.contains(next)) continue;
+                Path path = path_to[frame];
                 path.push_back(step);
-                reached[next] = std::move(path);
-                open.push_back(next);
+                path_to[next] = std::move(path);
+                queue.push_back(next);
             }
     }
     return std::nullopt;
@@ -206,8 +222,8 @@ bool PoseGraph::is_known(const Path& path, double time_s) {
 Pose PoseGraph::pose_at(const Path& path, double time_s) {
     Pose pose;
     for (const Step& step : path) {
-        const Pose of_edge = step.edge->track.pose_at(time_s);
-        pose = (step.is_reverse ? inverse(of_edge) : of_edge) * pose;
+        const Pose target_from_source = step.edge->track.pose_at(time_s);
+        pose = (step.is_reverse ? inverse(target_from_source) : target_from_source) * pose;
     }
     return pose;
 }
