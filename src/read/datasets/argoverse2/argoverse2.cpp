@@ -54,6 +54,8 @@ std::vector<Beam> nominal_beams() {
     return std::get<SpinningSensor>(find_built_in(kVlp32cName, 1, kRate_hz)->pattern).beams;
 }
 
+/// Properties of a laser: its row in the range image (0 is the highest), and its firing
+/// time after the first pair of lasers in a firing cycle.
 struct LaserRow {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
@@ -61,6 +63,7 @@ struct LaserRow {
 };
 using LaserTable = std::array<LaserRow, kLasersPerLidar>;
 
+/// Returns the lasers of a VLP-32C by their number in the files, modulo 32.
 LaserTable make_laser_table() {
     LaserTable laser_table;
     const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
@@ -80,7 +83,9 @@ struct RawSweep {
 };
 
 /// Returns the mean absolute difference between the elevation of a point and of its
-/// laser. Each difference is at most one degree, so that outliers have little influence.
+/// laser, if a LiDAR with this pose measured the points. Each difference counts at most
+/// one degree, so that outliers have little influence.
+/// @param laser_group  0: points of lasers 0 to 31, 1: points of lasers 32 to 63
 double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
     const LaserTable laser_table = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
@@ -98,17 +103,19 @@ double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& v
 }
 
 /// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
-/// Cycle 0 starts near the time stamp of the sweep. Its exact start is the circular mean
-/// of all points.
-std::vector<int> number_cycles(const std::vector<double>& cycle_start_of_each_point_ns) {
+/// Cycles start at phase + index * kFiringCycle_ns, with the same phase for all points.
+/// The phase is the circular mean: each time is an angle, one cycle is a full turn, and
+/// the mean of the unit vectors does not depend on the index.
+/// @param cycle_starts_ns  [points] measured start of the cycle of each point
+std::vector<int> number_cycles(const std::vector<double>& cycle_starts_ns) {
     std::complex<double> sum = 0.0;
-    for (const double t : cycle_start_of_each_point_ns)
-        sum += std::polar(1.0, 2.0 * kPi * t / kFiringCycle_ns);
+    for (const double start_ns : cycle_starts_ns)
+        sum += std::polar(1.0, 2.0 * kPi * start_ns / kFiringCycle_ns);
     const double phase_ns = std::arg(sum) / (2.0 * kPi) * kFiringCycle_ns;
-    std::vector<int> numbers;
-    for (const double t : cycle_start_of_each_point_ns)
-        numbers.push_back(int(std::lround((t - phase_ns) / kFiringCycle_ns)));
-    return numbers;
+    std::vector<int> cycles;
+    for (const double start_ns : cycle_starts_ns)
+        cycles.push_back(int(std::lround((start_ns - phase_ns) / kFiringCycle_ns)));
+    return cycles;
 }
 
 /// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
@@ -121,8 +128,8 @@ SpinningSensor make_vlp32c(bool clockwise) {
     sensor.beams = nominal_beams();  // of a head that rotates clockwise
     const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
     for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
-        // The offsets contain the clockwise rotation since the first pair. Adding it
-        // twice reverses its sign.
+        // The offset of a laser contains the clockwise (negative) rotation of the head
+        // since the first pair. Adding twice its size reverses its sign.
         sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
     return sensor;
 }
@@ -138,8 +145,10 @@ std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Po
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-/// Returns the points of one LiDAR. Time and laser of a point give its firing. Keeps
-/// firings without points, for example where the vehicle blocks all beams.
+/// Returns the points of one LiDAR and their firings. A firing (all lasers at one azimuth)
+/// follows from the time and the laser of a point. Keeps firings without points, for
+/// example where the vehicle blocks all beams.
+/// @param laser_group  lasers of this LiDAR; 0: numbers 0 to 31, 1: numbers 32 to 63
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
 read::FiredSweep extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
@@ -174,22 +183,21 @@ constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 /// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
 /// translation in metres.
 std::vector<Pose> read_row_poses(const Feather& table) {
-    std::vector<double> q[4], t[3];
-    const char* quaternion[] = {"qw", "qx", "qy", "qz"};
-    const char* translation[] = {"tx_m", "ty_m", "tz_m"};
-    for (int i = 0; i < 4; ++i) q[i] = table.read_numbers(quaternion[i]);
-    for (int i = 0; i < 3; ++i) t[i] = table.read_numbers(translation[i]);
+    const auto column = [&](const char* name) { return table.read_numbers(name); };
+    const std::vector<double> w = column("qw"), x = column("qx"), y = column("qy"), z = column("qz"),
+                              tx_m = column("tx_m"), ty_m = column("ty_m"), tz_m = column("tz_m");
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < table.row_count(); ++i) {
-        const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
+        const glm::dquat rotation(w[i], x[i], y[i], z[i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
             fail("{}, columns 'qw' to 'qz': the rotation quaternion in row {} has length {}, expected 1",
                  table.name(), i, glm::length(rotation));
-        poses.push_back({glm::normalize(rotation), {t[0][i], t[1][i], t[2][i]}});
+        poses.push_back({glm::normalize(rotation), {tx_m[i], ty_m[i], tz_m[i]}});
     }
     return poses;
 }
 
+/// Reads the poses of both LiDARs on the vehicle and returns their models.
 std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
     const Feather table(calibration_file);
     const std::vector<std::string> names = table.read_texts("sensor_name");
@@ -213,7 +221,7 @@ double seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
 }
 
 /// Reads vehicle poses in the city frame, and interpolates them at the times of the
-/// sweeps.
+/// sweeps. Times of the result are seconds after `origin_ns`.
 PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<read::StampedScanFile>& sweeps,
                            std::int64_t origin_ns) {
     const Feather table(pose_file);
@@ -238,7 +246,8 @@ PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<read::St
     return at_sweeps;
 }
 
-/// Rejects unknown lasers, because their numbers select the LiDAR and its beam.
+/// Reads the points of a sweep file. Rejects unknown lasers, because their numbers select
+/// the LiDAR and its beam, and values that cannot be in the units of the dataset.
 RawSweep read_sweep(const fs::path& file) {
     const Feather table(file);
     if (table.row_count() == 0) throw DataError(table.name() + ": the file has no points, expected a sweep");
@@ -271,21 +280,23 @@ using SweepPairs = std::vector<std::array<read::FiredSweep, 2>>;
 SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
                        ScanErrorCollector& broken_scans) {
-    std::optional<std::array<int, 2>> halves;
-    for (std::size_t at = 0; at < files.size() && !halves; ++at)
-        broken_scans.guard(at, [&] {
-            halves = match_laser_groups(read_sweep(files[at].file),
-                                        {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+    // guard() skips a broken sweep, or throws its error.
+    std::optional<std::array<int, 2>> laser_groups;
+    for (std::size_t i = 0; i < files.size() && !laser_groups; ++i)
+        broken_scans.guard(i, [&] {
+            laser_groups = match_laser_groups(read_sweep(files[i].file),
+                                              {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
-    std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_track(vehicle_track, lidars[l].vehicle_from_sensor);
+    std::array<PoseTrack, 2> lidar_tracks;
+    for (std::size_t l = 0; l < 2; ++l)
+        lidar_tracks[l] = mount_track(vehicle_track, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
-    progress_for(files.size(), progress, "reading sweeps", [&](std::size_t at) {
-        broken_scans.guard(at, [&] {
-            const RawSweep raw = read_sweep(files[at].file);
+    progress_for(files.size(), progress, "reading sweeps", [&](std::size_t i) {
+        broken_scans.guard(i, [&] {
+            const RawSweep raw = read_sweep(files[i].file);
             for (std::size_t l = 0; l < 2; ++l)
-                sweeps[at][l] =
-                    extract_group(raw, halves->at(l), lidars[l], ways[l], vehicle_track.time_s[at]);
+                sweeps[i][l] = extract_group(raw, laser_groups->at(l), lidars[l], lidar_tracks[l],
+                                             vehicle_track.time_s[i]);
         });
     });
     return sweeps;
@@ -298,23 +309,26 @@ void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_f
                 const ScanErrorCollector& broken_scans) {
     broken_scans.report_broken(sequence, sweep_files.size());
     std::vector<read::FiredSweep> sweeps;
-    std::size_t missing = 0;
-    for (std::size_t at = 0; at < sweep_files.size(); ++at) {
-        if (broken_scans.is_scan_broken(at)) continue;
+    std::size_t n_missing = 0;
+    for (std::size_t i = 0; i < sweep_files.size(); ++i) {
+        if (broken_scans.is_scan_broken(i)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
-            if (sweep_pairs[at][l].points.size() == 0 && ++missing) continue;
-            add_frame(sequence, sweep_files[at].number, vehicle_poses.time_s[at], vehicle_poses.pose[at],
+            if (sweep_pairs[i][l].points.size() == 0) {
+                ++n_missing;
+                continue;
+            }
+            add_frame(sequence, sweep_files[i].number, vehicle_poses.time_s[i], vehicle_poses.pose[i],
                       int(l));
-            sweeps.push_back(std::move(sweep_pairs[at][l]));
+            sweeps.push_back(std::move(sweep_pairs[i][l]));
         }
     }
     read::set_fired_scans(sequence, sweeps, progress);
     for (const Lidar& lidar : sequence.lidars)
         if (lidar.sensor.columns == 0)
             fail("{} has no points of the LiDAR {}, expected at least one", sequence.source, lidar.name);
-    if (missing > 0)
+    if (n_missing > 0)
         sequence.notes.push_back(fmt::format(
-            "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
+            "{} frames are skipped, because their sweep has no points of one of the LiDARs", n_missing));
 }
 
 /// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
@@ -329,20 +343,18 @@ std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file,
     const std::vector<double> length = table.read_numbers("length_m"), width = table.read_numbers("width_m"),
                               height = table.read_numbers("height_m");
     const std::vector<Pose> vehicle_from_box = read_row_poses(table);
-    std::map<std::int64_t, std::size_t> sweep_at;
-    for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].stamp] = i;
+    std::map<std::int64_t, std::size_t> sweep_of_time;
+    for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_of_time[sweeps[i].stamp] = i;
     std::vector<BoxLabel> labels;
-    for (std::size_t i = 0; i < table.row_count(); ++i) {
-        const glm::dvec3 size_m(length[i], width[i], height[i]);
-        const auto sweep = sweep_at.find(times_ns[i]);
-        if (sweep == sweep_at.end()) continue;
-        const std::size_t at = sweep->second;
-        labels.push_back({ids[i], categories[i], size_m, vehicle_poses.time_s[at],
-                          vehicle_poses.pose[at] * vehicle_from_box[i]});
+    for (std::size_t row = 0; row < table.row_count(); ++row) {
+        const auto entry = sweep_of_time.find(times_ns[row]);
+        if (entry == sweep_of_time.end()) continue;  // a sweep that is not loaded
+        const std::size_t sweep = entry->second;
+        const glm::dvec3 size_m(length[row], width[row], height[row]);
+        labels.push_back({ids[row], categories[row], size_m, vehicle_poses.time_s[sweep],
+                          vehicle_poses.pose[sweep] * vehicle_from_box[row]});
     }
-    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
-        return first.time_s < second.time_s;
-    });
+    std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
     return build_tracks(labels);
 }
 
@@ -353,9 +365,8 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<read::StampedScanFile> all =
         read::list_stamped_files(folder / "sensors" / "lidar", ".feather");
-    const auto [first_sweep, end_sweep] =
-        limit_frames(options.frames, int(all.size()), folder.filename().string());
-    const std::vector<read::StampedScanFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
+    const FrameRange loaded = limit_frames(options.frames, int(all.size()), folder.filename().string());
+    const std::vector<read::StampedScanFile> sweeps(all.begin() + loaded.begin, all.begin() + loaded.end);
     // Time 0 is the first sweep of the full log, not of the loaded range.
     const PoseTrack vehicle_track =
         read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].stamp);
