@@ -30,6 +30,8 @@ using TokenMap = std::unordered_map<std::string, T>;
 constexpr std::string_view kLidarPrefix = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
 
+/// Returns the times of a scene's keyframes in microseconds, by token (id). The dataset
+/// calls a keyframe a sample. Only keyframes have labels.
 TokenMap<std::int64_t> read_keyframes(const fs::path& table_folder, const std::string& scene_token) {
     TokenMap<std::int64_t> samples;
     for_each_record(table_folder / "sample.json", [&](const JsonRecord& record) {
@@ -44,7 +46,9 @@ struct LidarMount {
     Pose ego_from_lidar;
 };
 
-/// Joins two tables. The key is the token that the sweeps refer to.
+/// Returns the channel and the pose of each LiDAR, by the token (id) of its calibration,
+/// to which the sweeps refer. Channels are in the table sensor, poses in the table
+/// calibrated_sensor.
 TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
     TokenMap<std::string> channels;
     for_each_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
@@ -65,8 +69,10 @@ TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
 
 using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files by channel name, then by token
 
-/// Returns the LiDAR files of a scene, by channel. A file belongs to the scene if its
-/// keyframe does.
+/// Returns the LiDAR files of a scene, by channel (name of the LiDAR). A file belongs to
+/// the scene if the keyframe that it refers to does.
+/// @param keyframe_times_us  keyframes of the scene, by token
+/// @param mounted_lidars  LiDARs, by the token of their calibration
 SweepsByChannel list_lidar_files(const fs::path& table_folder,
                                  const TokenMap<std::int64_t>& keyframe_times_us,
                                  const TokenMap<LidarMount>& mounted_lidars) {
@@ -91,7 +97,9 @@ SweepsByChannel list_lidar_files(const fs::path& table_folder,
 }
 
 /// Sorts the files of a LiDAR by time. Starts at its first keyframe and follows the key
-/// "next" of each record.
+/// "next" of each record, so that earlier files, which can belong to another scene, are
+/// left out.
+/// @param files  files by token (id)
 /// @return empty without a keyframe
 std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMap<SweepRecord>& files) {
     const std::string where = (table_folder / "sample_data.json").string();
@@ -101,7 +109,8 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMa
     std::vector<SweepRecord> sweeps;
     for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
         const auto file = files.find(token);
-        if (file == files.end() || sweeps.size() == files.size())
+        const bool is_cycle = sweeps.size() == files.size();
+        if (file == files.end() || is_cycle)
             fail(
                 "{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the LiDAR's "
                 "next file in the scene, or an empty text after the last file",
@@ -129,34 +138,40 @@ std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap
     return lidars;
 }
 
-/// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
-/// TruckScenes refers to the nearest stored pose.
-std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector<SweepRecord>& sweeps) {
-    const fs::path file = table_folder / "ego_pose.json";
-    struct TimedPose {
-        std::int64_t time_us = 0;
-        Pose pose;
-    };
-    TokenMap<TimedPose> poses;
-    for (const SweepRecord& sweep : sweeps) poses[sweep.ego_pose];
+struct TimedPose {
+    std::int64_t time_us = 0;
+    Pose pose;
+};
+
+/// Reads the poses that the sweeps refer to, by token (id).
+TokenMap<TimedPose> read_sweep_poses(const fs::path& pose_file, const std::vector<SweepRecord>& sweeps) {
     Tokens missing;
-    for (const auto& [token, pose] : poses) missing.insert(token);
-    for_each_record(file, [&](const JsonRecord& record) {
+    for (const SweepRecord& sweep : sweeps) missing.insert(sweep.ego_pose);
+    TokenMap<TimedPose> poses;
+    for_each_record(pose_file, [&](const JsonRecord& record) {
         const std::string token = record.read_text("token");
         if (missing.erase(token) > 0)
             poses[token] = {record.rounded_integer("timestamp"), record.read_pose()};
     });
-    std::map<std::int64_t, Pose> by_time;
-    for (const SweepRecord& sweep : sweeps) {
+    for (const SweepRecord& sweep : sweeps)
         if (missing.contains(sweep.ego_pose))
-            fail("{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
-                 quote(sweep.ego_pose), quote(sweep.file));
-        const TimedPose& pose = poses[sweep.ego_pose];
-        by_time[pose.time_us] = pose.pose;
+            fail("{}, key 'token': the pose '{}' is missing, but the file {} refers to it",
+                 pose_file.string(), quote(sweep.ego_pose), quote(sweep.file));
+    return poses;
+}
+
+/// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
+/// TruckScenes refers to the nearest stored pose, which has another time.
+std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector<SweepRecord>& sweeps) {
+    const TokenMap<TimedPose> poses = read_sweep_poses(table_folder / "ego_pose.json", sweeps);
+    std::map<std::int64_t, Pose> pose_of_time;  // sorted, and each time once
+    for (const SweepRecord& sweep : sweeps) {
+        const TimedPose& stored = poses.at(sweep.ego_pose);
+        pose_of_time[stored.time_us] = stored.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
-    for (const auto& [time_us, pose] : by_time) track.append(seconds(time_us), pose);
+    for (const auto& [time_us, pose] : pose_of_time) track.append(seconds(time_us), pose);
     std::vector<Pose> world_from_ego;
     for (const SweepRecord& sweep : sweeps) world_from_ego.push_back(track.pose_at(seconds(sweep.time_us)));
     return world_from_ego;
@@ -174,26 +189,11 @@ TokenMap<std::string> read_text_column(const fs::path& table_file, const char* k
     return values;
 }
 
-/// Reads the box labels of a scene. Scenes of test splits have no label table, so they
-/// have no labels.
-std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const SceneTables& scene,
-                                        const TokenMap<std::int64_t>& keyframe_times_us) {
-    std::vector<BoxLabel> labels;
+/// Sets the category names of labels, whose ids are tokens of instances (objects). An
+/// instance refers to a category, and the category has a name.
+void set_categories(const fs::path& table_folder, std::vector<BoxLabel>& labels) {
     Tokens instances;
-    const fs::path file = table_folder / "sample_annotation.json";
-    if (!does_path_exist(file)) return labels;
-    for_each_record(file, [&](const JsonRecord& record) {
-        const auto sample = keyframe_times_us.find(record.read_text("sample_token"));
-        if (sample == keyframe_times_us.end()) return;
-        const glm::dvec3 size = record.vec3("size");  // width, length, height
-        // The category is set below. BoxLabel needs the order length, width, height.
-        labels.push_back({record.read_text("instance_token"),
-                          "",
-                          {size.y, size.x, size.z},
-                          scene.seconds_at(sample->second),
-                          record.read_pose()});
-        instances.insert(labels.back().id);
-    });
+    for (const BoxLabel& label : labels) instances.insert(label.id);
     const TokenMap<std::string> category_of =
         read_text_column(table_folder / "instance.json", "category_token", &instances);
     const TokenMap<std::string> names = read_text_column(table_folder / "category.json", "name", nullptr);
@@ -205,9 +205,29 @@ std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const Scen
                  (table_folder / "instance.json").string(), quote(label.id));
         label.category = name->second;
     }
-    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
-        return first.time_s < second.time_s;
+}
+
+/// Reads the box labels of a scene, sorted by time. Scenes of test splits have no label
+/// table, so they have no labels.
+/// @param keyframe_times_us  keyframes of the scene, by token (id)
+std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const SceneTables& scene,
+                                        const TokenMap<std::int64_t>& keyframe_times_us) {
+    std::vector<BoxLabel> labels;
+    const fs::path file = table_folder / "sample_annotation.json";
+    if (!does_path_exist(file)) return labels;
+    for_each_record(file, [&](const JsonRecord& record) {
+        const auto keyframe = keyframe_times_us.find(record.read_text("sample_token"));
+        if (keyframe == keyframe_times_us.end()) return;
+        const glm::dvec3 width_length_height = record.vec3("size");
+        BoxLabel label;
+        label.id = record.read_text("instance_token");
+        label.size_m = {width_length_height.y, width_length_height.x, width_length_height.z};
+        label.time_s = scene.seconds_at(keyframe->second);
+        label.world_from_box = record.read_pose();
+        labels.push_back(std::move(label));
     });
+    set_categories(table_folder, labels);
+    std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
     return labels;
 }
 
