@@ -40,26 +40,26 @@ std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<PointRangeElevation>> samples_by_degree(181);  // points by degree of elevation
+    constexpr std::size_t kDegrees = 180;  // from straight down to straight up
+    std::vector<std::vector<PointRangeElevation>> points_by_degree(kDegrees + 1);
     for (const LidarPoints& scan : scans)
         for (const glm::vec3& p : scan.position_m) {
-            const double elevation = compute_elevation(glm::dvec3(p));
-            samples_by_degree[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back(
-                {glm::length(p), elevation});
+            const double elevation_rad = compute_elevation(glm::dvec3(p));
+            const auto degree = std::size_t((elevation_rad / kPi + 0.5) * double(kDegrees));
+            points_by_degree[degree].push_back({glm::length(p), elevation_rad});
         }
-    std::vector<double> elevations;
-    for (std::vector<PointRangeElevation>& degree : samples_by_degree) {
-        const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
-        std::nth_element(degree.begin(), half, degree.end(),
-                         [](const PointRangeElevation& first, const PointRangeElevation& second) {
-                             return first.range_m < second.range_m;
-                         });
-        for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
+    std::vector<double> elevations_rad;
+    for (std::vector<PointRangeElevation>& points : points_by_degree) {
+        const auto first_far = points.begin() + std::ptrdiff_t(points.size() / 2);
+        std::ranges::nth_element(points, first_far, {}, &PointRangeElevation::range_m);
+        for (auto point = first_far; point != points.end(); ++point)
+            elevations_rad.push_back(point->elevation_rad);
     }
-    std::sort(elevations.begin(), elevations.end());
-    return elevations;
+    std::ranges::sort(elevations_rad);
+    return elevations_rad;
 }
 
+/// Consecutive bins of the histogram of elevations that contain the points of one beam.
 struct RingBand {
     int first, last;       ///< first and last bin
     double elevation_rad;  ///< median elevation of the band
@@ -78,70 +78,123 @@ std::vector<RingBand> group_bins(const std::vector<int>& points_per_bin, double 
     return bands;
 }
 
-/// Adds narrow bands with few points, which belong to beams with few returns. Their
-/// distance from the previous band must be similar to the last distance between two
-/// bands, unlike that of stray points.
-/// @param candidate_bands  groups of all bins with points, in the order of the search
+/// Returns the distance between the centres of two bands, in bins.
+double band_distance(const RingBand& first, const RingBand& second) {
+    return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
+}
+
+/// Adds narrow bands with few points, which belong to beams with few returns. Unlike stray
+/// points, such a band continues the spacing of the bands before it.
+/// @param candidate_bands  groups of all bins with points, in the order of the search:
+/// upward or downward
 /// @param strong_bands  bands with enough points, in the same order
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
                                      const std::vector<RingBand>& strong_bands) {
     constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
     constexpr int kWidestWeak = 2;
     std::vector<RingBand> complete;
-    double usual = 0.0;       // distance between the last two bands
-    bool is_regular = false;  // false after a group of stray points, until the next accepted band
-    const auto distance = [](const RingBand& first, const RingBand& second) {
-        return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
-    };
+    double usual_distance = 0.0;  // between the last two bands
+    bool is_regular = false;      // false after a group of stray points, until the next accepted band
     const auto add = [&](const RingBand& band) {
-        if (!complete.empty()) usual = distance(complete.back(), band);
-        is_regular = complete.size() > 0;
+        if (!complete.empty()) usual_distance = band_distance(complete.back(), band);
+        is_regular = !complete.empty();
         complete.push_back(band);
     };
-    std::size_t next = 0;
+    std::size_t next = 0;  // of the strong bands
     for (const RingBand& group : candidate_bands) {
+        // A group with strong bands contributes only these.
         const std::size_t first = next;
         while (next < strong_bands.size() && strong_bands[next].first >= group.first &&
                strong_bands[next].last <= group.last)
             add(strong_bands[next++]);
         if (next > first || !is_regular) continue;
-        const double apart = distance(complete.back(), group);
-        is_regular =
-            apart > kMinStepRatio * usual && apart < kMaxStepRatio * usual &&
-            group.last - group.first <= kWidestWeak &&
-            (next == strong_bands.size() || distance(group, strong_bands[next]) > kMinStepRatio * usual);
+
+        const double distance = band_distance(complete.back(), group);
+        const bool continues_spacing =
+            distance > kMinStepRatio * usual_distance && distance < kMaxStepRatio * usual_distance;
+        const bool is_narrow = group.last - group.first <= kWidestWeak;
+        const bool leaves_space = next == strong_bands.size() ||
+                                  band_distance(group, strong_bands[next]) > kMinStepRatio * usual_distance;
+        is_regular = continues_spacing && is_narrow && leaves_space;
         if (is_regular) add(group);
     }
     return complete;
 }
 
-/// Returns the bands in the histogram of elevations. A band is a group of filled bins and
-/// contains the points of one beam.
+/// Returns the number of points that a bin of a beam must have. Stray points fill fewer.
+double find_least_count(const std::vector<int>& points_per_bin) {
+    std::vector<int> filled;
+    std::ranges::copy_if(points_per_bin, std::back_inserter(filled), [](int n) { return n > 0; });
+    const auto well_filled = filled.begin() + std::ptrdiff_t(filled.size() * 9 / 10);
+    std::ranges::nth_element(filled, well_filled);
+    return kMinBinShare * *well_filled;
+}
+
+/// Returns the bands in the histogram of elevations, from the lowest to the highest beam.
 std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
+    if (sorted_elevations_rad.empty()) return {};
     const int n_bins = int(kPi / kBinWidth_rad) + 1;
-    const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBinWidth_rad); };
-    std::vector<int> count(std::size_t(n_bins) + 1, 0);
-    for (const double e : sorted_elevations_rad) ++count[std::size_t(bin(e))];
-    std::vector<int> full;
-    std::copy_if(count.begin(), count.end(), std::back_inserter(full), [](int c) { return c > 0; });
-    if (full.empty()) return {};
-    std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
-    const double least = kMinBinShare * full[full.size() * 9 / 10];
-    std::vector<RingBand> groups = group_bins(count, 1.0), bands = group_bins(count, least);
+    const auto bin_of = [](double elevation_rad) { return int((elevation_rad + kPi / 2) / kBinWidth_rad); };
+    std::vector<int> points_per_bin(std::size_t(n_bins) + 1, 0);
+    for (const double elevation_rad : sorted_elevations_rad)
+        ++points_per_bin[std::size_t(bin_of(elevation_rad))];
+
+    std::vector<RingBand> candidates = group_bins(points_per_bin, 1.0);
+    std::vector<RingBand> bands = group_bins(points_per_bin, find_least_count(points_per_bin));
     for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
-        bands = add_weak_bands(groups, bands);
-        std::ranges::reverse(groups);
+        bands = add_weak_bands(candidates, bands);
+        std::ranges::reverse(candidates);
         std::ranges::reverse(bands);
     }
+
     for (RingBand& band : bands) {
-        const auto begin = std::partition_point(sorted_elevations_rad.begin(), sorted_elevations_rad.end(),
-                                                [&](double e) { return bin(e) < band.first; });
-        const auto end = std::partition_point(begin, sorted_elevations_rad.end(),
-                                              [&](double e) { return bin(e) <= band.last; });
+        const auto begin = std::ranges::partition_point(
+            sorted_elevations_rad, [&](double elevation_rad) { return bin_of(elevation_rad) < band.first; });
+        const auto end = std::partition_point(begin, sorted_elevations_rad.end(), [&](double elevation_rad) {
+            return bin_of(elevation_rad) <= band.last;
+        });
         band.elevation_rad = *(begin + (end - begin) / 2);
     }
     return bands;
 }
+
+/// Finds the beam that measured a point.
+class BeamFinder {
+public:
+    explicit BeamFinder(const std::vector<Beam>& beams)
+        : beams_(beams), geometry_(make_generators(beams)), rising_(beams.size()) {
+        std::iota(rising_.begin(), rising_.end(), std::uint16_t(0));
+        std::ranges::stable_sort(rising_, {}, [&](std::uint16_t beam) { return beams_[beam].elevation_rad; });
+    }
+
+    /// Returns the beam whose elevation fits best, seen from the origin of the beam. Tests
+    /// only beams near the elevation that the point has from the sensor origin.
+    std::uint16_t find_beam(const glm::dvec3& point_m) const {
+        const double elevation_rad = compute_elevation(point_m);
+        const auto nearest = std::ranges::partition_point(
+            rising_, [&](std::uint16_t beam) { return beams_[beam].elevation_rad < elevation_rad; });
+        const auto begin = nearest - std::min(kBeamReach, nearest - rising_.begin());
+        const auto end = nearest + std::min(kBeamReach, rising_.end() - nearest);
+        std::uint16_t best = *begin;
+        double least_error_rad = INFINITY;
+        for (auto beam = begin; beam != end; ++beam) {
+            const BeamRays& rays = geometry_[*beam];
+            const glm::dvec3 origin_m = rays.compute_ray(rays.azimuth_facing(point_m)).origin_m;
+            const double error_rad =
+                std::abs(compute_elevation(point_m - origin_m) - beams_[*beam].elevation_rad);
+            if (error_rad < least_error_rad) {
+                least_error_rad = error_rad;
+                best = *beam;
+            }
+        }
+        return best;
+    }
+
+private:
+    const std::vector<Beam>& beams_;
+    std::vector<BeamRays> geometry_;
+    std::vector<std::uint16_t> rising_;  ///< beams in ascending order of elevation
+};
 
 }  // namespace
 
@@ -151,9 +204,9 @@ std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     // Every band must be narrow compared with its distance from the next band. Otherwise
     // the bands are not beams.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
-        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
+        const double distance = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})
-            if (band.last - band.first > kMaxBandWidth * apart) return {};
+            if (band.last - band.first > kMaxBandWidth * distance) return {};
     }
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
@@ -166,34 +219,10 @@ void assign_rings(LidarPoints& points, const std::vector<Beam>& beams) {
         throw UsageError(
             "cannot compute the rings of points: the sensor has no beams or too many beams, expected 1 to "
             "65535 beams");
-    std::vector<std::uint16_t> rising(beams.size());
-    std::iota(rising.begin(), rising.end(), std::uint16_t(0));
-    const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };
-    std::stable_sort(rising.begin(), rising.end(),
-                     [&](auto first, auto second) { return elevation(first) < elevation(second); });
-    const std::vector<BeamRays> geometry = make_generators(beams);
+    const BeamFinder finder(beams);
     points.ring.clear();
-    for (const glm::vec3& point : points.position_m) {
-        const glm::dvec3 p(point);
-        const double point_elevation_rad = compute_elevation(p);
-        // Compares only beams near the elevation of the point, seen from the sensor
-        // origin. The elevation from the origin of the beam then decides.
-        const auto nearest = std::partition_point(rising.begin(), rising.end(),
-                                                  [&](auto k) { return elevation(k) < point_elevation_rad; });
-        const auto begin = nearest - std::min(kBeamReach, nearest - rising.begin()),
-                   end = nearest + std::min(kBeamReach, rising.end() - nearest);
-        std::uint16_t best = *begin;
-        double least = INFINITY;
-        for (auto k = begin; k != end; ++k) {
-            const glm::dvec3 origin = geometry[*k].compute_ray(geometry[*k].azimuth_facing(p)).origin_m;
-            const double miss = std::abs(compute_elevation(p - origin) - elevation(*k));
-            if (miss < least) {
-                least = miss;
-                best = *k;
-            }
-        }
-        points.ring.push_back(best);
-    }
+    for (const glm::vec3& point : points.position_m)
+        points.ring.push_back(finder.find_beam(glm::dvec3(point)));
 }
 
 }  // namespace relidar
