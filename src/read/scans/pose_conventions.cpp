@@ -35,6 +35,8 @@ constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
 // Note that the order of the quaternions is uncertain.
 constexpr const char* kQuaternionOrder = "quaternion_order";
 
+/// Returns the mean z component of the vehicle's up axis in the world: 1 on level ground, -1
+/// upside down.
 double mean_upright(const PoseTrack& track) {
     double sum = 0.0;
     for (const Pose& pose : track.pose) sum += (pose.rotation * glm::dvec3(0, 0, 1)).z;
@@ -43,6 +45,7 @@ double mean_upright(const PoseTrack& track) {
 
 constexpr std::size_t kScanPairs = 5;  // number of pairs of scans that are compared
 
+/// Returns the points of a scan in the vehicle frame.
 std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
     const Pose& mounting = sequence.lidar_of(frame).vehicle_from_sensor;
     const RayTable& rays = frame.scan.rays;
@@ -68,6 +71,66 @@ ScanPairs collect_pairs(const Log& sequence) {
     return pairs;
 }
 
+/// Compares the meanings of the numbers in a pose file. Meaning 0 is the documented one.
+struct PoseChoice {
+    const std::vector<PoseReading>& readings;
+    std::vector<double> forward;  ///< [meanings] mean x component of the vehicle's motion
+    std::vector<double> upright;  ///< [meanings] result of mean_upright()
+    std::size_t best = 0;         ///< meaning that is used
+    std::size_t undecided = 0;    ///< meaning that may be right; 0: none
+
+    explicit PoseChoice(const std::vector<PoseReading>& pose_readings) : readings(pose_readings) {
+        for (const PoseReading& reading : readings) {
+            const DrivingDirection driving = driving_direction(reading.world_from_vehicle);
+            forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
+            upright.push_back(mean_upright(reading.world_from_vehicle));
+        }
+    }
+
+    bool is_forward(std::size_t k) const {
+        return forward[k] >= kMinForward && forward[k] >= forward[0] + kMoreForward;
+    }
+    bool corrects_upside_down(std::size_t k) const { return upright[k] > upright[0] + kMoreUpright; }
+
+    /// Returns true if the motion is plausible with meaning k, but less with meaning 0. A
+    /// vehicle can also drive backward, which only the scans can show.
+    bool is_possible(std::size_t k) const {
+        if (is_forward(k)) return true;
+        if (std::abs(forward[k]) < kMinForward) return false;
+        const bool is_backward = forward[k] < 0.0 && !readings[k].needs_scans;
+        return forward[0] < kMinForward || corrects_upside_down(k) || is_backward;
+    }
+
+    /// Chooses without scans. A vehicle that drives backward looks like one that drives
+    /// forward with another order of the quaternion. Such a meaning is only `undecided`.
+    void choose_by_motion(const std::vector<std::size_t>& possible) {
+        for (const std::size_t k : possible) {
+            const bool improves_motion = is_forward(k) || corrects_upside_down(k);
+            const bool becomes_tilted = upright[k] < upright[0] - kLessUpright;
+            if (readings[k].needs_scans || best > 0 || becomes_tilted || !improves_motion) continue;
+            const bool may_drive_backward = forward[0] <= -kMinForward || !is_forward(k);
+            if (may_drive_backward) undecided = k;
+            else best = k;
+        }
+    }
+
+    /// Chooses the meaning with which scans overlap best. If the overlap does not change, a
+    /// meaning with forward motion is `undecided`.
+    void choose_by_overlap(const std::vector<std::size_t>& possible, const ScanPairs& scans) {
+        const double first_overlap = scans.overlap_fraction(readings[0].world_from_vehicle);
+        double best_overlap = first_overlap + kMoreOverlap;
+        for (const std::size_t k : possible) {
+            const double overlap = scans.overlap_fraction(readings[k].world_from_vehicle);
+            if (overlap > best_overlap) {
+                best = k;
+                best_overlap = overlap;
+            } else if (is_forward(k) && !readings[k].needs_scans && overlap >= first_overlap - kMoreOverlap) {
+                undecided = k;
+            }
+        }
+    }
+};
+
 }  // namespace
 
 void ScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
@@ -86,10 +149,10 @@ double ScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
             inverse(world_from_vehicle.pose_at(pair.first_s)) * world_from_vehicle.pose_at(pair.second_s);
         std::unordered_set<std::uint64_t> cells;
         for (const glm::vec3& p : pair.first_m) cells.insert(grid_key(glm::dvec3(p), kOverlapCell_m));
-        std::size_t n = 0;
-        for (const glm::vec3& p : pair.second_m)
-            n += cells.contains(grid_key(first_from_second * glm::dvec3(p), kOverlapCell_m));
-        sum += double(n) / double(pair.second_m.size());
+        const auto n_overlapping = std::ranges::count_if(pair.second_m, [&](const glm::vec3& p) {
+            return cells.contains(grid_key(first_from_second * glm::dvec3(p), kOverlapCell_m));
+        });
+        sum += double(n_overlapping) / double(pair.second_m.size());
     }
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
@@ -97,88 +160,60 @@ double ScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
 std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
                          const ScanPairReader& read_scan_pairs_or_null, const std::string& where,
                          Notes& notes) {
-    std::vector<double> forward, upright;
-    for (const PoseReading& reading : interpretations) {
-        const auto driving = read::driving_direction(reading.world_from_vehicle);
-        forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
-        upright.push_back(mean_upright(reading.world_from_vehicle));
-    }
-    const auto is_forward = [&](std::size_t k) {
-        return forward[k] >= kMinForward && forward[k] >= forward[0] + kMoreForward;
-    };
-    // Only the scans can show that a vehicle drives backward.
-    const auto is_possible = [&](std::size_t k) {
-        return is_forward(k) || (std::abs(forward[k]) >= kMinForward &&
-                                 (forward[0] < kMinForward || upright[k] > upright[0] + kMoreUpright ||
-                                  (forward[k] < 0.0 && !interpretations[k].needs_scans)));
-    };
+    PoseChoice choice(interpretations);
     std::vector<std::size_t> possible;
     for (std::size_t k = 1; k < interpretations.size(); ++k)
-        if (is_possible(k)) possible.push_back(k);
+        if (choice.is_possible(k)) possible.push_back(k);
     if (possible.empty()) return 0;
+
     const ScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : ScanPairs();
-    const double first_overlap = scans.overlap_fraction(interpretations[0].world_from_vehicle);
-    std::size_t best = 0, undecided = 0;
-    double best_overlap = first_overlap + kMoreOverlap;
-    for (const std::size_t k : possible) {
-        const PoseReading& reading = interpretations[k];
-        const double overlap = scans.overlap_fraction(reading.world_from_vehicle);
-        if (scans.empty()) {
-            if (reading.needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright ||
-                !(is_forward(k) || upright[k] > upright[0] + kMoreUpright))
-                continue;
-            // A vehicle that drives backward looks like one that drives forward with
-            // another order of the quaternion.
-            (forward[0] <= -kMinForward || !is_forward(k) ? undecided : best) = k;
-        } else if (overlap > best_overlap) {
-            best = k;
-            best_overlap = overlap;
-        } else if (is_forward(k) && !reading.needs_scans && overlap >= first_overlap - kMoreOverlap) {
-            undecided = k;
-        }
-    }
+    if (scans.empty()) choice.choose_by_motion(possible);
+    else choice.choose_by_overlap(possible, scans);
+    const std::size_t best = choice.best, undecided = choice.undecided;
     if (best > 0)
         notes.push_back(
             fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of "
                         "its path{}, but {:.2f} m forward if poses are read as {}",
-                        where, interpretations[best].about, std::abs(forward[best]),
-                        forward[best] < 0.0 ? "backward" : "forward",
-                        scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
-                        interpretations[0].about));
+                        where, interpretations[best].name, std::abs(choice.forward[best]),
+                        choice.forward[best] < 0.0 ? "backward" : "forward",
+                        scans.empty() ? "" : " and consecutive scans overlap better", choice.forward[0],
+                        interpretations[0].name));
     else if (undecided > 0)
         notes.push_back(
-            {interpretations[undecided].about == kScalarLast ? kQuaternionOrder : "", -1,
+            {interpretations[undecided].name == kScalarLast ? kQuaternionOrder : "", -1,
              fmt::format("{}: the convention of the poses is uncertain: the vehicle moves {:.2f} m forward "
                          "per metre of its path with poses that are read as {}, but {:.2f} m with {}; if "
                          "these poses are wrong, add a first line with the names of the columns",
-                         where, forward[0], interpretations[0].about, forward[undecided],
-                         interpretations[undecided].about)});
+                         where, choice.forward[0], interpretations[0].name, choice.forward[undecided],
+                         interpretations[undecided].name)});
     return best;
 }
 
 void fix_inverted_poses(Log& sequence) {
     if (!sequence.has_poses) return;
-    PoseTrack world_track = sequence.world_from_vehicle;
-    for (Pose& pose : world_track.pose) pose.translation += sequence.world_offset_m;
-    PoseTrack inverted_track = world_track, other_order = world_track;
-    for (Pose& pose : inverted_track.pose) pose = inverse(pose);
-    for (Pose& pose : other_order.pose) {
+    PoseTrack stored_poses = sequence.world_from_vehicle;  // as in the file, before centre_log()
+    for (Pose& pose : stored_poses.pose) pose.translation += sequence.world_offset_m;
+    PoseTrack inverted_poses = stored_poses, reordered_poses = stored_poses;
+    for (Pose& pose : inverted_poses.pose) pose = inverse(pose);
+    for (Pose& pose : reordered_poses.pose) {
+        // The reader assumed w x y z. If the file has x y z w, its w is the last number.
         const glm::dquat q = pose.rotation;
         pose.rotation = glm::dquat(q.z, q.w, q.x, q.y);
     }
     std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
-                                         {"sensor-from-world poses", std::move(inverted_track), true}};
+                                         {"sensor-from-world poses", std::move(inverted_poses),
+                                          /*needs_scans=*/true}};
     // The reader had no scans, which now decide the order of the quaternions.
     const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
     if (undecided != sequence.notes.end()) {
-        readings[0].about = kScalarFirst;
-        readings.push_back({kScalarLast, std::move(other_order)});
+        readings[0].name = kScalarFirst;
+        readings.push_back({kScalarLast, std::move(reordered_poses)});
         sequence.notes.erase(undecided);
     }
     const auto read_pairs = [&] { return collect_pairs(sequence); };
     Notes notes;
     const std::size_t best = choose_poses(readings, read_pairs, sequence.source, notes);
-    // Now the order is final, so that a converted log keeps the text.
+    // Leaves out the ids of the notes, because the order of the quaternions is final now.
     for (const Note& note : notes) sequence.notes.push_back(note.text);
     if (best == 0) return;
     set_trajectory(sequence, readings[best].world_from_vehicle);

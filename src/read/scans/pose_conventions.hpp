@@ -17,10 +17,10 @@ inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy
 
 /// One meaning of the numbers in a pose file.
 struct PoseReading {
-    std::string about;             ///< text for notes
+    std::string name;              ///< for notes, such as "qw qx qy qz"
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if this meaning needs scans that overlap better. Forward motion is not
-    /// enough, because vehicles can also drive backwards.
+    /// True if this meaning is accepted only if scans overlap better. Forward motion is
+    /// not enough, because vehicles can also drive backwards.
     bool needs_scans = false;
 };
 

@@ -172,7 +172,7 @@ std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) 
         PoseTrack track = interpretations[k].world_from_vehicle;
         for (Pose& pose : track.pose) pose = inverse(pose);
         interpretations.push_back(
-            {interpretations[k].about + ", from the world to the sensor", std::move(track), true});
+            {interpretations[k].name + ", from the world to the sensor", std::move(track), true});
     }
     return interpretations;
 }
