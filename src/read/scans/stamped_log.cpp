@@ -36,18 +36,21 @@ constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
+/// Parses a line of a pose table: a time stamp and at least `n` numbers, of which the first
+/// `n` are used.
+/// @param where  file and line, for error messages
 PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, const std::string& where) {
-    PoseRow row{0, {}, where};
     std::optional<std::int64_t> stamp = parse_stamp(cells[0]);
     if (!stamp) {  // Some programs write time stamps with a fraction or an exponent.
+        constexpr double kLargestStamp = 9e18;  // below the limit of 64 bits
         const std::optional<double> number = parse_number(cells[0]);
-        if (number && *number >= 0.0 && *number < 9e18) stamp = std::int64_t(std::llround(*number));
+        if (number && *number >= 0.0 && *number < kLargestStamp) stamp = std::int64_t(std::llround(*number));
     }
     if (!stamp) fail("{}: found '{}', expected a time", where, quote(cells[0]));
-    row.stamp = *stamp;
     if (cells.size() < n + 1)
         fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas", where,
              cells.size(), n);
+    PoseRow row{.stamp = *stamp, .values = {}, .where = where};
     for (std::size_t c = 1; c <= n; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
@@ -58,17 +61,17 @@ PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, con
     return row;
 }
 
-/// Returns the interpolated pose at a time. Returns nothing outside the poses, or in a
-/// gap between poses that is too long.
+/// Returns the interpolated pose at a time. Returns nothing near the ends of the poses, or
+/// in a gap between poses that is too long.
 std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
-    if (!track.contains_time(time_s - log.reach_s) || !track.contains_time(time_s + log.reach_s))
+    if (!track.contains_time(time_s - log.pose_margin_s) || !track.contains_time(time_s + log.pose_margin_s))
         return std::nullopt;
-    const TrackInterpolation track_position = track.find_segment(time_s);
-    const bool is_one = track_position.s < kSameTime || track_position.s > 1.0 - kSameTime;
-    if (!is_one && track.time_s[track_position.left + 1] - track.time_s[track_position.left] > log.most_gap_s)
-        return std::nullopt;
-    return track.pose_at(time_s);
+    const TrackInterpolation between = track.find_segment(time_s);
+    const bool is_at_pose = between.s < kSameTime || between.s > 1.0 - kSameTime;
+    if (is_at_pose) return track.pose_at(time_s);
+    const double gap_s = track.time_s[between.left + 1] - track.time_s[between.left];
+    return gap_s > log.most_gap_s ? std::nullopt : std::optional(track.pose_at(time_s));
 }
 
 /// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
@@ -101,6 +104,7 @@ private:
     const FileFormat& format_;
 };
 
+/// Reads the points of a few scans. Leaves out scans without points.
 std::vector<LidarPoints> read_sample_scans(const StampedScans& scan_provider, std::size_t n_scans) {
     std::vector<LidarPoints> samples;
     read::read_samples(n_scans, [&](std::size_t i) {
@@ -110,25 +114,58 @@ std::vector<LidarPoints> read_sample_scans(const StampedScans& scan_provider, st
     return samples;
 }
 
+/// Returns the angle from a beam to the nearest other beam.
+/// @param beams  sorted by elevation
+double angle_to_next_beam(const std::vector<Beam>& beams, std::size_t beam) {
+    const double elevation_rad = beams[beam].elevation_rad;
+    double angle_rad = INFINITY;
+    if (beam > 0) angle_rad = std::min(angle_rad, std::abs(beams[beam - 1].elevation_rad - elevation_rad));
+    if (beam + 1 < beams.size())
+        angle_rad = std::min(angle_rad, std::abs(beams[beam + 1].elevation_rad - elevation_rad));
+    return angle_rad;
+}
+
 /// Returns true if most points are close to the nominal beams in elevation, compared with
 /// the beam spacing. Returns false for points of another LiDAR.
 bool match_beams(const std::vector<LidarPoints>& sample_scans, const FittedSensor& fitted_sensor) {
     const std::vector<Beam>& beams = fitted_sensor.sensor.beams;
-    // angle between each point and its beam, divided by the angle to the next beam
-    std::vector<double> off;
+    std::vector<double> misfits;  // angle between a point and its beam, divided by the angle to the next beam
     for (const LidarPoints& scan : sample_scans)
         for (std::size_t i = 0; i < scan.size(); ++i) {
-            const std::size_t b = fitted_sensor.beam_of_ring[scan.ring[i]];
-            double apart = INFINITY;
-            // Compares with the beams next to b. If b is 0, b - 1 wraps to a very large
-            // index, which the next line skips.
-            for (const std::size_t next : {b - 1, b + 1})
-                if (next < beams.size())
-                    apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
+            const std::size_t beam = fitted_sensor.beam_of_ring[scan.ring[i]];
             const glm::dvec3 p(scan.position_m[i]);
-            off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
+            const double elevation_rad = std::atan2(p.z, std::hypot(p.x, p.y));
+            misfits.push_back(std::abs(elevation_rad - beams[beam].elevation_rad) /
+                              angle_to_next_beam(beams, beam));
         }
-    return compute_median(std::move(off)) < kMaxBeamMisfit;
+    return compute_median(std::move(misfits)) < kMaxBeamMisfit;
+}
+
+/// Corrects the elevations and the azimuth offsets of the nominal beams by a fit. Azimuth
+/// offsets change by less than a column, because the fit cannot detect whole columns.
+/// @param nominal_beams  [rings] beams of the data sheet
+std::vector<Beam> adjust_beams(const std::vector<Beam>& nominal_beams, const FittedSensor& fit) {
+    const double column_rad = 2.0 * kPi / fit.sensor.columns;
+    const std::size_t n_rings = std::min(nominal_beams.size(), fit.beam_of_ring.size());
+    const auto offset_change_rad = [&](std::size_t ring) {
+        const Beam& fitted_beam = fit.sensor.beams[fit.beam_of_ring[ring]];
+        return fitted_beam.azimuth_offset_rad - nominal_beams[ring].azimuth_offset_rad;
+    };
+    // All beams share a change, which is known only as a part of a column. So its mean is
+    // the angle of the sum of exp(i columns change).
+    std::complex<double> sum = 0.0;
+    for (std::size_t ring = 0; ring < n_rings; ++ring)
+        if (fit.beam_of_ring[ring] != kNoBeam)
+            sum += std::polar(1.0, fit.sensor.columns * offset_change_rad(ring));
+    const double common_rad = std::arg(sum) / fit.sensor.columns;
+
+    std::vector<Beam> beams = nominal_beams;
+    for (std::size_t ring = 0; ring < n_rings; ++ring) {
+        if (fit.beam_of_ring[ring] == kNoBeam) continue;
+        beams[ring].azimuth_offset_rad += std::remainder(offset_change_rad(ring) - common_rad, column_rad);
+        beams[ring].elevation_rad = fit.sensor.beams[fit.beam_of_ring[ring]].elevation_rad;
+    }
+    return beams;
 }
 
 /// Returns a sensor with the beams in `format`, fitted to the points. Returns nothing if
@@ -143,24 +180,27 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& scans,
         return std::nullopt;
     }
     if (!match_beams(scans, fit)) return std::nullopt;
-    const double step = 2.0 * kPi / fit.sensor.columns;
-    std::vector<Beam> beams = format.beams;
-    std::complex<double> sum = 0.0;
-    // The first pass fits an azimuth offset that all beams share. The second pass fits an
-    // offset for each beam.
-    for (const bool is_second : {false, true})
-        for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
-            if (fit.beam_of_ring[r] == kNoBeam) continue;
-            const Beam& fitted_beam = fit.sensor.beams[fit.beam_of_ring[r]];
-            const double beside = fitted_beam.azimuth_offset_rad - format.beams[r].azimuth_offset_rad;
-            if (!is_second) sum += std::polar(1.0, fit.sensor.columns * beside);
-            else
-                beams[r].azimuth_offset_rad +=
-                    std::remainder(beside - std::arg(sum) / fit.sensor.columns, step);
-            beams[r].elevation_rad = fitted_beam.elevation_rad;
-        }
-    fit.sensor.beams = std::move(beams);
+    fit.sensor.beams = adjust_beams(format.beams, fit);
     return fit.sensor;
+}
+
+/// Adds a note about scans that are skipped because they have no pose.
+/// @throws DataError if no scan has a pose
+void note_without_pose(Log& sequence, const StampedLog& log,
+                       const std::vector<const StampedScanFile*>& without_pose, std::size_t n_with_pose) {
+    const StampedScanFile &first = *without_pose.front(), &last = *without_pose.back();
+    const PoseTrack& poses = log.world_from_vehicle;
+    if (n_with_pose == 0)
+        fail(
+            "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "
+            "which are {:.3f} to {:.3f} s",
+            log.poses_file.string(), poses.time_s.front(), poses.time_s.back(), first.number, last.number,
+            log.seconds_of(first.stamp), log.seconds_of(last.stamp));
+    sequence.notes.push_back(
+        fmt::format("{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} "
+                    "has no poses near their times",
+                    without_pose.size(), without_pose.size() + n_with_pose, first.number, last.number,
+                    log.poses_file.filename().string()));
 }
 
 }  // namespace
@@ -189,16 +229,17 @@ std::vector<StampedScanFile> list_stamped_files(const fs::path& folder, const st
 std::vector<PoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<PoseRow> rows;
-    std::size_t n_cells = 0;  // number of cells in the line before
+    std::size_t n_cells_before = 0;  // number of cells in the line before
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
-        if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
+        const bool has_column_names = l == 0 && !parse_number(cells[0]);
+        if (has_column_names) continue;
         PoseRow row = parse_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
-        if (cells.size() < n_cells)
+        if (cells.size() < n_cells_before)  // for example a line that was written partly
             fail("{}: found {} cells in the line, expected {} as in the line before", row.where, cells.size(),
-                 n_cells);
-        n_cells = cells.size();
+                 n_cells_before);
+        n_cells_before = cells.size();
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
             fail("{}: found the time {} after {}, expected increasing times", row.where, row.stamp,
@@ -214,28 +255,29 @@ std::vector<PoseRow> read_stamped_rows(const fs::path& file, std::size_t min_val
 DrivingDirection driving_direction(const PoseTrack& world_from_sensor) {
     const std::vector<Pose>& poses = world_from_sensor.pose;
     DrivingDirection driving;
-    double rises = 0.0;
-    for (std::size_t from = 0, to = 1; to < poses.size(); ++to) {
-        const glm::dvec3 step = poses[to].translation - poses[from].translation;
+    double sum_of_squares = 0.0;  // of the z components
+    std::size_t from = 0;         // last pose that ended a step
+    for (std::size_t to = 1; to < poses.size(); ++to) {
+        const glm::dvec3 step_m = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
-        if (!is_late && glm::length(step) < kMinDrive_m) continue;
-        // Adds the direction of motion to `driving.mean`, unless the two poses are too
-        // far apart in time. Uses the mean of the directions in both sensor frames,
-        // because the sensor rotates between the poses in a curve.
+        if (!is_late && glm::length(step_m) < kMinDrive_m) continue;
+        // Ignores the motion between poses that are too far apart in time.
         if (!is_late) {
-            const glm::dvec3 d = glm::normalize(step);
-            const glm::dvec3 direction_in_sensor =
-                0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
+            // Mean of the directions in both sensor frames, because the sensor rotates
+            // between the poses in a curve.
+            const glm::dvec3 direction = glm::normalize(step_m);
+            const glm::dvec3 direction_in_sensor = 0.5 * (glm::conjugate(poses[from].rotation) * direction +
+                                                          glm::conjugate(poses[to].rotation) * direction);
             driving.mean += direction_in_sensor;
-            rises += direction_in_sensor.z * direction_in_sensor.z;
+            sum_of_squares += direction_in_sensor.z * direction_in_sensor.z;
             ++driving.n_steps;
         }
         from = to;
     }
     if (driving.n_steps == 0) return driving;
     driving.mean /= double(driving.n_steps);
-    driving.rise_spread =
-        std::sqrt(std::max(0.0, rises / double(driving.n_steps) - driving.mean.z * driving.mean.z));
+    const double variance = sum_of_squares / double(driving.n_steps) - driving.mean.z * driving.mean.z;
+    driving.rise_spread = std::sqrt(std::max(0.0, variance));
     return driving;
 }
 
@@ -251,34 +293,22 @@ void note_driving(Notes& notes, double forward_fraction) {
 std::vector<fs::path> add_frames(Log& sequence, const StampedLog& log, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;
-    std::vector<const StampedScanFile*> without;
+    std::vector<const StampedScanFile*> without_pose;
     for (const StampedScanFile& scan : log.scans) {
         if (!range.contains(scan.number)) continue;
         const double time_s = log.seconds_of(scan.stamp);
         // The user's poses are set by replace_poses() below.
         const std::optional<Pose> pose = options.poses_file.empty() ? find_pose(log, time_s) : Pose{};
-        if (!pose) {
-            without.push_back(&scan);
-            continue;
+        if (pose) {
+            add_frame(sequence, scan.number, time_s, *pose);
+            files.push_back(scan.file);
+        } else {
+            without_pose.push_back(&scan);
         }
-        add_frame(sequence, scan.number, time_s, *pose);
-        files.push_back(scan.file);
     }
-    if (files.empty() && without.empty())
+    if (files.empty() && without_pose.empty())
         fail_empty_range(range, sequence.name, log.scans.front().number, log.scans.back().number);
-    if (files.empty())
-        fail(
-            "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "
-            "which are {:.3f} to {:.3f} s",
-            log.poses_file.string(), log.world_from_vehicle.time_s.front(),
-            log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
-            log.seconds_of(without.front()->stamp), log.seconds_of(without.back()->stamp));
-    if (!without.empty())
-        sequence.notes.push_back(
-            fmt::format("{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} "
-                        "has no poses near their times",
-                        without.size(), without.size() + files.size(), without.front()->number,
-                        without.back()->number, log.poses_file.filename().string()));
+    if (!without_pose.empty()) note_without_pose(sequence, log, without_pose, files.size());
     set_log_start(sequence, log.scans[0].stamp * std::llround(1e9 * log.unit_s), "on the clock of the files");
     kitti::replace_poses(sequence, options.poses_file);
     centre_log(sequence);
@@ -294,10 +324,12 @@ void check_pose_source(const fs::path& pose_file, const DatasetOptions& options)
 void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, FileFormat format,
                       const DatasetOptions& options) {
     const StampedScans source(sequence, scan_files, format);
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
     read::ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {
-        if (auto fitted = fit_nominal(read_sample_scans(source, scan_files.size()), format)) {
+        std::optional<SpinningSensor> fitted =
+            fit_nominal(read_sample_scans(source, scan_files.size()), format);
+        if (fitted) {
+            SpinningSensor& sensor = sequence.lidars[0].sensor;
             fitted->name = sensor.name;
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
@@ -307,8 +339,8 @@ void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, Fi
                             "rings; each point is assigned to the nominal beam with the nearest elevation",
                             sensor.beams.size(), sensor.columns));
         } else {
-            // The beams (laser angles) of the data sheet do not match this LiDAR. Without
-            // them, points are read without ring numbers (laser rows).
+            // The points come from another LiDAR. `source` refers to `format` and then
+            // reads points without rings.
             format.beams.clear();
         }
     }

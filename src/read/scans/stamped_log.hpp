@@ -19,6 +19,7 @@
 
 namespace relidar::read {
 
+/// Scan file whose name is its time stamp.
 struct StampedScanFile {
     int number = 0;          ///< number of the scan's frame
     std::int64_t stamp = 0;  ///< time of the scan in the unit of the dataset
@@ -32,6 +33,7 @@ std::optional<std::int64_t> parse_stamp(std::string_view text);
 std::vector<StampedScanFile> list_stamped_files(const std::filesystem::path& folder,
                                                 const std::string& extension = ".bin");
 
+/// A line of a table of poses.
 struct PoseRow {
     std::int64_t stamp = 0;
     std::vector<double> values;  ///< the numbers after the time stamp; all are finite
@@ -66,7 +68,7 @@ struct StampedLog {
     /// Maximum time in seconds between two poses for interpolation.
     double most_gap_s = 0.0;
     /// A scan is used only if poses are known this many seconds before and after it.
-    double reach_s = 0.0;
+    double pose_margin_s = 0.0;
 
     double seconds_of(std::int64_t stamp) const { return double(stamp - scans[0].stamp) * unit_s; }
 };
@@ -82,6 +84,7 @@ std::vector<std::filesystem::path> add_frames(Log& sequence, const StampedLog& l
 /// @throws DataError if there are no poses
 void check_pose_source(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
+/// How the scan files of a dataset store their points.
 struct FileFormat {
     read::PointFileUnits units;
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
