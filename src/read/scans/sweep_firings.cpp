@@ -12,7 +12,8 @@ namespace {
 
 // Azimuth steps per revolution to which the head azimuth is rounded (0.0055 degrees).
 constexpr int kTicksPerTurn = 1 << 16;
-// If more firings are missing in a revolution, firings without returns are appended.
+// If more firings are missing in a revolution, firings without returns are appended. A few
+// can be missing because the head does not rotate at a constant rate.
 constexpr int kMostMissing = 8;
 
 /// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
@@ -20,35 +21,37 @@ constexpr int kMostMissing = 8;
 std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
-    // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
-    // azimuth at a constant rotation rate. The angle of the sum is the mean of d.
-    std::map<int, std::complex<double>> sums;
-    for (std::size_t i = 0; i < points.size(); ++i)
-        sums[firing_numbers[i]] +=
-            std::polar(1.0, beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i])) -
-                                firing_numbers[i] * azimuth_step_rad);
-    std::map<int, double> heads;
-    for (auto at = sums.begin(); at != sums.end(); ++at) {
-        const auto next = std::next(at) == sums.end() ? at : std::next(at);
-        const double uneven = std::arg(at->second),
-                     change = std::remainder(std::arg(next->second) - uneven, 2.0 * kPi);
-        const int first = at->first, gap = std::max(next->first - first, 1);
-        for (int n = first; n < first + gap; ++n)
-            heads[n] = std::remainder(uneven + change * (n - first) / gap + n * azimuth_step_rad, 2.0 * kPi);
+    // The deviation of a point is its head azimuth minus the azimuth at a constant rotation
+    // rate. The mean deviation of a firing is the angle of the sum of exp(i deviation).
+    std::map<int, std::complex<double>> sum_of_firing;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const double head_rad = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
+        sum_of_firing[firing_numbers[i]] += std::polar(1.0, head_rad - firing_numbers[i] * azimuth_step_rad);
     }
-    return heads;
+    std::map<int, double> head_of_firing;
+    for (auto firing = sum_of_firing.begin(); firing != sum_of_firing.end(); ++firing) {
+        const auto next = std::next(firing) == sum_of_firing.end() ? firing : std::next(firing);
+        const double deviation_rad = std::arg(firing->second);
+        const double change_rad = std::remainder(std::arg(next->second) - deviation_rad, 2.0 * kPi);
+        const int first = firing->first, n_steps = std::max(next->first - first, 1);
+        for (int n = first; n < first + n_steps; ++n)
+            head_of_firing[n] = std::remainder(
+                deviation_rad + change_rad * (n - first) / n_steps + n * azimuth_step_rad, 2.0 * kPi);
+    }
+    return head_of_firing;
 }
 
 /// Adds firings without returns at the end of a revolution, until the circle or the range
 /// image is full. Assumes that the head rotates at a constant rate.
 /// @param n_image_columns  number of columns of the range image; 0 if unknown
 void append_empty_firings(std::map<int, double>& azimuths, int n_image_columns, double azimuth_step_rad) {
-    const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));
-    const int n_missing =
-        (n_image_columns > 0 ? std::min(n_image_columns, full) : full) - int(azimuths.size());
-    const auto [last, head] = *azimuths.rbegin();
-    for (int k = 1; n_missing > kMostMissing && k <= n_missing; ++k)
-        azimuths[last + k] = std::remainder(head + k * azimuth_step_rad, 2.0 * kPi);
+    const int n_full_circle = int(2.0 * kPi / std::abs(azimuth_step_rad));
+    const int n_required = n_image_columns > 0 ? std::min(n_image_columns, n_full_circle) : n_full_circle;
+    const int n_missing = n_required - int(azimuths.size());
+    if (n_missing <= kMostMissing) return;
+    const auto [last_firing, last_rad] = *azimuths.rbegin();
+    for (int k = 1; k <= n_missing; ++k)
+        azimuths[last_firing + k] = std::remainder(last_rad + k * azimuth_step_rad, 2.0 * kPi);
 }
 
 }  // namespace
@@ -65,7 +68,7 @@ double EncoderTickGrid::tick_azimuth_rad(int tick) const {
 }
 
 SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sensor) {
-    SweepFirings sweep{{sensor.columns, 0.0}, {}};
+    SweepFirings sweep{.lattice = {.n_ticks = sensor.columns}, .firings = {}};
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     const BeamRays ideal((Beam()));
     // Sum of exp(i n azimuth) over all points, for a grid of n columns. Its angle divided
@@ -98,7 +101,7 @@ SweepFirings sort_firings(LidarPoints& points, const std::vector<int>& firing_nu
     // The sign makes the ascending sort return decreasing azimuths.
     for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
-    SweepFirings sweep{{kTicksPerTurn, 0.0}, {}};
+    SweepFirings sweep{.lattice = {.n_ticks = kTicksPerTurn}, .firings = {}};
     std::map<int, std::uint32_t> firing_index_of_number;
     for (const auto& [azimuth, number] : by_azimuth) {
         firing_index_of_number[number] = std::uint32_t(sweep.firings.size());

@@ -28,11 +28,13 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
     const int n = 1 + int(std::ceil(double(last - first) / kCorrectionStep_s));
     PoseTrack track;
     for (int k = 0; k <= n; ++k) {
-        const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
-        const std::optional<Pose> vehicle_pose = find_vehicle_pose(t_s);
-        if (!vehicle_pose || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
-        track.append(offset_s, inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, mounted)) *
-                                   (*vehicle_pose * mounted));
+        const double offset_s = double(first) + double(last - first) * k / n;
+        const double time_s = frame.time_s + offset_s;
+        const std::optional<Pose> vehicle_pose = find_vehicle_pose(time_s);
+        const bool is_later = track.time_s.empty() || offset_s > track.time_s.back();
+        if (!vehicle_pose || !is_later) continue;
+        const Pose interpolated_pose = sequence.world_from_vehicle.mounted_pose_at(time_s, mounted);
+        track.append(offset_s, inverse(interpolated_pose) * (*vehicle_pose * mounted));
     }
     return track;
 }
@@ -42,10 +44,10 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
 double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {
+        // The vector part of a quaternion has the length sin(angle / 2).
         const double sine = glm::length(glm::dvec3(pose.rotation.x, pose.rotation.y, pose.rotation.z));
-        const double displacement_m =
-            glm::length(pose.translation) + kLeverArm_m * 2.0 * std::asin(std::min(sine, 1.0));
-        farthest_m = std::max(farthest_m, displacement_m);
+        const double angle_rad = 2.0 * std::asin(std::min(sine, 1.0));
+        farthest_m = std::max(farthest_m, glm::length(pose.translation) + kLeverArm_m * angle_rad);
     }
     if (farthest_m < kMinCorrection_m) return 0.0;
     RayTable& rays = frame.scan.rays;
@@ -71,12 +73,12 @@ std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose) {
         const PoseTrack track = pose_corrections_of(sequence, frame, find_vehicle_pose);
         if (!track.pose.empty()) moved_m[std::size_t(index)] = move_rays(frame, track);
     });
-    const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
-    return n == 0 ? ""
-                  : fmt::format(
-                        "the ray origins of {0} sweeps are computed from poses between the frames, which "
-                        "moves points at {2:.0f} m by up to {1:.3f} m",
-                        n, std::ranges::max(moved_m), kLeverArm_m);
+    const auto n_moved = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
+    if (n_moved == 0) return "";
+    return fmt::format(
+        "the ray origins of {} sweeps are computed from poses between the frames, which moves points at "
+        "{:.0f} m by up to {:.3f} m",
+        n_moved, kLeverArm_m, std::ranges::max(moved_m));
 }
 
 }  // namespace relidar::read
