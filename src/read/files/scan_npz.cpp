@@ -14,8 +14,6 @@
 namespace relidar::read {
 namespace {
 
-constexpr std::size_t kMostReturns = 8;
-
 /// The named arrays of a scan file. Each array has one entry per ray of the range image.
 class NpzArrays {
 public:

@@ -15,6 +15,9 @@ namespace relidar {
 /// A nearer point has no reliable direction.
 inline constexpr float kNearestReturn_m = 1e-3f;
 
+/// Maximum number of returns of a ray. Real sensors have two or three.
+inline constexpr std::size_t kMostReturns = 8;
+
 /// Files store rays without a return with the range 0, NaN, infinity, or a negative
 /// value.
 inline bool is_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }

@@ -28,17 +28,18 @@ bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& p
                    const std::vector<char>& is_no_return) {
     constexpr std::size_t kMostCompared = 2000;
     constexpr double kRangeTolerance = 0.05, kMinMatchShare = 0.9;
-    std::vector<double> ratios;
+    std::vector<double> ratios;  // of the field to the distance; all equal if the field is a distance
     const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
-    for (std::size_t i = 0; i < points.size(); i += step)
-        if (const double distance_m = glm::length(glm::dvec3(points[i]));
-            !is_no_return[i] && std::isfinite(distance_m) && distance_m > 0.0)
+    for (std::size_t i = 0; i < points.size(); i += step) {
+        const double distance_m = glm::length(glm::dvec3(points[i]));
+        if (!is_no_return[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
+    }
     if (ratios.empty()) return false;
     const double unit = compute_median(ratios);
-    const auto n = std::ranges::count_if(
+    const auto n_matches = std::ranges::count_if(
         ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kRangeTolerance * unit; });
-    return double(n) >= kMinMatchShare * double(ratios.size());
+    return double(n_matches) >= kMinMatchShare * double(ratios.size());
 }
 
 /// Returns for each point whether its field `range` shows that the ray has no return.
@@ -53,21 +54,29 @@ std::vector<char> flag_no_returns(const PointTable& table, const std::vector<glm
     return marked;
 }
 
-/// Returns the indices and positions of the points at which a pulse was reflected. Leaves
-/// out points that only mark rays without a return.
-std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(const PointTable& table,
-                                                                             const PointFileUnits& units) {
-    const std::vector<glm::vec3> all = read_positions(table);
-    const std::vector<char> marked = flag_no_returns(table, all);
-    std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
-    returns.first.reserve(table.n);
-    for (std::size_t i = 0; i < table.n; ++i)
-        if (is_return_point(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
-            returns.first.push_back(std::uint32_t(i));
-    for (const std::uint32_t i : returns.first) returns.second.push_back(all[i]);
+/// Points of a table at which a pulse was reflected.
+struct SelectedPoints {
+    std::vector<std::uint32_t> index;   ///< index in the table
+    std::vector<glm::vec3> position_m;  ///< in the axes of the table
+};
+
+/// Selects the points at which a pulse was reflected. Leaves out points that only mark
+/// rays without a return.
+SelectedPoints select_returns(const PointTable& table, const PointFileUnits& units) {
+    const std::vector<glm::vec3> positions_m = read_positions(table);
+    const std::vector<char> has_no_range = flag_no_returns(table, positions_m);
+    SelectedPoints returns;
+    returns.index.reserve(table.n);
+    for (std::size_t i = 0; i < table.n; ++i) {
+        const bool is_marked =
+            positions_m[i] == units.no_return || (!has_no_range.empty() && has_no_range[i]);
+        if (is_return_point(positions_m[i]) && !is_marked) returns.index.push_back(std::uint32_t(i));
+    }
+    for (const std::uint32_t i : returns.index) returns.position_m.push_back(positions_m[i]);
     return returns;
 }
 
+/// Converts fields of the selected points to arrays.
 struct FieldConverter {
     std::vector<std::uint32_t> selected_indices;
     const std::string& where;
@@ -89,8 +98,9 @@ struct FieldConverter {
     }
 };
 
-/// With units.skip_wrong_times, a wrong time becomes the longest offset, so that
-/// read_scans() removes its point.
+/// Sets the times of the points, in seconds relative to the time of the frame. With
+/// units.skip_wrong_times, a wrong time becomes the longest offset, so that read_scans()
+/// removes its point.
 /// @throws DataError otherwise, and MostTimesWrong if most times are wrong
 void convert_times(LidarPoints& points, const FieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
@@ -98,13 +108,14 @@ void convert_times(LidarPoints& points, const FieldConverter& convert, PointTabl
     if (!units.absolute_times) restore_signs(table);
     std::size_t n_wrong = 0;
     std::string first_error;
-    const std::string of_point;
+    const std::string of_point;  // empty, because convert_field() adds the number of the point
     convert.convert_field(points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
         try {
             return frame_offset_s(value, units, frame_time_s, of_point);
         } catch (const DataError& error) {
             if (!units.skip_wrong_times) throw;
-            if (n_wrong++ == 0) first_error = error.what();
+            if (n_wrong == 0) first_error = error.what();
+            ++n_wrong;
             return kMaxTimeOffset_s;
         }
     });
@@ -123,77 +134,78 @@ double first_return_number(const PointFieldView& return_numbers, std::size_t n_p
     return least == 1.0 ? 1.0 : 0.0;
 }
 
+/// Returns true if a return type of the ROS package Nebula includes the strongest return: 3
+/// (strongest), 6 (identical), 9 and 10 (strongest, and also first or last).
+bool is_strongest_type(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
+
 /// Sets the return number of each point and sorts the points by ray. Points with the same
 /// ring, time and direction are returns of one ray; the strongest becomes the first
 /// return.
 /// @param return_types  [points] values of the field return_type
 void set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
+    const auto ring_time = [&](std::size_t i) { return std::pair(points.ring[i], points.time_offset_s[i]); };
+    const auto strength = [&](std::size_t i) {
+        return std::pair(is_strongest_type(return_types[i]), points.intensity[i]);
+    };
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
-    const auto ray = [&](std::size_t index) {
-        return std::pair(points.ring[index], points.time_offset_s[index]);
-    };
-    const auto strength = [&](std::size_t index) {
-        // Return types of the ROS package Nebula that include the strongest return: 3
-        // (strongest), 6 (identical), 9 and 10 (strongest, and also first or last).
-        const double type = return_types[index];
-        const bool is_strongest = type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
-        return std::pair(is_strongest, points.intensity[index]);
-    };
     std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
-        return ray(first) != ray(second) ? ray(first) < ray(second) : strength(first) > strength(second);
+        if (ring_time(first) != ring_time(second)) return ring_time(first) < ring_time(second);
+        return strength(first) > strength(second);
     });
+
     points.return_number.assign(n, 1);
     for (std::size_t k = 1; k < n; ++k) {
-        const std::size_t i = order[k], before = order[k - 1];
-        const glm::vec3 a = glm::normalize(points.position_m[i]),
-                        b = glm::normalize(points.position_m[before]);
-        if (ray(i) == ray(before) && 1.0f - glm::dot(a, b) < kOneRay)
-            points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 8));
+        const std::size_t point = order[k], before = order[k - 1];
+        const glm::vec3 direction = glm::normalize(points.position_m[point]);
+        const glm::vec3 direction_before = glm::normalize(points.position_m[before]);
+        const bool is_on_same_ray = 1.0f - glm::dot(direction, direction_before) < kOneRay;
+        if (ring_time(point) == ring_time(before) && is_on_same_ray)
+            points.return_number[point] =
+                std::uint8_t(std::min(points.return_number[before] + 1, int(kMostReturns)));
     }
     select_points(points, order);
 }
 
-}  // namespace
-
-LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, double frame_time_s,
-                          const std::string& where) {
-    const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
-               *z = table.find_field(PointAttribute::z);
+/// Checks that a table has positions, and that all selected positions are plausible.
+/// @throws DataError with the field or the number of the point
+void check_positions(const PointTable& table, const SelectedPoints& selected, const std::string& where) {
+    const auto* x = table.find_field(PointAttribute::x);
+    const auto* y = table.find_field(PointAttribute::y);
+    const auto* z = table.find_field(PointAttribute::z);
     for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
         if (!field) fail("{}: the field {} is missing, expected x, y and z", where, name);
-    LidarPoints points;
-    FieldConverter convert{{}, where};
-    std::tie(convert.selected_indices, points.position_m) = select_returns(table, units);
-    if (units.returns.exist)
-        points.return_number = number_returns(table, units.returns, units.intensity_field,
-                                              convert.selected_indices, points.position_m);
-    for (std::size_t k = 0; k < convert.selected_indices.size(); ++k) {
-        const glm::vec3 p = glm::abs(points.position_m[k]);
+    for (std::size_t k = 0; k < selected.index.size(); ++k) {
+        const glm::vec3 p = glm::abs(selected.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
-        const std::size_t i = convert.selected_indices[k];
+        const std::size_t i = selected.index[k];
         fail("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m", where, i, (*x)[i], (*y)[i],
              (*z)[i], kFarthestCoordinate_m);
     }
-    const std::string of_point;  // Conversion adds the point's number
+}
+
+/// Sets the intensity of each point, or 0 if the table has none.
+void convert_intensities(LidarPoints& points, const FieldConverter& convert, const PointTable& table,
+                         const PointFileUnits& units) {
     const auto* intensity = table.find_field(units.intensity_field);
     if (!intensity) intensity = table.find_field(PointAttribute::intensity);
     if (!intensity) points.intensity.assign(convert.selected_indices.size(), 0.0f);
     convert.convert_field(points.intensity, intensity,
-                          [&](double value) { return scale_intensity(value, units, of_point); });
-    convert.convert_field(points.ring, table.find_field(PointAttribute::ring),
-                          [&](double value) { return convert_ring(value, of_point); });
-    if (!units.ignore_times) convert_times(points, convert, table, units, frame_time_s);
-    const auto *number = table.find_field(PointAttribute::return_number),
-               *type = table.find_field(PointAttribute::return_type);
+                          [&](double value) { return scale_intensity(value, units, ""); });
+}
+
+/// Sets return numbers from the field return_number or return_type, if one exists.
+void convert_returns(LidarPoints& points, const FieldConverter& convert, const PointTable& table) {
+    const auto* number = table.find_field(PointAttribute::return_number);
+    const auto* type = table.find_field(PointAttribute::return_type);
     if (number) {
         const double first = first_return_number(*number, table.n);
         convert.convert_field(points.return_number, number, [&](double value) {
             const double return_number = value - first;
-            if (!(return_number >= 0.0 && return_number < 8.0))
-                fail("{}: the return number is {}, expected 0 (the strongest return) to 7", of_point,
-                     return_number);
+            if (!(return_number >= 0.0 && return_number < double(kMostReturns)))
+                fail(": the return number is {}, expected 0 (the strongest return) to {}", return_number,
+                     kMostReturns - 1);
             return std::uint8_t(1 + int(return_number));
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
@@ -201,6 +213,26 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
         convert.convert_field(types, type, [](double value) { return value; });
         set_return_numbers(points, types);
     }
+}
+
+}  // namespace
+
+LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                          const std::string& where) {
+    SelectedPoints selected = select_returns(table, units);
+    LidarPoints points;
+    if (units.returns.exist)
+        points.return_number =
+            number_returns(table, units.returns, units.intensity_field, selected.index, selected.position_m);
+    check_positions(table, selected, where);
+    points.position_m = std::move(selected.position_m);
+
+    const FieldConverter convert{std::move(selected.index), where};
+    convert_intensities(points, convert, table, units);
+    convert.convert_field(points.ring, table.find_field(PointAttribute::ring),
+                          [&](double value) { return convert_ring(value, ""); });
+    if (!units.ignore_times) convert_times(points, convert, table, units, frame_time_s);
+    convert_returns(points, convert, table);
     return points;
 }
 

@@ -10,25 +10,24 @@
 
 #include "base/fail.hpp"
 #include "log/sensor/beam_geometry.hpp"
+#include "read/scans/dropped_ray.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr int kNoPointIndex = -1;
-// maximum number of returns per ray; real sensors have two or three
-constexpr std::size_t kMostReturns = 8;
+constexpr int kNoIndex = -1;            // no point, or no firing
 constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// [rings x firings] index of the point that is assigned to each ray; kNoPointIndex: no
-/// return
+/// Index of the point that is assigned to each ray; kNoIndex: no return.
 struct RayPointIndices {
     std::size_t n_firings;
-    std::vector<int> point;
+    std::vector<int> point;  ///< [rings x firings]
 
     int& point_index_at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
+/// Returns 0 for the first return of a ray.
 std::size_t return_index_of(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
@@ -36,18 +35,22 @@ std::size_t return_index_of(const LidarPoints& points, std::size_t point_index) 
 /// Throws unless all arrays have one entry per point and the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
 void check_points(const LidarPoints& points, std::size_t n_beams) {
-    const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
-        if (count != points.size() && !(may_be_empty && count == 0))
+    const auto check_size = [&](const char* field, std::size_t size) {
+        if (size != points.size())
             fail<UsageError>(
                 "cannot make a scan: found {} values of {} for the points, expected {}, one for each point",
-                count, field, points.size());
+                size, field, points.size());
     };
-    check("intensity", points.intensity.size(), false);
-    check("ring", points.ring.size(), n_beams == 0);
-    check("time_offset_s", points.time_offset_s.size(), true);
-    check("return_number", points.return_number.size(), true);
-    check("firing", points.firing.size(), true);
-    check("classes", points.classes.size(), true);
+    const auto check_optional = [&](const char* field, std::size_t size) {
+        if (size != 0) check_size(field, size);
+    };
+    check_size("intensity", points.intensity.size());
+    if (n_beams > 0) check_size("ring", points.ring.size());
+    else check_optional("ring", points.ring.size());
+    check_optional("time_offset_s", points.time_offset_s.size());
+    check_optional("return_number", points.return_number.size());
+    check_optional("firing", points.firing.size());
+    check_optional("classes", points.classes.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
             fail<UsageError>(
@@ -60,17 +63,20 @@ void check_points(const LidarPoints& points, std::size_t n_beams) {
 }
 
 /// Returns for each azimuth step of the head (tick) the index of the nearest firing.
+/// @param firing_ticks  [firings]
 std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
-    std::vector<int> nearest(std::size_t(n_ticks), kNoPointIndex);
-    for (std::size_t f = 0; f < firing_ticks.size(); ++f) nearest[std::size_t(firing_ticks[f])] = int(f);
-    std::vector<int> filled = nearest;
-    for (int t = 0; t < n_ticks; ++t) {
-        for (int d = 1; filled[std::size_t(t)] == kNoPointIndex && d < n_ticks; ++d) {
-            const int below = nearest[std::size_t((t - d % n_ticks + n_ticks) % n_ticks)];
-            filled[std::size_t(t)] = below != kNoPointIndex ? below : nearest[std::size_t((t + d) % n_ticks)];
+    std::vector<int> firing_at(std::size_t(n_ticks), kNoIndex);
+    for (std::size_t f = 0; f < firing_ticks.size(); ++f) firing_at[std::size_t(firing_ticks[f])] = int(f);
+    std::vector<int> nearest = firing_at;
+    for (int tick = 0; tick < n_ticks; ++tick) {
+        int& firing = nearest[std::size_t(tick)];
+        for (int distance = 1; firing == kNoIndex && distance < n_ticks; ++distance) {
+            const int below = (tick - distance + n_ticks) % n_ticks, above = (tick + distance) % n_ticks;
+            firing = firing_at[std::size_t(below)];
+            if (firing == kNoIndex) firing = firing_at[std::size_t(above)];
         }
     }
-    return filled;
+    return nearest;
 }
 
 /// Returns for each column of a scan the index of its firing (one shot of all lasers at
@@ -78,29 +84,31 @@ std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_tic
 /// same firing.
 std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
-    std::vector<int> repeat(n, 1);
+    std::vector<int> n_columns_of(n, 1);  // [firings]
     int n_extra_columns = n_columns - int(n);
-    const double step = 2.0 * kPi / n_columns;
+    const double step_rad = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
-        const double gap = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
-                           sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
+        const double gap_rad = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
+                               sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
         // Repeats the firing before a gap in azimuth, where firings are missing.
-        const int missing = std::min(int(std::lround(gap / step)) - 1, n_extra_columns);
-        if (missing > 0) {
-            repeat[f] += missing;
-            n_extra_columns -= missing;
+        const int n_missing = std::min(int(std::lround(gap_rad / step_rad)) - 1, n_extra_columns);
+        if (n_missing > 0) {
+            n_columns_of[f] += n_missing;
+            n_extra_columns -= n_missing;
         }
     }
-    repeat.back() += std::max(n_extra_columns, 0);
-    std::vector<int> slot;
-    for (std::size_t f = 0; f < n; ++f) slot.insert(slot.end(), std::size_t(repeat[f]), int(f));
-    slot.resize(std::size_t(n_columns));
-    return slot;
+    n_columns_of.back() += std::max(n_extra_columns, 0);
+    std::vector<int> firing_of_column;
+    for (std::size_t f = 0; f < n; ++f)
+        firing_of_column.insert(firing_of_column.end(), std::size_t(n_columns_of[f]), int(f));
+    firing_of_column.resize(std::size_t(n_columns));
+    return firing_of_column;
 }
 
 /// Assigns points to rays. First, second and later returns have separate images.
 class PointToRayAssignment {
 public:
+    /// Assigns all points.
     /// @param head_rad  [points] azimuth of the head at the time of the point
     PointToRayAssignment(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep,
                          const std::vector<double>& head_rad)
@@ -113,13 +121,13 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) assign_point(i);
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
-    std::vector<RayPointIndices> by_return;
-    /// [points] firing that measured each point; kNoPointIndex if the point is too near
+    std::vector<RayPointIndices> by_return;  ///< [returns per ray]
+    /// [points] firing that measured each point; kNoIndex if the point is too near
     /// or too far
     std::vector<int> firing_of;
 
 private:
-    std::vector<int> column_of_;  ///< [points] firing whose ray has the point; kNoPointIndex: no ray
+    std::vector<int> column_of_;  ///< [points] firing whose ray has the point; kNoIndex: no ray
 
     const LidarPoints& points_;
     const SpinningSensor& sensor_;
@@ -134,9 +142,8 @@ private:
 
     RayPointIndices& indices_of_return(std::size_t return_index) {
         while (by_return.size() <= return_index)
-            by_return.push_back(
-                {sweep_.firings.size(),
-                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kNoPointIndex)});
+            by_return.push_back({sweep_.firings.size(),
+                                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kNoIndex)});
         return by_return[return_index];
     }
 
@@ -149,39 +156,41 @@ private:
     /// ray. A near return can have another azimuth, because beams start beside the
     /// centre.
     int earlier_firing(std::size_t i) const {
-        const std::size_t number = return_index_of(points_, i);
-        const bool follows =
-            i > 0 && number > 0 && points_.firing.empty() && points_.ring[i] == points_.ring[i - 1] &&
-            return_index_of(points_, i - 1) + 1 == number &&
-            (points_.time_offset_s.empty() || points_.time_offset_s[i] == points_.time_offset_s[i - 1]);
-        return follows ? column_of_[i - 1] : kNoPointIndex;
+        const std::size_t return_index = return_index_of(points_, i);
+        if (i == 0 || return_index == 0 || !points_.firing.empty()) return kNoIndex;
+        const bool is_next_return = return_index_of(points_, i - 1) + 1 == return_index;
+        const bool has_same_time =
+            points_.time_offset_s.empty() || points_.time_offset_s[i] == points_.time_offset_s[i - 1];
+        const bool is_same_ray = points_.ring[i] == points_.ring[i - 1] && is_next_return && has_same_time;
+        return is_same_ray ? column_of_[i - 1] : kNoIndex;
     }
 
     /// Assigns a point to its ray (ring and firing). A ray stores only one point of each
     /// return number. If no ray is free, the nearer point stays.
     void assign_point(std::size_t point_index) {
-        const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
-                          number = return_index_of(points_, point_index);
+        const std::size_t ring = points_.ring[point_index], n_firings = sweep_.firings.size();
+        const std::size_t return_index = return_index_of(points_, point_index);
         const int earlier = earlier_firing(point_index);
-        column_of_.push_back(kNoPointIndex);
-        const double range = point_range_m(int(point_index));
-        firing_of.push_back(kNoPointIndex);
-        if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        const std::size_t firing =
-            earlier != kNoPointIndex ? std::size_t(earlier) : nearest_firing(point_index);
+        firing_of.push_back(kNoIndex);
+        column_of_.push_back(kNoIndex);
+        const double range_m = point_range_m(int(point_index));
+        if (range_m > sensor_.max_range_m || range_m < kLeastRange_m) return;
+        const std::size_t firing = earlier != kNoIndex ? std::size_t(earlier) : nearest_firing(point_index);
         firing_of.back() = int(firing);
-        RayPointIndices& cells = indices_of_return(number);
-        int point = int(point_index);
-        for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // If the ray of a first return is occupied, tries the same ring in the two
-            // neighbouring firings. A later return stays with its measured firing.
-            if (cells.point_index_at(ring, f) != kNoPointIndex || (number > 0 && f != firing)) continue;
-            std::swap(cells.point_index_at(ring, f), point);
+
+        // If the ray of a first return is occupied, tries the same ring in the two
+        // neighbouring firings. A later return stays with its measured firing.
+        RayPointIndices& rays = indices_of_return(return_index);
+        for (const std::size_t f : {firing, (firing + 1) % n_firings, (firing + n_firings - 1) % n_firings}) {
+            int& point_of_ray = rays.point_index_at(ring, f);
+            if (point_of_ray != kNoIndex || (return_index > 0 && f != firing)) continue;
+            point_of_ray = int(point_index);
             column_of_.back() = int(f);
-            break;
+            return;
         }
-        if (point != kNoPointIndex && range < point_range_m(cells.point_index_at(ring, firing))) {
-            cells.point_index_at(ring, firing) = point;
+        int& occupant = rays.point_index_at(ring, firing);
+        if (range_m < point_range_m(occupant)) {
+            occupant = int(point_index);
             column_of_.back() = int(firing);
         }
     }
@@ -193,41 +202,49 @@ private:
         const std::size_t firing = nearest_firing(point_index);
         int& point = indices_of_return(return_index_of(points_, point_index))
                          .point_index_at(points_.ring[point_index], firing);
-        if (point == kNoPointIndex) point = int(point_index);
+        if (point == kNoIndex) point = int(point_index);
     }
 };
 
+/// Returns the nearest firing with points, before or after firing f. Returns f if no firing
+/// has points.
+/// @param n_points  [firings]
+std::size_t nearest_with_points(const std::vector<double>& n_points, std::size_t f) {
+    const std::size_t n = n_points.size();
+    for (std::size_t distance = 0; distance < n; ++distance) {
+        if (f + distance < n && n_points[f + distance] > 0.0) return f + distance;
+        if (f >= distance && n_points[f - distance] > 0.0) return f - distance;
+    }
+    return f;
+}
+
 /// Returns the mean time of the points of each firing. For a firing without points,
 /// extrapolates from the nearest firing with points at the rotation rate of the head.
+/// Without any times, the head faces forward at time 0.
 std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor& sensor,
                                  const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
-    const auto turning_time = [&](double azimuth_rad) {
+    const auto azimuth_of = [&](std::size_t f) { return sweep.lattice.tick_azimuth_rad(sweep.firings[f]); };
+    const auto turning_time_s = [&](double azimuth_rad) {
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
-    std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
-    for (std::size_t f = 0; f < n; ++f)
-        time_s[f] = turning_time(sweep.lattice.tick_azimuth_rad(sweep.firings[f]));
+    std::vector<double> sum_s(n, 0.0), n_points(n, 0.0);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
-        if (firing_of_point[i] != kNoPointIndex) {
-            sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]);
-            count[std::size_t(firing_of_point[i])] += 1.0;
+        if (firing_of_point[i] != kNoIndex) {
+            sum_s[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]);
+            n_points[std::size_t(firing_of_point[i])] += 1.0;
         }
-    std::vector<double> measured = time_s;
+    std::vector<double> time_s(n);
     for (std::size_t f = 0; f < n; ++f) {
-        // Nearest firing with points, before or after firing f.
-        std::size_t from = f;
-        for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
-            if (f + d < n && count[f + d] > 0.0) from = f + d;
-            else if (f >= d) from = f - d;
+        const std::size_t from = nearest_with_points(n_points, f);
+        if (n_points[from] == 0.0) {
+            time_s[f] = turning_time_s(azimuth_of(f));
+            continue;
         }
-        if (count[from] == 0.0) return time_s;
-        const double step = std::remainder(sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
-                                               sweep.lattice.tick_azimuth_rad(sweep.firings[from]),
-                                           2.0 * kPi);
-        measured[f] = sum[from] / count[from] + turning_time(step);
+        const double step_rad = std::remainder(azimuth_of(f) - azimuth_of(from), 2.0 * kPi);
+        time_s[f] = sum_s[from] / n_points[from] + turning_time_s(step_rad);
     }
-    return measured;
+    return time_s;
 }
 
 /// Resizes all arrays of a scan. Every ray starts at the sensor origin without a
@@ -266,6 +283,25 @@ bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azim
     return true;
 }
 
+/// Throws unless the sensor has a valid number of rays and the sweep has the firings of all
+/// points.
+void check_sweep(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep) {
+    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
+        sweep.lattice.n_ticks > kMostTicks)
+        fail<UsageError>(
+            "cannot make a scan: found {} beams, {} columns and {} azimuth steps, expected 1 to {} rays and "
+            "at most {} steps",
+            sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks);
+    if (sweep.firings.empty())
+        fail<UsageError>("cannot make a scan of {} points: found no firing, expected at least one",
+                         points.size());
+    for (const std::uint32_t firing : points.firing)
+        if (firing >= sweep.firings.size())
+            fail<UsageError>(
+                "cannot make a scan: a point has firing {}, expected the index of one of {} firings", firing,
+                sweep.firings.size());
+}
+
 /// Adds a second or later return of a ray, if the ray has a first return.
 void set_second(Scan& scan, std::size_t ray, const LidarPoints& points, std::size_t point_index) {
     if (scan.range_m[ray] == 0.0f) return;
@@ -278,54 +314,45 @@ void set_second(Scan& scan, std::size_t ray, const LidarPoints& points, std::siz
 
 Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& firings) {
     check_points(points, sensor.beams.size());
-    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
-        firings.lattice.n_ticks > kMostTicks)
-        fail<UsageError>(
-            "cannot make a scan: found {} beams, {} columns and {} azimuth steps, expected 1 to {} rays and "
-            "at most {} steps",
-            sensor.beams.size(), sensor.columns, firings.lattice.n_ticks, kMaxRays, kMostTicks);
-    if (firings.firings.empty())
-        fail<UsageError>("cannot make a scan of {} points: found no firing, expected at least one",
-                         points.size());
-    for (const std::uint32_t firing : points.firing)
-        if (firing >= firings.firings.size())
-            fail<UsageError>(
-                "cannot make a scan: a point has firing {}, expected the index of one of {} firings", firing,
-                firings.firings.size());
+    check_sweep(points, sensor, firings);
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
         head_rad[i] = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
     PointToRayAssignment assigned(points, sensor, firings, head_rad);
-    const std::vector<double> times = firing_times(points, sensor, firings, assigned.firing_of);
-    const std::vector<int> slot = firing_per_column(firings, sensor.columns);
+    const std::vector<double> firing_time_s = firing_times(points, sensor, firings, assigned.firing_of);
     std::vector<double> firing_rad;
     for (const int tick : firings.firings) firing_rad.push_back(firings.lattice.tick_azimuth_rad(tick));
-    const int columns = sensor.columns;
+
+    const int n_columns = sensor.columns;
+    const std::vector<int> firing_of_column = firing_per_column(firings, n_columns);
     Scan scan;
-    resize_scan(scan, int(sensor.beams.size()), columns, assigned.by_return.size() - 1,
+    resize_scan(scan, int(sensor.beams.size()), n_columns, assigned.by_return.size() - 1,
                 !points.classes.empty());
     scan.rays.divergence_rad = float(sensor.divergence_rad);
-    std::size_t at = 0;
+    std::size_t ray = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
         // Firing f of a beam with an azimuth offset is stored in column f - `shift`.
-        const int shift = offset_columns(sensor.beams[ring], columns);
-        for (int column = 0; column < columns; ++column, ++at) {
-            const std::size_t firing =
-                std::size_t(slot[std::size_t(((column + shift) % columns + columns) % columns)]);
-            scan.rays.time_offset_s[at] = float(times[firing]);
-            scan.rays.channel[at] = std::uint16_t(ring);
+        const int shift = offset_columns(sensor.beams[ring], n_columns);
+        for (int column = 0; column < n_columns; ++column, ++ray) {
+            const int shifted = ((column + shift) % n_columns + n_columns) % n_columns;
+            const auto firing = std::size_t(firing_of_column[std::size_t(shifted)]);
+            scan.rays.time_offset_s[ray] = float(firing_time_s[firing]);
+            scan.rays.channel[ray] = std::uint16_t(ring);
             const int first = assigned.by_return[0].point_index_at(ring, firing);
-            if (first == kNoPointIndex ||
-                !set_ray(scan, at, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first))) {
+            const bool has_return =
+                first != kNoIndex &&
+                set_ray(scan, ray, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first));
+            if (!has_return) {
                 // A dropped ray is that of the ideal beam, and its range stays 0.
-                const BeamRay model = beams[ring].compute_ray(firing_rad[firing]);
-                scan.rays.origin[at] = glm::vec3(model.origin_m);
-                scan.rays.direction[at] = glm::vec3(model.direction);
+                const BeamRay ideal = beams[ring].compute_ray(firing_rad[firing]);
+                scan.rays.origin[ray] = glm::vec3(ideal.origin_m);
+                scan.rays.direction[ray] = glm::vec3(ideal.direction);
             }
-            for (std::size_t number = 1; number < assigned.by_return.size(); ++number)
-                if (const int i = assigned.by_return[number].point_index_at(ring, firing); i != kNoPointIndex)
-                    set_second(scan, at, points, std::size_t(i));
+            for (std::size_t later = 1; later < assigned.by_return.size(); ++later) {
+                const int point = assigned.by_return[later].point_index_at(ring, firing);
+                if (point != kNoIndex) set_second(scan, ray, points, std::size_t(point));
+            }
         }
     }
     return scan;
@@ -333,30 +360,30 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
 
 Scan scan_of_points(const LidarPoints& points) {
     check_points(points, 0);
-    std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
-    std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         fail<UsageError>("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays);
+    std::vector<std::size_t> first_returns;  // [rays] index of the point
+    std::size_t n_second_returns = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         n_second_returns = std::max(n_second_returns, return_index_of(points, i));
         if (return_index_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
-            first.push_back(i);
+            first_returns.push_back(i);
     }
+
     Scan scan;
-    resize_scan(scan, 1, int(first.size()), n_second_returns, !points.classes.empty());
-    for (std::size_t at = 0; at < first.size(); ++at) {
-        const std::size_t i = first[at];
-        const float range = glm::length(points.position_m[i]);
-        scan.rays.direction[at] = glm::vec3(glm::normalize(glm::dvec3(points.position_m[i])));
+    resize_scan(scan, 1, int(first_returns.size()), n_second_returns, !points.classes.empty());
+    for (std::size_t ray = 0; ray < first_returns.size(); ++ray) {
+        const std::size_t i = first_returns[ray];
+        scan.rays.direction[ray] = glm::vec3(glm::normalize(glm::dvec3(points.position_m[i])));
         // Missing times and rings become 0.
-        scan.rays.time_offset_s[at] = points.time_offset_s.empty() ? 0.0f : points.time_offset_s[i];
-        scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
-        scan.range_m[at] = range;
-        scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
-        if (!points.classes.empty()) scan.classes[at] = points.classes[i];
+        scan.rays.time_offset_s[ray] = points.time_offset_s.empty() ? 0.0f : points.time_offset_s[i];
+        scan.rays.channel[ray] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
+        scan.range_m[ray] = glm::length(points.position_m[i]);
+        scan.intensity[ray] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
+        if (!points.classes.empty()) scan.classes[ray] = points.classes[i];
         // Further returns of the ray directly follow its first return.
         for (std::size_t k = i + 1; k < points.size() && return_index_of(points, k) > 0; ++k)
-            set_second(scan, at, points, k);
+            set_second(scan, ray, points, k);
     }
     return scan;
 }
