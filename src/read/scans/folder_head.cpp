@@ -51,13 +51,15 @@ std::vector<std::string> read_text_list(const JsonField& field, const std::strin
     return texts;
 }
 
+/// Returns the position of a text in the list of allowed texts.
+/// @throws DataError for another text, with the most similar allowed one
 std::size_t read_word_index(const JsonField& field, const std::vector<std::string>& allowed_words) {
-    const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.text());
-    if (at == allowed_words.end())
+    const auto word = std::find(allowed_words.begin(), allowed_words.end(), field.text());
+    if (word == allowed_words.end())
         field.reject(fmt::format("found \"{}\"{}", quote(field.text()),
                                  did_you_mean(field.text(), allowed_words, "\"")),
                      fmt::format("expected one of: {}", fmt::join(allowed_words, ", ")));
-    return std::size_t(at - allowed_words.begin());
+    return std::size_t(word - allowed_words.begin());
 }
 
 glm::dquat read_quaternion(const JsonField& field) {
@@ -70,7 +72,8 @@ glm::dquat read_quaternion(const JsonField& field) {
     return rotation;
 }
 
-/// Accepts a 4 x 4 matrix by rows, or a translation and a quaternion.
+/// Reads the pose of a sensor in the vehicle: a 4 x 4 matrix by rows, or a translation and
+/// a quaternion.
 Pose read_mounting(const JsonField& field, const std::string& where) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();
@@ -85,28 +88,26 @@ Pose read_mounting(const JsonField& field, const std::string& where) {
 }
 
 /// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
+/// @param folder  folder of the log, which contains sensor files
 void read_named_sensor(const JsonField& field, const fs::path& folder, bool must_spin, Lidar& lidar) {
     const std::string name = field.short_text(kLongestPath);
-    const double max_range_m = lidar.sensor.max_range_m;
-    const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
-    const auto find_model = [&] {
-        try {
-            return find_sensor(
-                is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name, {},
-                max_range_m);
-        } catch (const UsageError& error) {  // The name is in a file, not on the command line.
-            fail("{}: {}", (folder / kHeadFile).string(), error.what());
-        }
-    };
-    const SensorModel model = find_model();
+    const auto has_ending = [&](const char* ending) { return name.find(ending) != std::string::npos; };
+    const bool is_file = has_ending(".csv") || has_ending(".json") || has_ending(".npz");
+    SensorModel model;
+    try {
+        model = find_sensor(is_file ? (folder / name).string() : name, {}, lidar.sensor.max_range_m);
+    } catch (const UsageError& error) {  // The name is in a file, not on the command line.
+        fail("{}: {}", (folder / kHeadFile).string(), error.what());
+    }
     if (!std::holds_alternative<SpinningSensor>(model.pattern) && must_spin)
         field.reject(fmt::format("found the sensor {}, which does not spin", quote(name)),
                      "expected a spinning sensor, or \"spins\": false");
     set_sensor(lidar, model);
 }
 
-/// Reads {"<kind>": {...}}, or a spinning sensor without a kind. Without period_s, the
-/// period is 0 and later estimated from the time between frames.
+/// Sets the sensor of a LiDAR from {"<kind>": {...}}, or from the members of a spinning
+/// sensor without a kind. Without period_s, the period is 0 and later estimated from the
+/// time between frames.
 void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_kind(field);
@@ -119,31 +120,39 @@ void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
     if (!members.has_member("max_range_m")) lidar.sensor.max_range_m = max_range_m;
 }
 
+/// Reads an element of "lidars".
+/// @param json_file  name for error messages
+/// @param folder  folder of the log
 HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, const fs::path& folder,
                        double default_max_range_m) {
     field.check_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
-    HeaderLidar lidar;
-    lidar.lidar.name = read_text_or(field, "name", "");
-    lidar.lidar.sensor.max_range_m = default_max_range_m;
+    HeaderLidar header;
+    Lidar& lidar = header.lidar;
+    lidar.name = read_text_or(field, "name", "");
+    lidar.sensor.max_range_m = default_max_range_m;
     if (field.has_member("vehicle_from_sensor"))
-        lidar.lidar.vehicle_from_sensor = read_mounting(
-            field.at("vehicle_from_sensor"),
-            fmt::format("{}: LiDAR '{}', vehicle_from_sensor", json_file, quote(lidar.lidar.name)));
-    lidar.spins = read_flag_or(field, "spins", true);
+        lidar.vehicle_from_sensor =
+            read_mounting(field.at("vehicle_from_sensor"),
+                          fmt::format("{}: LiDAR '{}', vehicle_from_sensor", json_file, quote(lidar.name)));
+
+    header.spins = read_flag_or(field, "spins", true);
     if (field.has_member("sensor") && field.at("sensor").is_string())
-        read_named_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
-    else if (field.has_member("sensor")) read_sensor_object(field.at("sensor"), lidar.spins, lidar.lidar);
-    lidar.has_beams = !lidar.lidar.sensor.beams.empty();
-    if (lidar.has_beams && !lidar.spins)
+        read_named_sensor(field.at("sensor"), folder, header.spins, lidar);
+    else if (field.has_member("sensor")) read_sensor_object(field.at("sensor"), header.spins, lidar);
+    header.has_beams = !lidar.sensor.beams.empty();
+    if (header.has_beams && !header.spins)
         field.at("spins").reject("found false, but the key sensor defines the beams of a spinning LiDAR",
                                  "expected true, or a sensor without a list of beams");
-    lidar.scans = read_text_or(field, "scans", "", kLongestPath);
-    // read_word_index() returns the position of the word in the list. Without the key,
-    // ring 0 is the highest.
-    lidar.lowest_first =
-        field.has_member("ring_0") && read_word_index(field.at("ring_0"), {"highest", "lowest"}) == 1;
-    return lidar;
+
+    header.scans = read_text_or(field, "scans", "", kLongestPath);
+    constexpr std::size_t kLowestWord = 1;  // in the list of words; without the key, ring 0 is the highest
+    header.lowest_first = field.has_member("ring_0") &&
+                          read_word_index(field.at("ring_0"), {"highest", "lowest"}) == kLowestWord;
+    return header;
 }
+
+/// Reads the list "lidars". Without it, the log has one LiDAR without a name. The scans of
+/// a single LiDAR are in the folder "scans", and those of several in "scans/<name>".
 
 std::vector<HeaderLidar> read_lidars(const JsonField& root, const std::string& json_file,
                                      const fs::path& folder, double default_max_range_m) {
@@ -166,24 +175,25 @@ std::vector<HeaderLidar> read_lidars(const JsonField& root, const std::string& j
 int find_frame_lidar(const JsonField& frame_entry, const std::vector<HeaderLidar>& lidars) {
     if (!frame_entry.has_member("lidar") && lidars.size() == 1) return 0;
     const std::string name = frame_entry.at("lidar").text();
-    const auto at = std::find_if(lidars.begin(), lidars.end(),
-                                 [&](const HeaderLidar& l) { return l.lidar.name == name; });
-    if (at == lidars.end())
+    const auto lidar =
+        std::ranges::find_if(lidars, [&](const HeaderLidar& header) { return header.lidar.name == name; });
+    if (lidar == lidars.end())
         frame_entry.at("lidar").reject(fmt::format("found \"{}\"", quote(name)),
                                        "expected the name of a LiDAR in \"lidars\"");
-    return int(at - lidars.begin());
+    return int(lidar - lidars.begin());
 }
 
+/// Reads the list "frames", which gives number, time and scan file of each frame.
 std::vector<LogFrame> read_frame_list(const JsonField& frame_list, const std::vector<HeaderLidar>& lidars,
                                       const fs::path& folder) {
     std::vector<LogFrame> frames;
     for (std::size_t i = 0; i < frame_list.size(); ++i) {
         const JsonField entry = frame_list.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
-        frames.push_back({int(entry.at("number").integer_in(0, kMaxFrame)),
-                          entry.at("time_s").number_in(-kLargestOfHead, kLargestOfHead),
-                          find_frame_lidar(entry, lidars),
-                          folder / entry.at("scan").short_text(kLongestPath)});
+        frames.push_back({.number = int(entry.at("number").integer_in(0, kMaxFrame)),
+                          .time_s = entry.at("time_s").number_in(-kLargestOfHead, kLargestOfHead),
+                          .lidar = find_frame_lidar(entry, lidars),
+                          .scan = folder / entry.at("scan").short_text(kLongestPath)});
     }
     if (frames.empty()) frame_list.reject("found no frame", "expected at least one frame");
     return frames;
@@ -194,32 +204,46 @@ bool is_text_file(const fs::path& file) { return file.extension() == ".csv" || f
 /// Other programs and systems make such files for their own use.
 bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
 
-/// Lists the scan files of each LiDAR, sorted by name. Computes frame times from the
-/// constant frame rate `rate_hz`.
+/// Lists the scan files of a LiDAR, sorted by name.
+/// @param scan_folder  folder of the scans
+/// @param log_folder  folder of the log; may be the same folder
+/// @throws DataError if two files have the same name without its ending
+std::vector<fs::path> list_scan_files(const fs::path& scan_folder, const fs::path& log_folder) {
+    const std::vector<fs::path> files = list_folder(scan_folder.lexically_normal());
+    // Text files next to other scans may contain time stamps.
+    const bool has_other_scans = std::ranges::any_of(files, [](const fs::path& file) {
+        return !is_text_file(file) && (is_point_file(file) || is_image_file(file)) && !is_hidden_file(file);
+    });
+    std::map<std::string, fs::path> scan_of_stem;
+    std::vector<fs::path> scans;
+    for (const fs::path& file : files) {
+        // A CSV file directly in the folder of the log may be a table of beams.
+        const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
+        const bool can_be_stamps = has_other_scans && is_text_file(file);
+        const bool has_points = is_point_file(file) && !can_be_beam_table && !can_be_stamps;
+        if (is_hidden_file(file) || !(has_points || is_image_file(file))) continue;
+        const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
+        if (!is_new)
+            fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
+                 other->second.filename().string());
+        scans.push_back(file);
+    }
+    return scans;
+}
+
+/// Lists the frames of all LiDARs from the files in their scan folders. Computes frame
+/// times from the constant frame rate `rate_hz`.
 std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<HeaderLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<LogFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
-        std::map<std::string, fs::path> scan_of_stem;
-        const std::vector<fs::path> files = list_folder((folder / lidars[l].scans).lexically_normal());
-        // Text files next to other scans may contain time stamps.
-        const bool has_scans = std::ranges::any_of(files, [](const fs::path& f) {
-            return !is_text_file(f) && (is_point_file(f) || is_image_file(f)) && !is_hidden_file(f);
-        });
-        for (const fs::path& file : files) {
-            // A CSV file directly in the folder of the log may be a table of beams.
-            const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == folder;
-            const bool has_points =
-                is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_file(file));
-            if (is_hidden_file(file) || !(has_points || is_image_file(file))) continue;
-            const int number = int(scan_of_stem.size());
-            const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
-            if (!is_new)
-                fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
-                     other->second.filename().string());
-            frames.push_back({number, number / rate_hz, int(l), file});
-        }
-        if (!scan_of_stem.empty()) continue;
+        const std::vector<fs::path> scans = list_scan_files(folder / lidars[l].scans, folder);
+        for (int number = 0; number < std::ssize(scans); ++number)
+            frames.push_back({.number = number,
+                              .time_s = number / rate_hz,
+                              .lidar = int(l),
+                              .scan = scans[std::size_t(number)]});
+        if (!scans.empty()) continue;
         const std::string other = find_unsupported(folder / lidars[l].scans);
         fail(
             "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
@@ -229,11 +253,11 @@ std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<Heade
     return frames;
 }
 
-/// Returns a note about the first scan that is probably missing, or an empty text.
-/// Accepts scans with regular gaps, such as every fifth scan.
+/// Returns a note about the first scan of a LiDAR that is probably missing, or an empty
+/// text. Accepts scans with regular gaps, such as every fifth scan.
 /// @param stems  file names without extension
 std::string note_missing_scan(const std::vector<std::string>& stems) {
-    std::vector<int> steps;
+    std::vector<int> steps;  // between the numbers of consecutive scans
     for (std::size_t i = 0; i < stems.size(); ++i) {
         const std::optional<int> number = parse_stem(stems[i]);
         if (!number) return "";
@@ -241,19 +265,20 @@ std::string note_missing_scan(const std::vector<std::string>& stems) {
     }
     if (steps.empty()) return "";
     const int smallest = std::ranges::min(steps);
-    const auto is_gap = [&](int step) {
-        return smallest > 0 ? double(step) >= kMissingScan * double(smallest) : step <= 0;
-    };
-    const auto gap = std::ranges::find_if(steps, is_gap);
-    if (gap == steps.end()) return "";
-    const std::string *before = &stems[std::size_t(gap - steps.begin())], *after = before + 1;
-    return smallest > 0 ? fmt::format("no scan was found between {} and {}", *before, *after)
-                        : fmt::format(
-                              "the scans are sorted by name, so {} is before {}, because the numbers "
-                              "have no leading zeros",
-                              *before, *after);
+    const bool are_sorted = smallest > 0;
+    const auto irregular = std::ranges::find_if(steps, [&](int step) {
+        return are_sorted ? double(step) >= kMissingScan * double(smallest) : step <= 0;
+    });
+    if (irregular == steps.end()) return "";
+    const auto i = std::size_t(irregular - steps.begin());
+    const std::string &before = stems[i], &after = stems[i + 1];
+    if (are_sorted) return fmt::format("no scan was found between {} and {}", before, after);
+    return fmt::format(
+        "the scans are sorted by name, so {} is before {}, because the numbers have no leading zeros", before,
+        after);
 }
 
+/// Returns notes for the user if LiDARs have missing scans, or unequal numbers of scans.
 std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
                                             const std::vector<HeaderLidar>& lidars) {
     std::vector<std::string> notes;
@@ -274,6 +299,7 @@ std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
     return notes;
 }
 
+/// Reads the keys that describe the values in scan files.
 PointFileUnits read_units(const JsonField& root) {
     PointFileUnits units;
     units.columns = read_text_list(root, "columns");
@@ -285,9 +311,53 @@ PointFileUnits read_units(const JsonField& root) {
     constexpr double kUnitSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
     if (root.has_member("time_unit"))
         units.time_unit_s = kUnitSeconds[read_word_index(root.at("time_unit"), {"s", "ms", "us", "ns"})];
+    constexpr std::size_t kAbsoluteWord = 1;
     units.absolute_times = root.has_member("point_times") &&
-                           read_word_index(root.at("point_times"), {"offsets", "absolute"}) == 1;
+                           read_word_index(root.at("point_times"), {"offsets", "absolute"}) == kAbsoluteWord;
     return units;
+}
+
+/// Reads the frames: either the list "frames", or the files in the scan folders at the
+/// constant rate "rate_hz". Sorts them by time. Adds notes about missing scans.
+void read_frames(SequenceHeader& header, const JsonField& root, const fs::path& folder) {
+    const bool has_list = root.has_member("frames"), has_rate = root.has_member("rate_hz");
+    if (has_list == has_rate)
+        root.reject(
+            has_list ? "found both \"frames\" and \"rate_hz\"" : "found neither \"frames\" nor \"rate_hz\"",
+            "expected exactly one of the two keys");
+    if (has_list) {
+        header.frames = read_frame_list(root.at("frames"), header.lidars, folder);
+    } else {
+        const double rate_hz = root.at("rate_hz").number_in(1e-3, 1e3);
+        header.frames = list_folder_frames(rate_hz, header.lidars, folder);
+        std::ranges::copy(note_missing_scans(header.frames, header.lidars), std::back_inserter(header.notes));
+    }
+    std::ranges::stable_sort(header.frames, {},
+                             [](const LogFrame& frame) { return std::pair(frame.time_s, frame.lidar); });
+}
+
+/// Adds a note that names the columns that relidar ignores.
+void note_skipped_columns(SequenceHeader& header) {
+    std::vector<std::string> skipped;
+    std::ranges::copy_if(header.units.columns, std::back_inserter(skipped),
+                         [](const std::string& column) { return !is_known_field(column); });
+    if (!skipped.empty())
+        header.notes.push_back(
+            fmt::format("these columns of the scans are not read: {}", fmt::join(skipped, ", ")));
+}
+
+/// Reads where the world frame of the log is on the earth.
+void read_place(SequenceHeader& header, const JsonField& root) {
+    if (root.has_member("georeference")) {
+        header.georeference = read_georeference(root.at("georeference"));
+        if (has_proj()) GeoConverter{*header.georeference};  // rejects an unknown projection
+    }
+    if (root.has_member("world_offset_m")) {
+        const JsonField offset = root.at("world_offset_m");
+        const auto v = offset.numbers<3>();
+        for (std::size_t i = 0; i < 3; ++i) offset.at(i).number_in(-kFarthestWorld_m, kFarthestWorld_m);
+        header.world_offset_m = glm::dvec3(v[0], v[1], v[2]);
+    }
 }
 
 }  // namespace
@@ -302,46 +372,20 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     if (root.at("format").text() != kLogFormat)
         root.at("format").reject("found another format", fmt::format("expected \"{}\"", kLogFormat));
     root.at("version").integer_in(1, kLogVersion);
-    SequenceHeader head;
-    head.name = read_text_or(root, "name", folder.filename().string());
-    head.conventions =
+    SequenceHeader header;
+    header.name = read_text_or(root, "name", folder.filename().string());
+    header.conventions =
         read_text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
-    std::ranges::copy(read_text_list(root, "notes"), std::back_inserter(head.notes));
+    std::ranges::copy(read_text_list(root, "notes"), std::back_inserter(header.notes));
     if (root.has_member("start_unix_ns"))
-        head.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
-    head.lidars = read_lidars(root, file, folder, default_max_range_m);
-    if (root.has_member("frames") == root.has_member("rate_hz"))
-        root.reject(root.has_member("frames") ? "found both \"frames\" and \"rate_hz\""
-                                              : "found neither \"frames\" nor \"rate_hz\"",
-                    "expected exactly one of the two keys");
-    head.frames = root.has_member("frames")
-                      ? read_frame_list(root.at("frames"), head.lidars, folder)
-                      : list_folder_frames(root.at("rate_hz").number_in(1e-3, 1e3), head.lidars, folder);
-    if (root.has_member("rate_hz"))
-        std::ranges::copy(note_missing_scans(head.frames, head.lidars), std::back_inserter(head.notes));
-    std::stable_sort(head.frames.begin(), head.frames.end(),
-                     [](const LogFrame& first, const LogFrame& second) {
-                         return std::pair(first.time_s, first.lidar) < std::pair(second.time_s, second.lidar);
-                     });
-    head.motion_compensated = read_flag_or(root, "motion_compensated", false);
-    head.units = read_units(root);
-    std::vector<std::string> skipped;
-    std::ranges::copy_if(head.units.columns, std::back_inserter(skipped),
-                         [](const std::string& c) { return !is_known_field(c); });
-    if (!skipped.empty())
-        head.notes.push_back(
-            fmt::format("these columns of the scans are not read: {}", fmt::join(skipped, ", ")));
-    if (root.has_member("georeference")) {
-        head.georeference = read_georeference(root.at("georeference"));
-        if (has_proj()) GeoConverter{*head.georeference};  // rejects an unknown projection
-    }
-    if (root.has_member("world_offset_m")) {
-        const auto v = root.at("world_offset_m").numbers<3>();
-        for (std::size_t i = 0; i < 3; ++i)
-            root.at("world_offset_m").at(i).number_in(-kFarthestWorld_m, kFarthestWorld_m);
-        head.world_offset_m = glm::dvec3(v[0], v[1], v[2]);
-    }
-    return head;
+        header.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
+    header.lidars = read_lidars(root, file, folder, default_max_range_m);
+    read_frames(header, root, folder);
+    header.motion_compensated = read_flag_or(root, "motion_compensated", false);
+    header.units = read_units(root);
+    note_skipped_columns(header);
+    read_place(header, root);
+    return header;
 }
 
 }  // namespace relidar::read

@@ -46,11 +46,13 @@ struct PointFileUnits {
     double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
 };
 
+/// An element of "lidars" in sequence.json.
 struct HeaderLidar : LidarScanLayout {
     Lidar lidar;
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
 
+/// A frame that sequence.json lists, or that was found as a scan file.
 struct LogFrame {
     int number = 0;
     double time_s = 0.0;
@@ -58,6 +60,7 @@ struct LogFrame {
     std::filesystem::path scan;
 };
 
+/// Contents of sequence.json.
 struct SequenceHeader {
     std::string name, conventions;
     std::int64_t start_unix_ns = 0;
