@@ -25,7 +25,7 @@ std::size_t count_firsts(const LidarPoints& points) {
     for (std::size_t i = 0; i < points.size(); ++i) {
         const float range_m = glm::length(points.position_m[i]);
         const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
-        n += is_first && range_m >= kNearestReturn_m;
+        if (is_first && range_m >= kNearestReturn_m) ++n;
     }
     return n;
 }
@@ -66,6 +66,8 @@ private:
     const bool has_npz_points_;
 };
 
+/// Reads the scans of all frames of a log. First decides for each LiDAR, from a few sample
+/// scans, how its points become rays. Then reads the frames, several at the same time.
 class ScanReader {
 public:
     ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source,
@@ -88,8 +90,9 @@ public:
         const Notes notes = sequence_.notes;
         const std::vector<Lidar> lidars = sequence_.lidars;
         plan_each_lidar();
-        if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undo)) return;
-        undoes_motion_ = false;
+        if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undoes_motion)) return;
+        // Only some LiDARs could undo the compensation. Plans all of them again without it.
+        may_undo_motion_ = false;
         sequence_.notes = notes;
         sequence_.lidars = lidars;
         samples_.clear();
@@ -101,51 +104,25 @@ public:
     /// Reads the scan of a frame according to the plan of its LiDAR. Several threads call
     /// it.
     void read_frame_scan(std::size_t frame_index) {
-        Frame& frame = sequence_.frames[frame_index];
         if (!source_.stores_points(frame_index)) {
-            frame.scan = source_.read_rays(frame_index);
+            sequence_.frames[frame_index].scan = source_.read_rays(frame_index);
             return;
         }
-        const ScanPlan& plan = plans_[std::size_t(frame.lidar)];
-        const auto sample = samples_.find(frame_index);
-        LidarPoints points;
-        try {
-            points =
-                sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
-            if (sample == samples_.end()) restore(frame_index, points);
-        } catch (const MostTimesWrong& error) {
-            broken_.record_broken(frame_index, error.what());
-        }
-        if (!remove_late(frame_index, points)) return;
-        if (points.size() > 0 &&
-            (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
-            fail(
-                "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
-                "same fields in all scans",
-                source_.frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
-                points.time_offset_s.empty() ? "no times" : "times");
-        // Without a sensor model, dropped rays are unknown, so each point becomes a ray.
-        if (!plan.is_ordered) {
-            frame.scan = scan_of_points(points);
-            return;
-        }
-        if (plan.order) plan.order->number_rings(points);
-        if (plan.has_rings || plan.order) map_rings(points, plan, frame_index);
-        else assign_rings(points, plan.sensor.beams);
-        frame.scan = spinning_scan(points, plan.sensor, fit_even_sweep(points, plan.sensor));
-        PointCounts& counts = counts_[frame_index];
-        counts.first = count_firsts(points);
-        counts.behind = counts.first - std::min(counts.first, frame.scan.count_returns());
+        LidarPoints points = load_points(frame_index);
+        const bool is_usable = remove_late(frame_index, points);
+        if (is_usable) make_scan(frame_index, points);
     }
 
+    /// Returns how many points of each frame are skipped.
     const std::vector<PointCounts>& counts() const { return counts_; }
 
 private:
     Log& sequence_;
     const ScanLayout& layout_;
     const ScanProvider& source_;
-    const bool has_poses_, recovers_firings_;
-    bool undoes_motion_ = true;
+    const bool has_poses_;         ///< false: the poses will be estimated from the scans
+    const bool recovers_firings_;  ///< true: searches firing times that the log does not contain
+    bool may_undo_motion_ = true;  ///< false if motion compensation can be undone for some LiDARs only
     ScanErrorCollector& broken_;
     std::vector<ScanPlan> plans_;                     ///< [lidars]
     std::vector<TimeLimits> time_limits_;             ///< [lidars]
@@ -156,6 +133,7 @@ private:
     /// [frames] points that were already read to estimate the beams
     std::map<std::size_t, LidarPoints> samples_;
 
+    /// Plans the scans of each LiDAR on its own.
     void plan_each_lidar() {
         for (int l = 0; l < std::ssize(sequence_.lidars); ++l) {
             std::vector<std::size_t> with_points;  // frames with points
@@ -170,9 +148,11 @@ private:
             else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_s(sequence_, layout_, l);
         }
         sequence_.rolling_shutter =
-            !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undo);
+            !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undoes_motion);
     }
 
+    /// Reads the points of a frame. Moves points back to their firing times if the log says
+    /// that they were motion-compensated, and if their times are known.
     LidarPoints read_points(std::size_t frame_index, bool undo_motion) const {
         const Frame& frame = sequence_.frames[frame_index];
         LidarPoints points = source_.read_points(frame_index);
@@ -181,50 +161,97 @@ private:
         return points;
     }
 
+    /// Returns the points of a frame, each at its firing time if this is possible. Reuses a
+    /// sample that was read for the plan. A scan with wrong times is recorded as broken.
+    LidarPoints load_points(std::size_t frame_index) {
+        const auto sample = samples_.find(frame_index);
+        if (sample != samples_.end()) return std::move(sample->second);
+        const ScanPlan& plan = plans_[std::size_t(sequence_.frames[frame_index].lidar)];
+        LidarPoints points;
+        try {
+            points = read_points(frame_index, plan.undoes_motion);
+            restore(frame_index, points);
+        } catch (const MostTimesWrong& error) {
+            broken_.record_broken(frame_index, error.what());
+        }
+        return points;
+    }
+
     /// Removes points whose times are outside the sweep. Returns false if the scan is
     /// skipped, because most of its points have such times.
     bool remove_late(std::size_t frame_index, LidarPoints& points) {
         const TimeLimits& limits = time_limits_[std::size_t(sequence_.frames[frame_index].lidar)];
-        const std::size_t n = points.size();
+        const std::size_t n_points = points.size();
         const double middle_s = limits.middle_s.value_or(0.0);
         double worst_s = middle_s;
         for (const float t_s : points.time_offset_s)
             if (std::abs(double(t_s) - middle_s) > std::abs(worst_s - middle_s)) worst_s = double(t_s);
         const std::size_t n_late = remove_mistimed(points, limits.longest_offset_s, limits.middle_s);
-        if (2 * n_late > n)
+        if (2 * n_late > n_points)
             broken_.record_broken(
                 frame_index,
                 fmt::format("{}: {} of {} points have times outside the sweep, such as {:.6g} s after the "
                             "time of the frame; expected at most {:.3g} s from {:.3g} s, as in other scans",
-                            source_.frame_name(frame_index), n_late, n, worst_s, limits.longest_offset_s,
-                            middle_s));
+                            source_.frame_name(frame_index), n_late, n_points, worst_s,
+                            limits.longest_offset_s, middle_s));
         else counts_[frame_index].late += n_late;
         return !broken_.is_scan_broken(frame_index);
     }
 
+    /// Assigns the points of a frame to the rays of its LiDAR.
+    void make_scan(std::size_t frame_index, LidarPoints& points) {
+        Frame& frame = sequence_.frames[frame_index];
+        const ScanPlan& plan = plans_[std::size_t(frame.lidar)];
+        const bool has_rings = !points.ring.empty(), has_times = !points.time_offset_s.empty();
+        if (points.size() > 0 && (plan.has_rings != has_rings || plan.has_times != has_times))
+            fail(
+                "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
+                "same fields in all scans",
+                source_.frame_name(frame_index), has_rings ? "rings" : "no rings",
+                has_times ? "times" : "no times");
+        // Without a sensor model, dropped rays are unknown, so each point becomes a ray.
+        if (!plan.is_ordered) {
+            frame.scan = scan_of_points(points);
+            return;
+        }
+        if (plan.order) plan.order->number_rings(points);
+        if (plan.has_rings || plan.order) map_rings(points, plan, frame_index);
+        else assign_rings(points, plan.sensor.beams);
+        frame.scan = spinning_scan(points, plan.sensor, fit_even_sweep(points, plan.sensor));
+        PointCounts& counts = counts_[frame_index];
+        counts.first = count_firsts(points);
+        counts.behind = counts.first - std::min(counts.first, frame.scan.count_returns());
+    }
+
+    /// Adds the points of a frame to `samples`, unless it has none. If its times are wrong,
+    /// adds the error to `wrong` instead.
+    void load_sample(std::size_t frame_index, std::map<std::size_t, LidarPoints>& samples,
+                     std::map<std::size_t, std::string>& wrong) {
+        const bool undo_motion = layout_.motion_compensated && has_poses_ && may_undo_motion_;
+        broken_.guard(frame_index, [&] {
+            try {
+                LidarPoints points = read_points(frame_index, undo_motion);
+                if (points.size() > 0) samples.emplace(frame_index, std::move(points));
+            } catch (const MostTimesWrong& error) {
+                wrong.emplace(frame_index, error.what());
+            }
+        });
+    }
+
     /// Reads the points of a few frames, or of all frames until one has points. A scan
-    /// whose times are wrong is broken if the times of other scans are right.
+    /// whose times are wrong is broken if the times of other scans are right. Otherwise it is
+    /// an error, because the unit of the times is probably wrong.
     std::map<std::size_t, LidarPoints> load_samples(const std::vector<std::size_t>& frame_indices) {
         std::map<std::size_t, LidarPoints> samples;
         std::map<std::size_t, std::string> wrong;
-        const auto add_sample = [&](std::size_t index) {
-            broken_.guard(index, [&] {
-                try {
-                    LidarPoints points =
-                        read_points(index, layout_.motion_compensated && has_poses_ && undoes_motion_);
-                    if (points.size() > 0) samples.emplace(index, std::move(points));
-                } catch (const MostTimesWrong& error) {
-                    wrong.emplace(index, error.what());
-                }
-            });
-        };
         const std::size_t n = std::min(kSampleScans, frame_indices.size());
-        for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
+        for (std::size_t k = 0; k < n; ++k)
+            load_sample(frame_indices[k * frame_indices.size() / n], samples, wrong);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
-            add_sample(frame_indices[k]);
-        for (const auto& [index, text] : wrong) {
-            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken(index, text);
-            else broken_.guard(index, [&] { throw DataError(text); });
+            load_sample(frame_indices[k], samples, wrong);
+        for (const auto& [frame_index, text] : wrong) {
+            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken(frame_index, text);
+            else broken_.guard(frame_index, [&] { throw DataError(text); });
         }
         if (samples.empty()) broken_.report_broken(sequence_, broken_.size());
         return samples;
@@ -232,12 +259,12 @@ private:
 
     /// Searches how the points of a LiDAR were moved, if the log does not say it. Then
     /// restores the samples.
-    void recover_firings(int lidar_index, std::map<std::size_t, LidarPoints>& by_frame, double sweep_s) {
+    void recover_firings(int lidar_index, std::map<std::size_t, LidarPoints>& samples, double sweep_s) {
         const auto l = std::size_t(lidar_index);
         if (!recovers_firings_ || !layout_.lidars[l].spins) return;
         std::vector<CompensatedSweep> sweeps;
-        for (const auto& [frame, points] : by_frame)
-            sweeps.push_back({points, sequence_.frames[frame].time_s});
+        for (const auto& [frame_index, points] : samples)
+            sweeps.push_back({points, sequence_.frames[frame_index].time_s});
         const bool has_times = std::ranges::any_of(
             sweeps, [](const CompensatedSweep& sweep) { return !sweep.points.time_offset_s.empty(); });
         const Lidar& lidar = sequence_.lidars[l];
@@ -245,11 +272,13 @@ private:
             .period_s = sweep_s,
             .forward = inverse(lidar.vehicle_from_sensor).rotation * glm::dvec3(1, 0, 0)};
         if (has_poses_) sensor.world_from_sensor = sequence_.lidar_track(lidar_index);
-        if (layout_.motion_compensated && undoes_motion_ && !has_times)
+        // The points were moved, but their times are not stored.
+        if (layout_.motion_compensated && may_undo_motion_ && !has_times)
             firings_[l] = plan_firings(std::move(sweeps), sensor);
+        // The times are stored, but the points may have been moved without notice.
         if (!layout_.motion_compensated && has_times && has_poses_)
             moved_to_s_[l] = find_moved_time(sweeps, *sensor.world_from_sensor);
-        for (auto& [frame, points] : by_frame) restore(frame, points);
+        for (auto& [frame_index, points] : samples) restore(frame_index, points);
     }
 
     /// Moves points back to their firing times, if recover_firings() found how they were
@@ -266,29 +295,33 @@ private:
     /// wrong times are removed first, because they would disturb the fit of the sensor.
     void plan_lidar(int lidar_index, const std::vector<std::size_t>& frame_indices) {
         const auto l = std::size_t(lidar_index);
-        std::map<std::size_t, LidarPoints> by_frame = load_samples(frame_indices);
+        std::map<std::size_t, LidarPoints> sample_of_frame = load_samples(frame_indices);
         const auto list_samples = [&] {
             std::vector<LidarPoints> samples;
-            for (const auto& [frame, points] : by_frame) samples.push_back(points);
+            for (const auto& [frame_index, points] : sample_of_frame) samples.push_back(points);
             return samples;
         };
         const double sweep_s = find_sweep_s(sequence_, layout_, lidar_index);
-        recover_firings(lidar_index, by_frame, sweep_s);
+        recover_firings(lidar_index, sample_of_frame, sweep_s);
         time_limits_[l] = find_time_limits(list_samples(), sweep_s);
-        for (auto sample = by_frame.begin(); sample != by_frame.end();)
-            sample = remove_late(sample->first, sample->second) ? std::next(sample) : by_frame.erase(sample);
+        for (auto sample = sample_of_frame.begin(); sample != sample_of_frame.end();) {
+            const bool is_usable = remove_late(sample->first, sample->second);
+            sample = is_usable ? std::next(sample) : sample_of_frame.erase(sample);
+        }
+
         const std::vector<LidarPoints> samples = list_samples();
         Lidar& lidar = sequence_.lidars[l];
-        plans_[l] = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
-                               has_poses_ && undoes_motion_);
-        plans_[l].undo |= firings_[l].has_value();
-        if (plans_[l].is_contradiction && layout_.is_described)
+        ScanPlan& plan = plans_[l];
+        plan = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
+                          has_poses_ && may_undo_motion_);
+        if (firings_[l]) plan.undoes_motion = true;
+        if (plan.is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
-                 sequence_.source, lidar.name, plans_[l].problem);
-        lidar.sensor = plans_[l].sensor;
-        note_plan(sequence_, layout_, lidar_index, plans_[l], samples);
+                 sequence_.source, lidar.name, plan.problem);
+        lidar.sensor = plan.sensor;
+        note_plan(sequence_, layout_, lidar_index, plan, samples);
         note_recovery(sequence_, lidar_index, firings_[l], moved_to_s_[l]);
-        samples_.merge(by_frame);
+        samples_.merge(sample_of_frame);
     }
 
     /// Replaces ring numbers of the file by beam numbers. Removes points of rings without
@@ -296,8 +329,8 @@ private:
     void map_rings(LidarPoints& points, const ScanPlan& plan, std::size_t frame_index) {
         std::vector<std::size_t> kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
-            const std::uint16_t ring = points.ring[p],
-                                beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
+            const std::uint16_t ring = points.ring[p];
+            const std::uint16_t beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && !plan.is_fitted)
                 fail("{}: a point has the ring number {}, expected the number of one of {} beams",
                      source_.frame_name(frame_index), ring, plan.beam_of_ring.size());
@@ -309,8 +342,8 @@ private:
     }
 };
 
-/// Returns the indices of the frames whose scans will be read.
-/// @param max_scans  maximum number of scans per LiDAR
+/// Returns the indices of the frames whose scans will be read, evenly spread over the log.
+/// @param max_scans  maximum number of scans per LiDAR; 0: all
 std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> frames_by_lidar(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)

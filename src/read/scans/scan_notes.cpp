@@ -20,36 +20,69 @@ void add_lidar_note(Log& sequence, int lidar_index, const std::string& text) {
     sequence.notes.push_back({"", lidar_index, name.empty() ? text : "LiDAR '" + name + "': " + text});
 }
 
+/// Adds a note if points of a LiDAR are skipped because their ray has a nearer point. If
+/// they are many, the note names the usual cause.
+/// @param counts  [frames]
+void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index,
+                        const std::vector<PointCounts>& counts) {
+    std::size_t n_skipped = 0, n_all = 0;
+    for (std::size_t i = 0; i < counts.size(); ++i) {
+        if (sequence.frames[i].lidar != lidar_index) continue;
+        n_skipped += counts[i].behind;
+        n_all += counts[i].first;
+    }
+    if (n_skipped == 0) return;
+    std::string cause;
+    if (double(n_skipped) > kMaxSkippedShare * double(n_all)) {
+        const bool has_described_beams =
+            layout.lidars[std::size_t(lidar_index)].has_beams && layout.is_described;
+        cause = has_described_beams ? "; the usual cause is a sensor in sequence.json that did not measure "
+                                      "these points"
+                                    : "; the usual cause is several returns of each ray without numbers";
+    }
+    add_lidar_note(sequence, lidar_index,
+                   fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
+                               "point and no neighbouring ray is free{}",
+                               n_skipped, n_all, 100.0 * double(n_skipped) / double(n_all), cause));
+}
+
 }  // namespace
 
 void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples) {
     const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
-    if (!plan.problem.empty())
-        add(fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown{}",
-                        plan.problem,
-                        layout.is_described && !plan.has_rings
-                            ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
-                            : ""));
-    else if (plan.is_fitted)
+
+    // how points are assigned to rays
+    if (!plan.problem.empty()) {
+        const bool can_describe_beams = layout.is_described && !plan.has_rings;
+        add(fmt::format(
+            "{}; therefore each point becomes one ray, and dropped rays are unknown{}", plan.problem,
+            can_describe_beams ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
+                               : ""));
+    } else if (plan.is_fitted) {
         add(fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
                         plan.sensor.beams.size(), plan.sensor.columns,
                         plan.has_rings ? "" : ", which have no rings",
                         plan.order ? "; their order in the file shows the rings" : ""));
-    else if (plan.is_ordered && !plan.has_rings)
+    } else if (plan.is_ordered && !plan.has_rings) {
         add("the points have no rings; each point is assigned to the beam with the nearest elevation");
+    }
+
+    // when points were measured
     if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
         add(
             fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
                         "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
                         plan.sensor.period_s));
     const double step_s = median_step_s(sequence, lidar_index).value_or(INFINITY);
-    if (!layout.motion_compensated && step_s <= kMaxFrameStep_s)
-        if (const std::string text = describe_span(samples, step_s); !text.empty()) add(text);
-    if (layout.motion_compensated && !plan.undo)
+    if (!layout.motion_compensated && step_s <= kMaxFrameStep_s) {
+        const std::string text = describe_span(samples, step_s);
+        if (!text.empty()) add(text);
+    }
+    if (layout.motion_compensated && !plan.undoes_motion)
         add(
-            fmt::format("the scans stay motion-compensated, because the firing times{0} or the poses are not "
+            fmt::format("the scans stay motion-compensated, because the firing times{} or the poses are not "
                         "known; all rays start at the sensor's position at the time of the frame",
                         layout.lidars.size() > 1 ? " of all LiDARs" : ""));
 }
@@ -67,12 +100,12 @@ void note_recovery(Log& sequence, int lidar_index, const std::optional<FiringPla
 }
 
 void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts) {
-    std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, worst = 0;
+    std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, latest_frame = 0;
     for (std::size_t i = 0; i < counts.size(); ++i) {
         n_without_beam += counts[i].without_beam;
         n_late += counts[i].late;
-        n_late_scans += counts[i].late > 0;
-        if (counts[i].late > counts[worst].late) worst = i;
+        if (counts[i].late > 0) ++n_late_scans;
+        if (counts[i].late > counts[latest_frame].late) latest_frame = i;
     }
     if (n_without_beam > 0)
         sequence.notes.push_back(fmt::format(
@@ -81,25 +114,8 @@ void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vec
         sequence.notes.push_back(
             fmt::format("{} points of {} scans are skipped, because their times are outside the sweep of "
                         "their scan, most of them in frame {}",
-                        n_late, n_late_scans, sequence.frames[worst].index));
-    for (int l = 0; l < std::ssize(sequence.lidars); ++l) {
-        std::size_t n = 0, all = 0;
-        for (std::size_t i = 0; i < counts.size(); ++i) {
-            if (sequence.frames[i].lidar != l) continue;
-            n += counts[i].behind;
-            all += counts[i].first;
-        }
-        if (n == 0) continue;
-        const char* cause = layout.lidars[std::size_t(l)].has_beams && layout.is_described
-                                ? "a sensor in sequence.json that did not measure these points"
-                                : "several returns of each ray without numbers";
-        add_lidar_note(sequence, l,
-                       fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
-                                   "point and no neighbouring ray is free{}{}",
-                                   n, all, 100.0 * double(n) / double(all),
-                                   double(n) > kMaxSkippedShare * double(all) ? "; the usual cause is " : "",
-                                   double(n) > kMaxSkippedShare * double(all) ? cause : ""));
-    }
+                        n_late, n_late_scans, sequence.frames[latest_frame].index));
+    for (int l = 0; l < std::ssize(sequence.lidars); ++l) note_occupied_rays(sequence, layout, l, counts);
 }
 
 }  // namespace relidar::read

@@ -18,8 +18,10 @@ constexpr double kLongestPeriod_s = 0.25;
 /// Sets ring numbers of points that have none. Returns false if neither their elevations
 /// nor their order show the rings.
 bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
-    // The order fails for Ouster LiDARs, because their rings begin at different azimuths.
-    if (const std::vector<Beam> beams = estimate_beams(samples); !beams.empty()) {
+    // Elevations are tried first. The order fails for Ouster LiDARs, because their rings
+    // begin at different azimuths.
+    const std::vector<Beam> beams = estimate_beams(samples);
+    if (!beams.empty()) {
         for (LidarPoints& sample : samples) assign_rings(sample, beams);
         return true;
     }
@@ -37,7 +39,8 @@ std::string find_contradiction(const ScanPlan& plan, const SpinningSensor& fitte
     return why.empty() && !plan.has_rings ? why_thinned(samples, fitted_sensor) : why;
 }
 
-/// Fits the beams of a spinning LiDAR to the samples, or sets why it cannot.
+/// Fits the beams of a spinning LiDAR to the samples and checks the fit. Sets the sensor of
+/// the plan, or the reason why the points cannot be rays of such a sensor.
 void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     if (!plan.has_rings && !add_rings(plan, samples)) {
         plan.problem =
@@ -52,6 +55,7 @@ void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
         plan.beam_of_ring = fit.beam_of_ring;
         plan.problem = find_contradiction(plan, fit.sensor, samples);
         if (plan.problem.empty()) {
+            // Points do not show these properties.
             fit.sensor.name = plan.sensor.name;
             fit.sensor.min_range_m = plan.sensor.min_range_m;
             fit.sensor.max_range_m = plan.sensor.max_range_m;
@@ -91,9 +95,11 @@ std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps,
         if (!std::ranges::all_of(sweeps, has_no_rings)) return std::nullopt;
         std::vector<LidarPoints> samples;
         for (const CompensatedSweep& sweep : sweeps) samples.push_back(sweep.points);
+        // Motion compensation changes the elevations, but not the order of the points.
         const RingOrderDetector order(samples);
         if (order.is_ring_by_ring()) plan.order = order;
-        else if (plan.beams = estimate_beams(samples); plan.beams.empty()) return std::nullopt;
+        else plan.beams = estimate_beams(samples);
+        if (!plan.order && plan.beams.empty()) return std::nullopt;
         for (CompensatedSweep& sweep : sweeps) number_rings(plan, sweep.points);
     }
     std::optional<FiringRecovery> recovery = find_firings(sweeps, sensor);
@@ -112,15 +118,14 @@ TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double swee
 }
 
 std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
-    std::vector<double> steps;
-    // NaN makes the first comparison false, because the first frame has no step.
-    double before_s = NAN;
+    std::vector<double> steps_s;
+    std::optional<double> before_s;  // time of the frame before
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
-        if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
+        if (before_s && frame.time_s > *before_s) steps_s.push_back(frame.time_s - *before_s);
         before_s = frame.time_s;
     }
-    return steps.empty() ? std::nullopt : std::optional(compute_median(std::move(steps)));
+    return steps_s.empty() ? std::nullopt : std::optional(compute_median(std::move(steps_s)));
 }
 
 double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar_index) {
@@ -138,14 +143,14 @@ ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double
     plan.has_rings = samples.empty() || !samples[0].ring.empty();
     plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
     // Motion compensation can be undone only with the poses and the times of points.
-    plan.undo = motion_compensated && has_poses && plan.has_times;
+    plan.undoes_motion = motion_compensated && has_poses && plan.has_times;
     if (plan.sensor.period_s == 0.0 || !layout.has_beams) plan.sensor.period_s = sweep_s;
     if (layout.has_beams) {
         plan.is_ordered = true;
         const std::size_t n = plan.sensor.beams.size();
-        for (std::size_t k = 0; k < n; ++k)
+        for (std::size_t ring = 0; ring < n; ++ring)
             // Beams are sorted from the highest to the lowest.
-            plan.beam_of_ring.push_back(std::uint16_t(layout.lowest_first ? n - 1 - k : k));
+            plan.beam_of_ring.push_back(std::uint16_t(layout.lowest_first ? n - 1 - ring : ring));
     } else if (layout.spins && !samples.empty()) {
         fit_sensor(plan, samples);
     }

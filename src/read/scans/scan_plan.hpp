@@ -58,7 +58,8 @@ struct FiringPlan {
     std::optional<RingOrderDetector> order = {};  ///< finds rings by the order of the file
     std::vector<Beam> beams = {};                 ///< finds rings by elevation
 
-    /// Sets the times of points and moves them to their firing times.
+    /// Sets the times of points and moves the points to where the sensor saw them at these
+    /// times. Without rings, the points stay as they are.
     void restore(LidarPoints& points, double frame_time_s) const;
 };
 /// Searches the firing times of points that have none. Returns nothing if they show no
@@ -72,7 +73,7 @@ struct ScanPlan {
     bool is_ordered = false;                    ///< true if points are assigned to beams and columns
     bool is_fitted = false;                     ///< true if the sensor was fitted to the points
     bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
-    bool undo = false;                          ///< true: motion compensation is undone
+    bool undoes_motion = false;                 ///< true: motion compensation is undone
     /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
     /// ignored
     std::vector<std::uint16_t> beam_of_ring;
@@ -86,9 +87,11 @@ struct TimeLimits {
     double longest_offset_s = INFINITY;  ///< largest plausible distance from the median time
     std::optional<double> middle_s;      ///< median time of most scans; not set if they disagree
 };
+/// Returns the interval in which the times of the points of a scan must be.
 /// @param sweep_s  duration of a sweep
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
 
+/// Returns the median time between the frames of a LiDAR, or nothing for a single frame.
 std::optional<double> median_step_s(const Log& sequence, int lidar);
 /// Returns the duration of a revolution: the known one, or the median time between frames
 /// divided by the number of revolutions if the log has only every n-th scan.
@@ -103,9 +106,10 @@ ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double
 
 /// Numbers of points of a frame, for notes.
 struct PointCounts {
-    std::size_t without_beam = 0, late = 0;
-    std::size_t first = 0;   ///< first returns
-    std::size_t behind = 0;  ///< skipped, because their ray has a nearer point
+    std::size_t without_beam = 0;  ///< skipped, because the fitted sensor has no beam for their ring
+    std::size_t late = 0;          ///< skipped, because their time is outside the sweep
+    std::size_t first = 0;         ///< first returns
+    std::size_t behind = 0;        ///< skipped, because their ray has a nearer point
 };
 /// Adds notes for the user about the plan of a LiDAR.
 /// @param samples  points of some scans
