@@ -15,11 +15,33 @@
 namespace relidar::bag {
 namespace {
 
+/// Reads the message of a cloud and describes its points as a table.
 read::PointTable read_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
                                   const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
     const SharedBytes message = bag.read_message(topic, location);
     return to_point_table(read_cloud(topic, message.bytes), message);
+}
+
+/// Returns the time of a cloud's stamp on the clock of its point times.
+/// @param table  points of the cloud. The times of a sensor clock become continuous
+double stamp_on_point_clock_s(const read::PointCloudUnits& units, const CloudEntry& cloud,
+                              read::PointTable& table) {
+    if (units.time_reference == read::PointTimeReference::epoch)
+        return 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
+    if (units.time_reference != read::PointTimeReference::sensor_clock) return 0.0;
+    // The sensor's clock is unrelated to the stamp, so the first point gets the stamp.
+    read::unwrap_times(table, false);
+    return units.time_unit_s * read::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
+}
+
+void append_points(LidarPoints& all, const LidarPoints& points) {
+    const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+    append(all.position_m, points.position_m);
+    append(all.intensity, points.intensity);
+    append(all.ring, points.ring);
+    append(all.time_offset_s, points.time_offset_s);
+    append(all.return_number, points.return_number);
 }
 
 }  // namespace
@@ -34,31 +56,27 @@ std::string BagScans::frame_name(std::size_t frame) const {
 /// Reads the points of a frame. If a revolution was recorded as several clouds, reads and
 /// joins all of them.
 LidarPoints BagScans::read_points(std::size_t frame) const {
-    const FrameCloud& at = clouds_[frame];
-    if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
+    const FrameCloud& frame_cloud = clouds_[frame];
+    const CloudEntry& revolution = frame_cloud.entry;
+    if (revolution.parts.empty()) return read_cloud_points(frame, revolution, frame_cloud.cloud_s);
     LidarPoints all;
-    for (const RevolutionPart& part : at.entry.parts) {
-        const std::int64_t correction_ns = at.entry.correction_ns;
-        const CloudEntry cloud{{part.stamp_ns - correction_ns, part.log_ns},
-                               part.n_points,
-                               part.message_position,
-                               0,
-                               {},
-                               correction_ns};
-        LidarPoints points = read_points(
-            frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+    for (const RevolutionPart& part : revolution.parts) {
+        CloudEntry cloud;
+        cloud.stamp_ns = part.stamp_ns - revolution.correction_ns;
+        cloud.log_ns = part.log_ns;
+        cloud.message_position = part.message_position;
+        cloud.correction_ns = revolution.correction_ns;
+        const double after_revolution_s = 1e-9 * double(cloud.time_ns(clock_) - revolution.time_ns(clock_));
+        const LidarPoints points = read_cloud_points(frame, cloud, frame_cloud.cloud_s + after_revolution_s);
         if (points.time_offset_s.empty())
             fail("{}: the points have no usable times, expected a time for each point, because {}",
-                 frame_name(frame), lidars_[at.lidar].clouds->parts_about);
-        const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
-        append(all.position_m, points.position_m);
-        append(all.intensity, points.intensity);
-        append(all.ring, points.ring);
-        append(all.time_offset_s, points.time_offset_s);
-        append(all.return_number, points.return_number);
+                 frame_name(frame), lidars_[frame_cloud.lidar].clouds->parts_note);
+        append_points(all, points);
     }
-    if ((!all.ring.empty() && all.ring.size() != all.size()) ||
-        (!all.return_number.empty() && all.return_number.size() != all.size()))
+    const auto is_partial = [&](const auto& values) {
+        return !values.empty() && values.size() != all.size();
+    };
+    if (is_partial(all.ring) || is_partial(all.return_number))
         fail(
             "{}: only some clouds of the revolution have rings or return numbers, expected the same fields "
             "in all clouds",
@@ -66,11 +84,12 @@ LidarPoints BagScans::read_points(std::size_t frame) const {
     return all;
 }
 
+/// Returns the points of a cloud of a frame in the units of the message.
 read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
     // estimate_units() has already read a few clouds.
-    if (const auto sample_entry = lidar.samples.find(position); sample_entry != lidar.samples.end())
-        return sample_entry->second;
+    const auto sample = lidar.samples.find(position);
+    if (sample != lidar.samples.end()) return sample->second;
     try {
         return read_point_table(bag_, *lidar.clouds, position);
     } catch (const DataError& error) {
@@ -80,36 +99,36 @@ read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& 
 
 /// Reads the points of one cloud, with point times relative to the frame. If the points
 /// were motion-compensated, moves each point back to the sensor frame at its own time.
-LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, double time_s) const {
-    const FrameCloud& at = clouds_[frame];
-    const read::PointCloudUnits& units = lidars_[at.lidar].units;
+/// @param cloud_s  time of the cloud on the clock of the log
+LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+    const FrameCloud& frame_cloud = clouds_[frame];
+    const read::PointCloudUnits& units = lidars_[frame_cloud.lidar].units;
     read::PointTable table = read_table(frame, cloud.message_position);
-    if (units.zero == read::PointTimeReference::none) table.remove_fields(read::PointAttribute::time);
-    // zero_s: time of the frame in seconds, on the clock that the point times use. It is
-    // (time of the frame - time of the cloud) + time of the cloud on that clock.
-    double zero_s = at.time_s - time_s;
-    if (units.zero == read::PointTimeReference::epoch)
-        zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
-    // The sensor's clock is unrelated to the stamp, so the first point gets the stamp.
-    if (units.zero == read::PointTimeReference::sensor_clock) {
-        read::unwrap_times(table, false);
-        zero_s += units.time_unit_s * read::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
-    }
-    const bool are_offsets = units.zero == read::PointTimeReference::stamp;
-    const read::PointFileUnits point_units{.columns = {},
-                                           .intensity_max = units.meaning.scale.max,
-                                           .time_unit_s = units.time_unit_s,
-                                           .absolute_times = !are_offsets,
-                                           .intensity_field = units.meaning.intensity_field,
-                                           .no_return = units.meaning.no_return,
-                                           .returns = units.meaning.returns,
-                                           .skip_wrong_times = true,
-                                           .time_zero = are_offsets ? zero_s / units.time_unit_s : 0.0};
-    LidarPoints points = read::convert_table(table, point_units, zero_s, frame_name(frame));
+    if (units.time_reference == read::PointTimeReference::none)
+        table.remove_fields(read::PointAttribute::time);
+
+    // The point times of the table at the time of the frame. It differs from the time of
+    // the cloud for LiDARs other than the main LiDAR.
+    const double frame_on_point_clock_s =
+        frame_cloud.time_s - cloud_s + stamp_on_point_clock_s(units, cloud, table);
+    const bool are_offsets = units.time_reference == read::PointTimeReference::stamp;
+    const read::PointFileUnits point_units{
+        .columns = {},
+        .intensity_max = units.fields.scale.max,
+        .time_unit_s = units.time_unit_s,
+        .absolute_times = !are_offsets,
+        .intensity_field = units.fields.intensity_field,
+        .no_return = units.fields.no_return,
+        .returns = units.fields.returns,
+        .skip_wrong_times = true,
+        .time_zero = are_offsets ? frame_on_point_clock_s / units.time_unit_s : 0.0};
+    LidarPoints points = read::convert_table(table, point_units, frame_on_point_clock_s, frame_name(frame));
+
     if (!deskewed_by_) return points;
-    const Pose world_from_cloud = deskewed_by_(at.lidar, time_s);
+    const Pose world_from_cloud = deskewed_by_(frame_cloud.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
-        const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
+        const Pose world_from_firing =
+            deskewed_by_(frame_cloud.lidar, frame_cloud.time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.position_m[i])));
     }
@@ -118,20 +137,21 @@ LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, do
 
 /// Decodes the packets of a revolution. Shifts their times like the time of the frame.
 Scan BagScans::read_rays(std::size_t frame) const {
-    const FrameCloud& at = clouds_[frame];
-    const CloudTopic& clouds = *lidars_[at.lidar].clouds;
-    const packets::PacketRevolution& revolution = clouds.revolutions[at.entry.revolution_index];
-    const std::vector<packets::PacketIndex::MessageSource> sources = clouds.packets.messages_of(revolution);
-    std::vector<SharedBytes> messages;
+    const FrameCloud& frame_cloud = clouds_[frame];
+    const CloudTopic& clouds = *lidars_[frame_cloud.lidar].clouds;
     const BagTopic& topic = bag_.topics()[clouds.topic];
+    const packets::PacketRevolution& revolution = clouds.revolutions[frame_cloud.entry.revolution_index];
+    const std::vector<packets::PacketIndex::MessageSource> sources = clouds.packets.messages_of(revolution);
+    // The packets are views of the messages.
+    std::vector<SharedBytes> messages;
     for (const auto& source : sources) messages.push_back(bag_.read_message(topic, source.message_position));
     std::vector<std::vector<packets::ReceivedPacket>> packets;
     MessageHeader header;
     for (std::size_t m = 0; m < messages.size(); ++m)
         packets.push_back(
             relidar::packets::read_packets(topic, messages[m].bytes, sources[m].log_ns, header));
-    const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
-    return clouds.packets.decode(revolution, packets, lidars_[at.lidar].sensor,
+    const auto shift_ns = std::int64_t(std::llround(1e9 * (frame_cloud.time_s - frame_cloud.cloud_s)));
+    return clouds.packets.decode(revolution, packets, lidars_[frame_cloud.lidar].sensor,
                                  revolution.forward_ns + shift_ns);
 }
 

@@ -39,6 +39,7 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
 
+/// Provides the scans of the frames from the messages of a recording.
 class BagScans : public read::ScanProvider {
 public:
     /// Creates a source of scans. It reads a cloud only when its scan is requested.
@@ -64,7 +65,7 @@ private:
     const LidarPoseFunction deskewed_by_;
 
     read::PointTable read_table(std::size_t frame_index, const MessagePosition& position) const;
-    LidarPoints read_points(std::size_t frame_index, const CloudEntry& cloud, double time_s) const;
+    LidarPoints read_cloud_points(std::size_t frame_index, const CloudEntry& cloud, double cloud_s) const;
 };
 
 }  // namespace relidar::bag

@@ -82,10 +82,10 @@ struct ChosenPoses {
     std::int64_t poses_zero_ns = 0;
     /// Pose of the vehicle in the world frame. Empty if the bag has no poses.
     std::optional<TransformChain> path;
-    std::string world;       ///< frame in which `path` is expressed
-    std::string vehicle;     ///< frame of the vehicle, on which the LiDARs are mounted
-    std::string about;       ///< text of the selection
-    std::string clock_note;  ///< text about a clock offset between clouds and poses; may be empty
+    std::string world;        ///< frame in which `path` is expressed
+    std::string vehicle;      ///< frame of the vehicle, on which the LiDARs are mounted
+    std::string description;  ///< text about the selected source for the user
+    std::string clock_note;   ///< text about a clock offset between clouds and poses; may be empty
     std::vector<std::string> notes;
 };
 /// Selects the source of the vehicle poses and the clock of the log.

@@ -18,10 +18,10 @@ constexpr double kMaxResidualShare = 0.2;  // of the spread
 /// A possible source of vehicle poses: a pose topic, or a chain of transforms.
 struct PoseSource {
     /// name of the frame in which the poses are given, for example "map"
-    std::string outer;
+    std::string world;
     const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
-    std::string vehicle;
-    std::string about;
+    std::string vehicle;               ///< frame whose poses are given
+    std::string description;           ///< text for the user
 };
 
 /// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
@@ -36,15 +36,19 @@ std::optional<std::string> find_moving_frame(const FrameTree& frame_tree,
     return std::nullopt;
 }
 
+/// Returns the transforms from an ancestor frame down to the vehicle as source of the
+/// vehicle poses. If no transform moves, the LiDAR itself is the vehicle.
+/// @param frame_path_to_root  the frame of the LiDAR and all its ancestors
 PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
                           const std::string& ancestor_frame) {
     const auto moving_frame = find_moving_frame(frame_tree, frame_path_to_root, ancestor_frame);
     PoseSource source;
-    source.outer = ancestor_frame;
+    source.world = ancestor_frame;
     source.vehicle = moving_frame.value_or(frame_path_to_root.front());
-    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
-                               source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
-                               moving_frame ? "" : "; these poses are constant, so the LiDAR does not move");
+    source.description =
+        fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}", source.vehicle,
+                    ancestor_frame, fmt::join(frame_path_to_root, " < "),
+                    moving_frame ? "" : "; these poses are constant, so the LiDAR does not move");
     return source;
 }
 
@@ -53,8 +57,10 @@ PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::st
 PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tree,
                              const PoseTopic& pose_topic, const std::string& lidar_frame,
                              std::vector<std::string>& notes) {
-    PoseSource source{
-        pose_topic.parent, &pose_topic, pose_topic.child.empty() ? "base_link" : pose_topic.child, {}};
+    PoseSource source{.world = pose_topic.parent,
+                      .topic = &pose_topic,
+                      .vehicle = pose_topic.child.empty() ? "base_link" : pose_topic.child,
+                      .description = {}};
     const std::string& name = bag.topics()[pose_topic.topic].name;
     if (!frame_tree.find_constant(source.vehicle, lidar_frame)) {
         notes.push_back(
@@ -63,8 +69,8 @@ PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tre
                         lidar_frame, source.vehicle, name));
         source.vehicle = lidar_frame;
     }
-    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from the topic {}",
-                               source.vehicle, pose_topic.parent, name);
+    source.description = fmt::format("poses of the frame '{}' in the frame '{}' are read from the topic {}",
+                                     source.vehicle, pose_topic.parent, name);
     return source;
 }
 
@@ -75,19 +81,18 @@ std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& i
                                       const std::string& requested_frame_or_topic,
                                       std::vector<std::string>& notes) {
     if (requested_frame_or_topic.empty()) return std::nullopt;
-    if (std::find(frame_path_to_root.begin() + 1, frame_path_to_root.end(), requested_frame_or_topic) !=
-        frame_path_to_root.end())
+    std::vector<std::string> available(frame_path_to_root.begin() + 1, frame_path_to_root.end());
+    if (std::ranges::find(available, requested_frame_or_topic) != available.end())
         return make_tf_source(index.frames, frame_path_to_root, requested_frame_or_topic);
-    std::vector<std::string> available_sources(frame_path_to_root.begin() + 1, frame_path_to_root.end());
     for (const PoseTopic& topic : index.poses) {
         if (bag.topics()[topic.topic].name == requested_frame_or_topic)
             return make_topic_source(bag, index.frames, topic, frame_path_to_root.front(), notes);
-        available_sources.push_back(bag.topics()[topic.topic].name);
+        available.push_back(bag.topics()[topic.topic].name);
     }
     fail<UsageError>(
         "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: {}",
         quote(requested_frame_or_topic), frame_path_to_root.front(),
-        available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
+        available.empty() ? "none" : fmt::format("{}", fmt::join(available, ", ")));
 }
 
 /// Selects a source automatically: moving transforms, then a pose topic, then constant
@@ -95,31 +100,36 @@ std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& i
 std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
                                         const std::vector<std::string>& frame_path_to_root,
                                         std::vector<std::string>& notes) {
-    const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
-                                  ? "map"
-                                  : frame_path_to_root.back();
-    if (find_moving_frame(index.frames, frame_path_to_root, outer))
-        return make_tf_source(index.frames, frame_path_to_root, outer);
+    const bool has_map = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end();
+    const std::string world = has_map ? "map" : frame_path_to_root.back();
+    if (find_moving_frame(index.frames, frame_path_to_root, world))
+        return make_tf_source(index.frames, frame_path_to_root, world);
+
     // Uses the pose topic with the most messages. Prefers odometry topics.
-    const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& p) {
-        return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
+    const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& poses) {
+        const bool is_odometry = bag.topics()[poses.topic].type == "nav_msgs/Odometry";
+        return std::pair(is_odometry, poses.samples.size());
     });
     if (best != index.poses.end() && best->samples.size() >= 2)
         return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
-    if (is_world_frame(outer) && frame_path_to_root.size() > 1)
-        return make_tf_source(index.frames, frame_path_to_root, outer);
+
+    if (is_world_frame(world) && frame_path_to_root.size() > 1)
+        return make_tf_source(index.frames, frame_path_to_root, world);
     return std::nullopt;
 }
 
+/// Returns the poses of a source on a clock.
+/// @param time_origin_ns  time on this clock that is 0 s in the log
 TransformChain make_pose_chain(const BagIndex& index, const PoseSource& pose_source, LogClock log_clock,
                                std::int64_t time_origin_ns) {
     if (!pose_source.topic)
-        return index.frames.make_chain(pose_source.outer, pose_source.vehicle, log_clock, time_origin_ns);
+        return index.frames.make_chain(pose_source.world, pose_source.vehicle, log_clock, time_origin_ns);
     TransformChain path;
     path.append_samples(pose_source.topic->samples, log_clock, time_origin_ns);
     return path;
 }
 
+/// Returns the number of clouds at whose times the pose of the vehicle is known.
 std::size_t count_posed(const CloudTopic& clouds, const TransformChain& vehicle_pose_function, LogClock clock,
                         std::int64_t time_origin_ns) {
     return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
@@ -127,9 +137,9 @@ std::size_t count_posed(const CloudTopic& clouds, const TransformChain& vehicle_
     }));
 }
 
-/// Returns null if the source does not move.
+/// Returns the samples of the poses. Returns null if the source does not move.
 const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSource& source) {
-    return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.outer, source.vehicle);
+    return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.world, source.vehicle);
 }
 
 /// Sets the pose path of a source. Corrects a clock offset between clouds and poses only
@@ -142,10 +152,11 @@ void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clo
     if (choice.clock == LogClock::recorder || !poses) return;
     const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
     if (offset.offset_ns == 0) return;
-    const std::int64_t zero_ns = choice.zero_ns - offset.offset_ns;
-    TransformChain corrected = make_pose_chain(index, source, choice.clock, zero_ns);
-    const std::size_t n = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns),
-                      n_corrected = count_posed(clouds, corrected, choice.clock, choice.zero_ns);
+
+    const std::int64_t corrected_zero_ns = choice.zero_ns - offset.offset_ns;
+    TransformChain corrected_path = make_pose_chain(index, source, choice.clock, corrected_zero_ns);
+    const std::size_t n = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns);
+    const std::size_t n_corrected = count_posed(clouds, corrected_path, choice.clock, choice.zero_ns);
     // If poses are only late, the correction cannot give a pose to more clouds.
     constexpr std::size_t kMinExtraClouds = 2;
     const bool is_better = n_corrected > n + kMinExtraClouds || n_corrected == clouds.clouds.size();
@@ -153,8 +164,8 @@ void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clo
                              offset.describe("the time stamps of the poses");
     if (offset.is_clear && is_better) {
         choice.clock_note = text + ", so their clocks differ; the poses are shifted by this time";
-        choice.path = std::move(corrected);
-        choice.poses_zero_ns = zero_ns;
+        choice.path = std::move(corrected_path);
+        choice.poses_zero_ns = corrected_zero_ns;
     } else {
         choice.clock_note =
             text + "; the clocks differ or messages are late; nothing is corrected, so check the poses";
@@ -167,6 +178,80 @@ std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
     return first;
 }
 
+/// Changes to the recording times if fewer than half of the clouds have a pose at their
+/// stamp, and if more clouds then have one.
+void try_recorder_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
+                        const PoseSource& source) {
+    if (choice.clock == LogClock::recorder) return;
+    const std::size_t n_posed = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns);
+    if (2 * n_posed >= clouds.clouds.size()) return;
+    const std::int64_t zero_ns = first_cloud_ns(clouds, LogClock::recorder);
+    TransformChain path = make_pose_chain(index, source, LogClock::recorder, zero_ns);
+    if (count_posed(clouds, path, LogClock::recorder, zero_ns) <= n_posed) return;
+    choice.notes.push_back(
+        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "
+                    "pose at their stamp), so the recording times of messages are used",
+                    n_posed, clouds.clouds.size()));
+    choice.clock = LogClock::recorder;
+    choice.zero_ns = choice.poses_zero_ns = zero_ns;
+    choice.path = std::move(path);
+}
+
+/// The same places in the world frame of the log and in a plane that touches the earth.
+struct PlacePairs {
+    std::vector<glm::dvec3> world_m, plane_m;
+    glm::dvec3 world_mean_m{0.0}, plane_mean_m{0.0};
+
+    std::size_t size() const { return world_m.size(); }
+    double divisor() const { return std::max(1.0, double(size())); }
+};
+
+/// Pairs the positions of the antenna by the vehicle's poses with its fixes. Leaves out
+/// fixes outside the time of the poses.
+/// @param earth  converts to the plane
+PlacePairs pair_places(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames,
+                       const GeoConverter& earth) {
+    const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
+    PlacePairs pairs;
+    for (const FixTopic::Sample& fix : fixes.samples) {
+        const double time_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
+        if (!poses.path->covers_time(time_s)) continue;
+        pairs.world_m.push_back(poses.path->compute_pose_at(time_s) * antenna.translation);
+        pairs.plane_m.push_back(earth.to_dataset(fix.position));
+        pairs.world_mean_m += pairs.world_m.back();
+        pairs.plane_mean_m += pairs.plane_m.back();
+    }
+    pairs.world_mean_m /= pairs.divisor();
+    pairs.plane_mean_m /= pairs.divisor();
+    return pairs;
+}
+
+/// Rotation about the vertical axis from the world to the plane.
+struct FittedHeading {
+    glm::dquat plane_from_world;
+    double spread_m;    ///< horizontal standard deviation of the places
+    double residual_m;  ///< root of the mean square of the horizontal error
+};
+
+/// Fits the heading by least squares. It is the angle of the sum of p * conj(w), with the
+/// centred horizontal positions p in the plane and w in the world as complex numbers.
+FittedHeading fit_heading(const PlacePairs& pairs) {
+    double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;
+    for (std::size_t i = 0; i < pairs.size(); ++i) {
+        const glm::dvec2 w(pairs.world_m[i] - pairs.world_mean_m), p(pairs.plane_m[i] - pairs.plane_mean_m);
+        cross += w.x * p.y - w.y * p.x;
+        dot += glm::dot(w, p);
+        spread += glm::dot(w, w);
+    }
+    const glm::dquat rotation = glm::angleAxis(std::atan2(cross, dot), glm::dvec3(0.0, 0.0, 1.0));
+    for (std::size_t i = 0; i < pairs.size(); ++i) {
+        const glm::dvec2 error(pairs.plane_m[i] - pairs.plane_mean_m -
+                               rotation * (pairs.world_m[i] - pairs.world_mean_m));
+        residual += glm::dot(error, error);
+    }
+    return {rotation, std::sqrt(spread / pairs.divisor()), std::sqrt(residual / pairs.divisor())};
+}
+
 }  // namespace
 
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
@@ -176,40 +261,27 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     std::optional<PoseSource> source =
         find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
     if (!source) source = select_source(bag, index, frame_chain, choice.notes);
+
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
+    const std::vector<MessageTimes> pose_times = poses ? list_times(*poses) : std::vector<MessageTimes>{};
     const bool has_stamps = !list_times(main_lidar_clouds.clouds).empty();
-    if (!has_stamps || (poses && list_times(*poses).empty())) {
+    if (!has_stamps || (poses && pose_times.empty())) {
         choice.clock = LogClock::recorder;
         choice.notes.push_back(
             fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
                         has_stamps ? "poses" : "clouds"));
     }
-    if (const std::string note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock,
-                                                 poses ? list_times(*poses) : std::vector<MessageTimes>{});
-        !note.empty())
-        choice.notes.push_back(note);
+    const std::string jumps_note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock, pose_times);
+    if (!jumps_note.empty()) choice.notes.push_back(jumps_note);
+
     choice.zero_ns = choice.poses_zero_ns = first_cloud_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
     set_poses(choice, index, main_lidar_clouds, *source);
-    choice.world = source->outer;
+    choice.world = source->world;
     choice.vehicle = source->vehicle;
-    choice.about = source->about;
-    // Uses the recording times if fewer than half of the clouds have a pose at their
-    // stamp.
-    const std::size_t n = count_posed(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
-    if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
-    const std::int64_t zero_ns = first_cloud_ns(main_lidar_clouds, LogClock::recorder);
-    TransformChain recorded = make_pose_chain(index, *source, LogClock::recorder, zero_ns);
-    const std::size_t n_recorded = count_posed(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
-    if (n_recorded <= n) return choice;
-    choice.notes.push_back(
-        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "
-                    "pose at their stamp), so the recording times of messages are used",
-                    n, main_lidar_clouds.clouds.size()));
-    choice.clock = LogClock::recorder;
-    choice.zero_ns = choice.poses_zero_ns = zero_ns;
-    choice.path = std::move(recorded);
+    choice.description = source->description;
+    try_recorder_clock(choice, index, main_lidar_clouds, *source);
     return choice;
 }
 
@@ -219,42 +291,19 @@ FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const Fra
     const Georeference plane{
         fixes.samples.front().position, {}, local_tangent_crs(fixes.samples.front().position)};
     const GeoConverter earth(plane);
-    const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
-    std::vector<glm::dvec3> world_m, plane_m;
-    glm::dvec3 world_mean_m(0.0), plane_mean_m(0.0);
-    for (const FixTopic::Sample& fix : fixes.samples) {
-        const double t_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
-        if (!poses.path->covers_time(t_s)) continue;
-        world_m.push_back(poses.path->compute_pose_at(t_s) * antenna.translation);
-        plane_m.push_back(earth.to_dataset(fix.position));
-        world_mean_m += world_m.back();
-        plane_mean_m += plane_m.back();
-    }
-    const double n = std::max(1.0, double(world_m.size()));
-    world_mean_m /= n;
-    plane_mean_m /= n;
-    // Least squares for a rotation about the vertical axis.
-    double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;
-    for (std::size_t i = 0; i < world_m.size(); ++i) {
-        const glm::dvec2 w(world_m[i] - world_mean_m), p(plane_m[i] - plane_mean_m);
-        cross += w.x * p.y - w.y * p.x;
-        dot += glm::dot(w, p);
-        spread += glm::dot(w, w);
-    }
-    const glm::dquat rotation = glm::angleAxis(std::atan2(cross, dot), glm::dvec3(0.0, 0.0, 1.0));
-    for (std::size_t i = 0; i < world_m.size(); ++i) {
-        const glm::dvec2 error(plane_m[i] - plane_mean_m - rotation * (world_m[i] - world_mean_m));
-        residual += glm::dot(error, error);
-    }
-    const double spread_m = std::sqrt(spread / n), residual_m = std::sqrt(residual / n);
-    if (!(spread_m >= kMinSpread_m && residual_m <= kMaxResidualShare * spread_m))
+    const PlacePairs pairs = pair_places(fixes, poses, frames, earth);
+    const FittedHeading heading = fit_heading(pairs);
+    const bool is_clear =
+        heading.spread_m >= kMinSpread_m && heading.residual_m <= kMaxResidualShare * heading.spread_m;
+    if (!is_clear)
         return {{},
                 fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
                             "{:.2f} m from the path",
-                            world_m.size(), spread_m, residual_m)};
-    return {Georeference{earth.to_geodetic(plane_mean_m), world_mean_m, plane.crs, rotation},
+                            pairs.size(), heading.spread_m, heading.residual_m)};
+    return {Georeference{earth.to_geodetic(pairs.plane_mean_m), pairs.world_mean_m, plane.crs,
+                         heading.plane_from_world},
             fmt::format("the place on the earth is that of {} positions, which are {:.2f} m from the path",
-                        world_m.size(), residual_m)};
+                        pairs.size(), heading.residual_m)};
 }
 
 }  // namespace relidar::bag

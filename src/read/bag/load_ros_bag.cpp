@@ -122,9 +122,9 @@ private:
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
                 used[t] = find_purpose(bag_.topics()[t]) == MessagePurpose::transforms ||
-                          // `about` ends with the name of the topic if the poses are
+                          // `description` ends with the name of the topic if the poses are
                           // from a pose topic.
-                          poses_.about.ends_with(" " + bag_.topics()[t].name);
+                          poses_.description.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         if (const FixTopic* fixes = find_fixes()) used[fixes->topic] = true;
         for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, used), clouds_.notes,
@@ -132,7 +132,7 @@ private:
             for (const std::string& text : texts) add_note(text);
         if (has_poses_) {
             add_note(poses_.clock_note);
-            add_note(poses_.about + "; use dataset.poses_from to select another frame or topic");
+            add_note(poses_.description + "; use dataset.poses_from to select another frame or topic");
         }
         for (const std::string& frame : survey_.frames.ambiguous_frames())
             add_note(fmt::format(
@@ -227,7 +227,7 @@ private:
             fail(
                 "{}: {}; none of the {} clouds has a pose at its time; select other poses with "
                 "dataset.poses_from or dataset.poses=FILE, or estimate them with dataset.poses=none",
-                sequence_.source, poses_.about, n_unplaced);
+                sequence_.source, poses_.description, n_unplaced);
         if (frames_.empty())
             fail<UsageError>("frames {}:{} select no cloud of {}; frames are numbered from 0",
                              options_.frames.begin,
@@ -247,10 +247,11 @@ private:
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
             lidars_.push_back(estimate_units(bag_, clouds, sweep_period_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_sensor();
-            add_topic_note(clouds, clouds.parts_about);
-            add_topic_note(clouds, lidars_.back().units.about);
-            for (const std::string& text : lidars_.back().units.meaning.notes) add_topic_note(clouds, text);
-            if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != read::PointTimeReference::none)
+            add_topic_note(clouds, clouds.parts_note);
+            add_topic_note(clouds, lidars_.back().units.time_note);
+            for (const std::string& text : lidars_.back().units.fields.notes) add_topic_note(clouds, text);
+            if (is_deskewed_ && has_poses_ &&
+                lidars_.back().units.time_reference != read::PointTimeReference::none)
                 add_topic_note(clouds,
                                "relidar deskewed the points to the stamp of the cloud. They are converted "
                                "back to the sensor's frame at the time of each point");

@@ -290,8 +290,8 @@ void join_parts(CloudTopic& cloud_topic) {
             cloud_topic.clouds.emplace_back(CloudEntry{middle, 0, middle.message_position, 0, revolution});
         for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
     }
-    cloud_topic.parts_about = fmt::format(
-        "{}; these clouds were combined into {} full revolutions of {} clouds each{}", joined.about,
+    cloud_topic.parts_note = fmt::format(
+        "{}; these clouds were combined into {} full revolutions of {} clouds each{}", joined.note,
         joined.revolutions.size(), joined.revolutions[joined.revolutions.size() / 2].size(),
         joined.n_left_out == 0
             ? ""

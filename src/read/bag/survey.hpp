@@ -115,11 +115,12 @@ struct RevolutionPart : MessageTimes {
     AzimuthArc arc;
 };
 
+/// Full revolutions, composed of clouds.
 struct JoinedRevolutions {
     /// Clouds of each full revolution, sorted by time. Empty if none need to be joined.
     std::vector<std::vector<RevolutionPart>> revolutions;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
-    std::string about;
+    std::string note;            ///< text about the parts for the user
 };
 /// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
 /// revolutions, or if the LiDAR scans a window and does not rotate.
@@ -163,7 +164,7 @@ struct CloudTopic {
     /// Clouds with points, in the order of the recording. Parts of a revolution are
     /// joined.
     std::vector<CloudEntry> clouds;
-    std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
+    std::string parts_note;            ///< text about the joined clouds; empty if no clouds are joined
     std::vector<RevolutionPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
     /// Packets, if the topic has these instead of clouds. Each revolution becomes one

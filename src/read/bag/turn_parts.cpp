@@ -16,35 +16,42 @@ namespace {
 constexpr std::size_t kAzimuthSamples = 256, kAzimuthBins = 60;
 // A cloud with a wider azimuth range is a full revolution in which the vehicle blocks
 // some directions.
-constexpr double kMostOfPart = 300.0 * kPi / 180.0;
+constexpr double kWidestPart_rad = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
-// exp(i step)| >= kMaxOverlap, and about as wide as a cloud, |mean step - w| <=
-// kMaxAbutGap * mean step. w is the median width of a cloud, or 2 pi minus this width if
+// exp(i step)| >= kMinStepAgreement, and about as wide as a cloud, |mean step - w| <=
+// kMaxStepError * mean step. w is the median width of a cloud, or 2 pi minus this width if
 // that is smaller.
-constexpr double kMaxOverlap = 0.8, kMaxAbutGap = 0.4;
+constexpr double kMinStepAgreement = 0.8, kMaxStepError = 0.4;
 // A part of a revolution is missing if a time step exceeds this multiple of the usual
 // step.
 constexpr double kMinPauseSteps = 1.6;
 constexpr double kDegreesPerRad = 180.0 / kPi;
 
+/// Returns the bin of an azimuth. Bin 0 begins at -pi. The modulo moves +pi to bin 0.
+std::size_t find_azimuth_bin(double azimuth_rad) {
+    return std::size_t((azimuth_rad / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins;
+}
+
 /// Returns the azimuth range that contains all points: the full circle except its widest
 /// gap. Returns nothing if no bin has a point.
 std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_occupied) {
-    std::size_t widest = 0, end = 0, run = 0;
+    std::size_t widest_gap = 0, end_of_widest = 0, gap = 0;
     // Loops over the circle twice, because its widest gap may contain the azimuth pi.
     for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
-        run = is_bin_occupied[b % kAzimuthBins] ? 0 : run + 1;
-        if (run > widest) {
-            widest = run;
-            end = b + 1;
+        gap = is_bin_occupied[b % kAzimuthBins] ? 0 : gap + 1;
+        if (gap > widest_gap) {
+            widest_gap = gap;
+            end_of_widest = b + 1;
         }
     }
-    if (widest >= kAzimuthBins) return std::nullopt;
-    const double bin = 2.0 * kPi / kAzimuthBins, extent = 2.0 * kPi - bin * double(widest);
-    return AzimuthArc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)),
-                      float(extent)};
+    if (widest_gap >= kAzimuthBins) return std::nullopt;
+    const double bin_rad = 2.0 * kPi / kAzimuthBins;
+    const double extent_rad = 2.0 * kPi - bin_rad * double(widest_gap);
+    const double middle_rad = bin_rad * double(end_of_widest) - kPi + 0.5 * extent_rad;
+    return AzimuthArc{.middle_rad = float(std::remainder(middle_rad, 2.0 * kPi)),
+                      .extent_rad = float(extent_rad)};
 }
 
 /// Returns the widest sector of azimuths that no cloud covers. It is near 0 if the clouds
@@ -52,10 +59,10 @@ std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_
 double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
     std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const RevolutionPart& cloud : partial_clouds)
-        for (double a = -0.5; a <= 0.5; a += 0.01) {
-            const double azimuth =
-                std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
-            is_bin_occupied[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] = true;
+        for (double share = -0.5; share <= 0.5; share += 0.01) {
+            const double azimuth_rad = std::remainder(
+                double(cloud.arc.middle_rad) + share * double(cloud.arc.extent_rad), 2.0 * kPi);
+            is_bin_occupied[find_azimuth_bin(azimuth_rad)] = true;
         }
     const std::optional<AzimuthArc> all = find_arc(is_bin_occupied);
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
@@ -73,54 +80,62 @@ struct RevolutionPartition {
     double cut_rad;
 };
 
+/// Returns the border between two clouds that is nearest to the rear of the LiDAR.
+/// @param n_parts  number of clouds in a revolution
+double find_cut_rad(const std::vector<RevolutionPart>& partial_clouds, double n_parts) {
+    // The sum of exp(i n middle) has the angle n * middle, equal for the clouds of all
+    // parts. A border is half a part after a middle.
+    std::complex<double> sum = 0.0;
+    for (const RevolutionPart& cloud : partial_clouds)
+        sum += std::polar(1.0, n_parts * double(cloud.arc.middle_rad));
+    const double border_rad = (std::arg(sum) + kPi) / n_parts, width_rad = 2.0 * kPi / n_parts;
+    return border_rad + width_rad * std::round((kPi - border_rad) / width_rad);
+}
+
 /// Returns how the clouds of a topic divide a revolution, or nothing if they are full
 /// revolutions or the LiDAR does not rotate.
 std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPart>& partial_clouds) {
     if (partial_clouds.size() < 4) return std::nullopt;
-    std::vector<float> extents;
+    std::vector<float> extents_rad;
     std::vector<std::int64_t> steps_ns;
-    std::complex<double> sum = 0.0;
+    std::complex<double> sum_of_steps = 0.0;  // of exp(i step)
     for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
-        extents.push_back(partial_clouds[k].arc.extent_rad);
+        extents_rad.push_back(partial_clouds[k].arc.extent_rad);
         if (k == 0) continue;
-        steps_ns.push_back(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns);
-        sum += std::polar(
-            1.0, double(partial_clouds[k].arc.middle_rad) - double(partial_clouds[k - 1].arc.middle_rad));
+        const RevolutionPart &cloud = partial_clouds[k], &before = partial_clouds[k - 1];
+        steps_ns.push_back(cloud.stamp_ns - before.stamp_ns);
+        sum_of_steps += std::polar(1.0, double(cloud.arc.middle_rad) - double(before.arc.middle_rad));
     }
-    const double extent = compute_median(extents), step = std::abs(std::arg(sum));
-    if (extent > kMostOfPart || std::abs(sum) < kMaxOverlap * double(partial_clouds.size() - 1))
-        return std::nullopt;
-    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kMaxAbutGap * step ||
+    const double extent_rad = compute_median(extents_rad), step_rad = std::abs(std::arg(sum_of_steps));
+    const bool are_steps_equal =
+        std::abs(sum_of_steps) >= kMinStepAgreement * double(partial_clouds.size() - 1);
+    if (extent_rad > kWidestPart_rad || !are_steps_equal) return std::nullopt;
+    const double width_rad = std::min(extent_rad, 2.0 * kPi - extent_rad);
+    if (std::abs(step_rad - width_rad) > kMaxStepError * step_rad ||
         widest_gap_rad(partial_clouds) > kLeastGap_rad)
         return std::nullopt;
-    // Finds the common position of the clouds in a grid of n parts, as the phase of their
-    // middle azimuths. Moves the border nearest to the rear (pi).
-    const double n = std::round(2.0 * kPi / step);
-    std::complex<double> phase = 0.0;
-    for (const RevolutionPart& cloud : partial_clouds)
-        phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
-    const double first_cut = (std::arg(phase) + kPi) / n, width = 2.0 * kPi / n;
-    const double cut = first_cut + width * std::round((kPi - first_cut) / width);
-    return RevolutionPartition{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step,
-                               1e-9 * compute_median(steps_ns), cut};
+    const double n_parts = std::round(2.0 * kPi / step_rad);
+    const bool are_halves = n_parts < 2.5;
+    const bool is_negative = are_halves || std::arg(sum_of_steps) < 0.0;
+    return RevolutionPartition{.extent_rad = extent_rad,
+                               .step_rad = is_negative ? -step_rad : step_rad,
+                               .step_s = 1e-9 * compute_median(steps_ns),
+                               .cut_rad = find_cut_rad(partial_clouds, n_parts)};
 }
 
 }  // namespace
 
 std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud) {
-    const read::PointFieldView *x = cloud.find_field(read::PointAttribute::x),
-                               *y = cloud.find_field(read::PointAttribute::y);
-    if (!x || !y) return std::nullopt;
+    const read::PointFieldView* x_field = cloud.find_field(read::PointAttribute::x);
+    const read::PointFieldView* y_field = cloud.find_field(read::PointAttribute::y);
+    if (!x_field || !y_field) return std::nullopt;
     std::array<bool, kAzimuthBins> is_bin_occupied{};
-    const std::size_t n = std::min(kAzimuthSamples, cloud.n);
-    for (std::size_t k = 0; k < n; ++k) {
-        // Samples are evenly spread over the cloud.
-        const std::size_t point = k * cloud.n / n;
-        const double px = (*x)[point], py = (*y)[point];
-        if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
-        // Bin 0 begins at azimuth -pi. The modulo moves +pi to bin 0.
-        is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] =
-            true;
+    const std::size_t n_samples = std::min(kAzimuthSamples, cloud.n);
+    for (std::size_t k = 0; k < n_samples; ++k) {
+        const std::size_t point = k * cloud.n / n_samples;  // evenly spread over the cloud
+        const double x = (*x_field)[point], y = (*y_field)[point];
+        const bool has_azimuth = std::isfinite(x) && std::isfinite(y) && (x != 0.0 || y != 0.0);
+        if (has_azimuth) is_bin_occupied[find_azimuth_bin(std::atan2(y, x))] = true;
     }
     return find_arc(is_bin_occupied);
 }
@@ -131,28 +146,29 @@ JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
     JoinedRevolutions joined;
     if (!parts) return joined;
     // rotation since the start of the revolution, 0 to 2 pi
-    const auto turned = [&](const RevolutionPart& part) {
-        const double angle =
-            (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
-        return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));
+    const auto rotation_rad = [&](const RevolutionPart& part) {
+        const double direction = parts->step_rad < 0.0 ? -1.0 : 1.0;
+        const double angle_rad = direction * (double(part.arc.middle_rad) - parts->cut_rad);
+        return angle_rad - 2.0 * kPi * std::floor(angle_rad / (2.0 * kPi));
+    };
+    // A revolution also ends if a cloud is missing, because its time step is then too long.
+    const auto begins_revolution = [&](const RevolutionPart& part, const RevolutionPart& before) {
+        const double step_s = 1e-9 * double(part.stamp_ns - before.stamp_ns);
+        return rotation_rad(part) <= rotation_rad(before) || step_s >= kMinPauseSteps * parts->step_s;
     };
     std::vector<std::vector<RevolutionPart>> revolutions;
     for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
-        // A revolution also ends if a cloud is missing, because its time step is then too
-        // long.
-        const bool is_first = k == 0 || turned(partial_clouds[k]) <= turned(partial_clouds[k - 1]) ||
-                              1e-9 * double(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns) >
-                                  kMinPauseSteps * parts->step_s;
-        if (is_first) revolutions.emplace_back();
+        if (k == 0 || begins_revolution(partial_clouds[k], partial_clouds[k - 1])) revolutions.emplace_back();
         revolutions.back().push_back(partial_clouds[k]);
     }
+    // Incomplete revolutions have fewer clouds. The margin is for rounding errors.
     const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
     for (std::vector<RevolutionPart>& revolution : revolutions) {
         if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
         else joined.n_left_out += revolution.size();
     }
-    joined.about = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
-                               parts->extent_rad * kDegreesPerRad);
+    joined.note = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
+                              parts->extent_rad * kDegreesPerRad);
     return joined;
 }
 

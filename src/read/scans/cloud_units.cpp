@@ -19,16 +19,16 @@ namespace {
 
 // A unit is accepted only if (cloud duration / time between clouds) is within these
 // limits.
-constexpr double kMinTurns = 0.05, kMaxTurns = 3.0;
+constexpr double kMinDuration = 0.05, kMaxDuration = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
 constexpr double kLeastSweep_s = 0.1;
 constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
-// Equal times of all points that can only be in steps above this value were probably
-// seconds.
+// If all points of a cloud have the same time and it can change only in steps above this
+// value, the time is rounded: 32-bit floats of seconds since 1970 have steps of 128.
 constexpr double kLargestStep = 16.0;
 
-constexpr const char* kAboutZero[] = {  // by PointTimeReference
+constexpr const char* kReferenceTexts[] = {  // by PointTimeReference
     "", "the times are relative to the stamp of the cloud",
     "the times use the same clock as the stamps of the clouds",
     "the times use the clock of the sensor, so the first time in a cloud is set to its stamp"};
@@ -39,9 +39,11 @@ struct TimeUnit {
 };
 constexpr std::array<TimeUnit, 4> kTimeUnits = {{{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}}};
 
+/// Times of a cloud, in the unit of the file.
 struct TimeRange {
-    double first, last, stamp_s;
-    double resolution = 0.0;  ///< see time_resolution()
+    double first, last;       ///< without outliers
+    double stamp_s;           ///< stamp of the message, in seconds
+    double resolution = 0.0;  ///< distance between neighbouring values; 0: exact
 };
 
 std::vector<TimeRange> list_time_ranges(const std::vector<PointTable>& clouds,
@@ -53,7 +55,8 @@ std::vector<TimeRange> list_time_ranges(const std::vector<PointTable>& clouds,
     return ranges;
 }
 
-/// Returns true if point times advance from cloud to cloud like the stamps.
+/// Returns true if point times advance from cloud to cloud like the stamps, as those of a
+/// clock do. Offsets within the cloud do not advance.
 bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
     std::size_t n_like_stamps = 0;
     for (std::size_t k = 1; k < ranges.size(); ++k) {
@@ -78,80 +81,102 @@ bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s
 /// Returns what the point times of the clouds are relative to. A share of the clouds can
 /// have wrong times, so only most of them must agree.
 PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
-    const auto most = [&](auto test) {
-        return double(std::ranges::count_if(ranges, test)) >= kMostClouds * double(ranges.size());
+    const auto is_near = [&](const TimeRange& range, double time_s) {
+        return std::abs(range.first * unit_s - time_s) <= kBesideStamp_s &&
+               std::abs(range.last * unit_s - time_s) <= kBesideStamp_s;
     };
-    const auto are_close = [&](double first, double second) {
-        return std::abs(first - second) <= kBesideStamp_s;
-    };
-    if (most([&](const TimeRange& r) {
-            return are_close(r.first * unit_s, 0.0) && are_close(r.last * unit_s, 0.0);
-        }) &&
-        !follow_stamps(ranges, unit_s) && !first_times_differ(ranges, unit_s, sweep_s))
+    const double n_required = kMostClouds * double(ranges.size());
+    const auto n_near_zero =
+        std::ranges::count_if(ranges, [&](const TimeRange& range) { return is_near(range, 0.0); });
+    // Small times can also be those of a clock that started recently, or that restarts every second.
+    if (double(n_near_zero) >= n_required && !follow_stamps(ranges, unit_s) &&
+        !first_times_differ(ranges, unit_s, sweep_s))
         return PointTimeReference::stamp;
-    if (most([&](const TimeRange& r) {
-            return are_close(r.first * unit_s, r.stamp_s) && are_close(r.last * unit_s, r.stamp_s);
-        }))
-        return PointTimeReference::epoch;
-    return PointTimeReference::sensor_clock;
+    const auto n_near_stamp =
+        std::ranges::count_if(ranges, [&](const TimeRange& range) { return is_near(range, range.stamp_s); });
+    return double(n_near_stamp) >= n_required ? PointTimeReference::epoch : PointTimeReference::sensor_clock;
 }
 
-/// Returns true if the times are too coarse to resolve a sweep. Equal times of all points
-/// are precise if they are close to the stamps, or if they are small.
+/// Returns true if a cloud has one time that is its stamp in some unit, rounded to steps that
+/// are too long for the time between clouds.
+bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
+    return std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+        const double resolution_s = cloud.resolution * unit.seconds;
+        const double from_stamp_s = std::abs(cloud.first * unit.seconds - cloud.stamp_s);
+        return is_coarse_time(resolution_s, cloud_interval_s) && from_stamp_s < kBesideStamp_s + resolution_s;
+    });
+}
+
+/// Returns true if the times have lost the precision to resolve a sweep, for example in a
+/// conversion to 32-bit floats.
+/// @param span  usual time from the first to the last point of a cloud
 bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return is_coarse_time(cloud.resolution, span);
-    const bool has_coarse_stamps = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
-        const double resolution_s = cloud.resolution * unit.seconds;
-        return is_coarse_time(resolution_s, cloud_interval_s) &&
-               std::abs(cloud.first * unit.seconds - cloud.stamp_s) < kBesideStamp_s + resolution_s;
-    });
-    const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
-        return ranges.size() > 1 && follow_stamps(ranges, unit.seconds);
-    });
+
+    // All points of a cloud have the same time: either the points were moved to one time, or
+    // the time is rounded. Its unit is not known yet.
+    if (is_rounded_stamp(cloud, cloud_interval_s)) return true;
+    const bool is_clock = ranges.size() > 1 && std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+                              return follow_stamps(ranges, unit.seconds);
+                          });
+    if (is_clock) return false;
+    if (cloud.resolution > kLargestStep) return true;
     const bool is_constant = std::ranges::all_of(
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
-    return has_coarse_stamps ||
-           (!is_clock && (cloud.resolution > kLargestStep ||
-                          (!is_constant && is_coarse_time(cloud.resolution, cloud_interval_s))));
+    return !is_constant && is_coarse_time(cloud.resolution, cloud_interval_s);
 }
 
-/// Sets the unit and the reference of the point times. Uses the first unit with which the
-/// duration of a cloud is plausible (kMinTurns, kMaxTurns).
+/// Returns the longest unit with which the duration of a cloud is plausible compared with
+/// the time between clouds, or null.
+const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
+    for (const TimeUnit& unit : kTimeUnits) {
+        const double duration = span * unit.seconds / cloud_interval_s;
+        if (duration >= kMinDuration && duration <= kMaxDuration) return &unit;
+    }
+    return nullptr;
+}
+
+/// Sets the unit and the reference of the point times, and a note about them. If no unit
+/// fits, the reference remains `none`.
 /// @param signed_ranges  the same times if large unsigned numbers are negative offsets
 void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
                    const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;
     std::vector<double> spans;
-    for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
+    for (const TimeRange& range : time_ranges) spans.push_back(range.last - range.first);
     std::ranges::sort(spans);
-    const double span = spans[spans.size() / 2];
-    if (are_times_coarse(time_ranges, span, cloud_interval_s)) {
+    const double usual_span = spans[spans.size() / 2];
+    if (are_times_coarse(time_ranges, usual_span, cloud_interval_s)) {
         const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
-        units.about = describe_coarse(cloud.last, cloud.resolution);
+        units.time_note = describe_coarse(cloud.last, cloud.resolution);
         return;
     }
+
     units.is_deskewed = spans.back() == 0.0;
-    for (const TimeUnit& unit : kTimeUnits) {
-        const double turns = span * unit.seconds / cloud_interval_s;
-        if (!(turns >= kMinTurns && turns <= kMaxTurns)) continue;
-        const double sweep_s = std::max({span * unit.seconds, cloud_interval_s, kLeastSweep_s});
-        units.zero = find_time_reference(time_ranges, unit.seconds, sweep_s);
-        if (units.zero == PointTimeReference::sensor_clock &&
-            find_time_reference(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
-            units.zero = PointTimeReference::stamp;
-        units.time_unit_s = unit.seconds;
-        units.about = fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms",
-                                  unit.name, kAboutZero[std::size_t(units.zero)], 1e3 * span * unit.seconds);
+    const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
+    if (!unit) {
+        units.time_note = units.is_deskewed
+                              ? "all points of a cloud have the same time, so each cloud is assumed to be "
+                                "motion-compensated to its stamp"
+                              : fmt::format(
+                                    "the times of points are ignored, because no unit of time fits them: the "
+                                    "points of a cloud span {:.4g} units, but clouds are {:.3g} s apart",
+                                    usual_span, cloud_interval_s);
         return;
     }
-    units.about = units.is_deskewed
-                      ? "all points of a cloud have the same time, so each cloud is assumed to be "
-                        "motion-compensated to its stamp"
-                      : fmt::format(
-                            "the times of points are ignored, because no unit of time fits them: the points "
-                            "of a cloud span {:.4g} units, but clouds are {:.3g} s apart",
-                            span, cloud_interval_s);
+
+    const double duration_s = usual_span * unit->seconds;
+    const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
+    units.time_unit_s = unit->seconds;
+    units.time_reference = find_time_reference(time_ranges, unit->seconds, sweep_s);
+    const bool are_negative_offsets =
+        units.time_reference == PointTimeReference::sensor_clock &&
+        find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp;
+    if (are_negative_offsets) units.time_reference = PointTimeReference::stamp;
+    units.time_note =
+        fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit->name,
+                    kReferenceTexts[std::size_t(units.time_reference)], 1e3 * usual_span * unit->seconds);
 }
 
 namespace fs = std::filesystem;
@@ -183,61 +208,69 @@ std::vector<PointTable> sample_images(std::vector<fs::path> files) {
     return samples;
 }
 
-/// Ignores times that have lost their precision, with a note.
+/// Makes the reader ignore the times if a sample shows that they have lost their
+/// precision. Adds a note.
 void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
     constexpr double kTypicalSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
         if (!range || units.ignore_times) continue;
         const auto [first, last] = *range;
-        const double resolution = time_resolution(cloud),
-                     span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
+        const double resolution = time_resolution(cloud);
+        const double span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
         units.ignore_times = is_coarse_time(resolution, span);
         if (units.ignore_times) notes.push_back(describe_coarse(last, resolution));
     }
+}
+
+/// Estimates the scale of the intensities of range images.
+IntensityScale estimate_image_scale(const std::vector<PointTable>& images) {
+    std::vector<double> intensities;
+    for (const PointTable& image : images)
+        if (const PointFieldView* field = image.find_field("intensity"))
+            field->for_each(image.n, [&](std::size_t, double value) { intensities.push_back(value); });
+    return estimate_scale(intensities);
 }
 
 }  // namespace
 
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
                                      const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
-    PointCloudUnits units;
     std::vector<PointTable> continuous_clouds = clouds;
     for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, false);
     // Large unsigned times may be negative offsets, so both are compared.
     std::vector<PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, restore_signs);
+
+    PointCloudUnits units;
     set_time_unit(units, list_time_ranges(continuous_clouds, cloud_stamps_s),
                   list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
-    units.meaning = interpret_fields(continuous_clouds);
-    if (!units.meaning.scale.about.empty()) units.meaning.notes.push_back(units.meaning.scale.about);
+    units.fields = interpret_fields(continuous_clouds);
+    if (!units.fields.scale.note.empty()) units.fields.notes.push_back(units.fields.scale.note);
     return units;
 }
 
 void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
     std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
     for (PointTable& cloud : samples) unwrap_times(cloud, !units.absolute_times);
-    PointFieldSemantics meaning = interpret_fields(samples);
+    PointFieldSemantics fields = interpret_fields(samples);
     drop_coarse_times(units, samples, notes);
     if (samples.empty()) {
         // No file of points was read, so units are estimated from range images.
         const std::vector<PointTable> images = sample_images(scan_files);
         drop_coarse_times(units, images, notes);
-        std::vector<double> intensities;
-        for (const PointTable& image : images)
-            if (const PointFieldView* field = image.find_field("intensity"))
-                for (std::size_t i = 0; i < image.n; ++i) intensities.push_back((*field)[i]);
-        if (!units.intensity_max) meaning.scale = estimate_scale(intensities);
+        if (!units.intensity_max) fields.scale = estimate_image_scale(images);
     }
-    units.intensity_field = meaning.intensity_field;
-    units.no_return = meaning.no_return;
-    units.returns = meaning.returns;
-    if (!units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
-        units.intensity_max = meaning.scale.max;
-        notes.push_back(meaning.scale.about +
+
+    units.intensity_field = fields.intensity_field;
+    units.no_return = fields.no_return;
+    units.returns = fields.returns;
+    if (!units.intensity_max && fields.scale.is_sure && fields.scale.max > 1.0) {
+        units.intensity_max = fields.scale.max;
+        notes.push_back(fields.scale.note +
                         "; set the key \"intensity_max\" in sequence.json to use another scale");
     }
-    notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
+    notes.insert(notes.end(), fields.notes.begin(), fields.notes.end());
 }
 
 }  // namespace relidar::read

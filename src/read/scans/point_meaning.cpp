@@ -22,9 +22,10 @@ constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that
 // limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::ptrdiff_t kFewestMarked = 16;
-constexpr std::size_t kMaxTestedPoints =
-    1024;  // maximum number of points that are tested for repeated positions
+// Size of the sample that gives a candidate, and how often it must repeat there.
+constexpr std::size_t kSampledPoints = 1024, kFewestRepeats = 3;
 
+/// Returns true if a field has only zeros, or does not exist.
 bool is_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
     bool is_zero = true;
     for (const PointTable& cloud : clouds)
@@ -37,24 +38,26 @@ bool is_all_zero(const std::vector<PointTable>& clouds, const std::string& field
 /// Selects the field that contains the intensities: the first candidate that has a value
 /// other than 0. Adds a note if this is not the usual field.
 void choose_intensity(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+    // all fields with a usual name of intensities, the most usual first
     const std::vector<std::string> names = clouds[0].list_fields(PointAttribute::intensity);
     if (names.empty()) return;
     const auto used =
         std::ranges::find_if(names, [&](const std::string& name) { return !is_all_zero(clouds, name); });
-    semantics.intensity_field = used == names.end() ? names[0] : *used;
-    const bool is_usual =
-        semantics.intensity_field == "intensity" || semantics.intensity_field == "reflectivity";
-    if (used == names.end())
+    const bool are_all_zero = used == names.end();
+    const std::string& chosen = are_all_zero ? names[0] : *used;
+    semantics.intensity_field = chosen;
+    if (are_all_zero)
         semantics.notes.push_back(fmt::format(
-            "the field '{}', which usually contains intensities, is 0 for all points", quote(names[0])));
-    else if (used != names.begin())
+            "the field '{}', which usually contains intensities, is 0 for all points", quote(chosen)));
+    else if (chosen != names[0])
         semantics.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
-                        quote(*used), quote(names[0])));
-    else if (!is_usual)
-        semantics.notes.push_back(fmt::format("intensities are read from the field '{}'", quote(*used)));
+                        quote(chosen), quote(names[0])));
+    else if (chosen != "intensity" && chosen != "reflectivity")
+        semantics.notes.push_back(fmt::format("intensities are read from the field '{}'", quote(chosen)));
 }
 
+/// Adds a note that names the fields that relidar ignores.
 void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     std::set<std::string> unread;
     for (const PointTable& cloud : clouds)
@@ -66,7 +69,7 @@ void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemanti
                                           : "'" + quote(semantics.intensity_field) + "'"));
 }
 
-/// Returns a note, or an empty text.
+/// Returns a note if a measured point has a negative intensity, otherwise an empty text.
 std::string describe_negatives(const std::vector<PointTable>& clouds, const std::string& field) {
     double lowest = 0.0;
     for (const PointTable& cloud : clouds) {
@@ -77,34 +80,41 @@ std::string describe_negatives(const std::vector<PointTable>& clouds, const std:
             if (value < lowest && is_return_point(points[i])) lowest = value;
         });
     }
-    return lowest < 0.0
-               ? fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest)
-               : "";
+    if (lowest == 0.0) return "";
+    return fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest);
+}
+
+/// Returns the most frequent of some positions, or nothing if none repeats.
+std::optional<glm::vec3> find_repeated_position(std::vector<glm::vec3> positions) {
+    std::ranges::sort(positions, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
+    std::size_t most_repeats = 0, last_of_most = 0, n_repeats = 0;
+    for (std::size_t k = 0; k < positions.size(); ++k) {
+        const bool is_repeated = k > 0 && positions[k] == positions[k - 1];
+        n_repeats = is_repeated ? n_repeats + 1 : 1;
+        if (n_repeats <= most_repeats) continue;
+        most_repeats = n_repeats;
+        last_of_most = k;
+    }
+    return most_repeats < kFewestRepeats ? std::nullopt : std::optional(positions[last_of_most]);
 }
 
 /// Returns the position that marks rays without a return, if many points share it. Some
 /// files store all such rays as points at one position.
 std::optional<glm::vec3> find_marker(const PointTable& cloud) {
     const std::vector<glm::vec3> points = read_positions(cloud);
-    std::vector<glm::vec3> some;
-    const std::size_t n = std::min(kMaxTestedPoints, points.size());
-    for (std::size_t k = 0; k < n; ++k)
-        if (const glm::vec3& p = points[k * points.size() / n]; is_return_point(p)) some.push_back(p);
-    std::ranges::sort(some, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
-    std::size_t most = 0, last = 0;
-    for (std::size_t k = 0, run = 0; k < some.size(); ++k) {
-        run = k > 0 && some[k] == some[k - 1] ? run + 1 : 1;
-        if (run > most) {
-            most = run;
-            last = k;
-        }
+    std::vector<glm::vec3> sample;
+    const std::size_t n = std::min(kSampledPoints, points.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const glm::vec3& point = points[k * points.size() / n];
+        if (is_return_point(point)) sample.push_back(point);
     }
     // The sample gives a candidate, which must then be frequent among all points.
-    if (most < 3) return std::nullopt;
-    const auto n_marked = std::ranges::count(points, some[last]);
+    const std::optional<glm::vec3> candidate = find_repeated_position(std::move(sample));
+    if (!candidate) return std::nullopt;
+    const auto n_marked = std::ranges::count(points, *candidate);
     const double share = double(n_marked) / double(points.size());
-    if (n_marked < kFewestMarked || share < kLeastMarked || share > kMostMarked) return std::nullopt;
-    return some[last];
+    const bool is_frequent = n_marked >= kFewestMarked && share >= kLeastMarked && share <= kMostMarked;
+    return is_frequent ? candidate : std::nullopt;
 }
 
 }  // namespace
@@ -120,40 +130,45 @@ IntensityScale estimate_scale(std::vector<double>& intensities) {
     if (highest <= 1.0) return scale;
     if (highest <= kByteScale) {
         scale.max = kByteScale;
-        scale.about = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
-                                  scale.is_sure ? "" : ", but they could also be percentages");
+        scale.note = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
+                                 scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
     }
-    const auto at = intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
-    std::nth_element(intensities.begin(), at, intensities.end());
-    scale.max = std::max(*at, 1.0);
-    scale.about =
+    // Few returns, such as those of reflectors, are much brighter than all others.
+    const auto percentile =
+        intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
+    std::nth_element(intensities.begin(), percentile, intensities.end());
+    scale.max = std::max(*percentile, 1.0);
+    scale.note =
         fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their 99.5th percentile",
                     highest, scale.max);
     return scale;
 }
 
 PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_clouds) {
-    PointFieldSemantics meaning;
-    if (sample_clouds.empty()) return meaning;
-    choose_intensity(sample_clouds, meaning);
-    note_unread_fields(sample_clouds, meaning);
+    PointFieldSemantics semantics;
+    if (sample_clouds.empty()) return semantics;
+    choose_intensity(sample_clouds, semantics);
+    note_unread_fields(sample_clouds, semantics);
+
     std::vector<double> intensities;
     for (const PointTable& cloud : sample_clouds)
-        if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
+        if (const PointFieldView* values = cloud.find_field(semantics.intensity_field))
             values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
-    meaning.scale = estimate_scale(intensities);
-    meaning.returns = find_unnumbered(sample_clouds);
-    if (const std::string text = describe_negatives(sample_clouds, meaning.intensity_field); !text.empty())
-        meaning.notes.push_back(text);
-    if (meaning.returns.exist) meaning.notes.push_back(meaning.returns.about);
+    semantics.scale = estimate_scale(intensities);
+    const std::string negatives = describe_negatives(sample_clouds, semantics.intensity_field);
+    if (!negatives.empty()) semantics.notes.push_back(negatives);
+
+    semantics.returns = find_unnumbered(sample_clouds);
+    if (semantics.returns.exist) semantics.notes.push_back(semantics.returns.note);
+
     for (const PointTable& cloud : sample_clouds)
-        if (!meaning.no_return) meaning.no_return = find_marker(cloud);
-    if (meaning.no_return)
-        meaning.notes.push_back(fmt::format(
+        if (!semantics.no_return) semantics.no_return = find_marker(cloud);
+    if (semantics.no_return)
+        semantics.notes.push_back(fmt::format(
             "many points have exactly the position ({}, {}, {}); they are read as rays without return",
-            meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
-    return meaning;
+            semantics.no_return->x, semantics.no_return->y, semantics.no_return->z));
+    return semantics;
 }
 
 }  // namespace relidar::read

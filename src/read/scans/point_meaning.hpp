@@ -21,7 +21,7 @@ std::vector<glm::vec3> read_positions(const PointTable& table);
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable
-    std::string about;    ///< text about the scale for a note; empty if the scale is 0 to 1
+    std::string note;     ///< text about the scale for the user; empty if the scale is 0 to 1
 };
 /// Estimates which intensity becomes 1: 1, or 255, or a value that only a few intensities
 /// exceed. Reorders the values.
@@ -34,7 +34,7 @@ struct UnnumberedReturns {
     /// alternately first and second returns. 0: the returns have equal rings and times.
     std::size_t distance = 0;
     bool are_halves = false;  ///< true if the distance is half of the points of each cloud
-    std::string about;        ///< note for the user
+    std::string note;         ///< for the user
 };
 
 /// Finds out whether clouds have two returns of each ray without return numbers.

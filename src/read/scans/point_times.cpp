@@ -31,20 +31,52 @@ constexpr double kLastPart = 15.0 / 16.0;
 // scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
-/// Returns true if a counter with this period overflows in the cloud. Sets `limit` to a
-/// value below the times before the overflow and above the other times.
-bool is_period(const std::vector<double>& times, std::array<double, 2> range, double period, double& limit) {
-    const auto [first, last] = range;
-    if (last - first < kMinSpanShare * period || last - first > period) return false;
-    limit = 0.5 * (first + last);
-    double before = first, after = last;
+double middle_of(std::array<double, 2> range) { return 0.5 * (range[0] + range[1]); }
+
+/// Returns true if a counter with this period overflows in the cloud: its times are close
+/// to both ends of the period, and the pause between them is long.
+/// @param range  smallest and largest time
+bool overflows(const std::vector<double>& times, std::array<double, 2> range, double period) {
+    const auto [smallest, largest] = range;
+    const double span = largest - smallest;
+    if (span < kMinSpanShare * period || span > period) return false;
+    // The small times follow the overflow, the large times precede it.
+    double last_small = smallest, first_large = largest;
     for (const double t : times) {
-        if (t < limit) before = std::max(before, t);
-        else after = std::min(after, t);
+        if (t < middle_of(range)) last_small = std::max(last_small, t);
+        else first_large = std::min(first_large, t);
     }
-    return after - before > kLeastPause * period && after - before < last - first;
+    const double pause = first_large - last_small;
+    return pause > kLeastPause * period && pause < span;
 }
 
+/// Lists the periods with which times in this range can repeat.
+std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) {
+    std::vector<double> periods(kCounterPeriods.begin(), kCounterPeriods.end());
+    if (are_offsets) return periods;
+    for (const double period_s : kClockPeriods_s)
+        for (const double units_per_s : kUnitsOfSecond) {
+            const double period = period_s * units_per_s;
+            // Clocks can repeat a second or an hour without being 0 there.
+            const bool can_start_anywhere = period_s == 1.0 || period_s == 3600.0;
+            if (can_start_anywhere || (range[0] >= 0.0 && range[1] <= period)) periods.push_back(period);
+        }
+    return periods;
+}
+
+/// Returns true if the field can contain the values of a counter with this period. An
+/// integer counts up to the limit of its type. A float is a scaled counter of 32 bits.
+bool can_have_period(const PointFieldView& field, double period) {
+    bool can_have = false;
+    field.with_reader([&](const auto& time_at) {
+        using Number = decltype(time_at(0));
+        const double limit_of_type = std::ldexp(1.0, 8 * sizeof(Number));
+        can_have = std::is_floating_point_v<Number> ? period != kCounterPeriods[0] : period == limit_of_type;
+    });
+    return can_have;
+}
+
+/// Returns the smallest and the largest finite time.
 std::array<double, 2> value_range(const std::vector<double>& times) {
     std::array<double, 2> range{INFINITY, -INFINITY};
     for (const double t : times)
@@ -64,13 +96,17 @@ void replace_times(PointTable& table, std::vector<double> times) {
     table.add_value_field("time", ScalarType::f8, std::move(times), "");
 }
 
-/// Returns the span of sorted values without their outermost tenths, extrapolated, and
-/// the index of the last value of the lower tenth.
+/// Span of most values of a sorted array.
+struct InnerSpan {
+    double span;          ///< of the middle 80 %, extrapolated to all values
+    std::size_t n_outer;  ///< number of values that are ignored at each end
+};
 template <class Number>
-std::pair<double, std::size_t> estimate_span(const std::vector<Number>& sorted) {
+InnerSpan estimate_span(const std::vector<Number>& sorted) {
     constexpr double kOuterShare = 0.1;
-    const auto outer = std::size_t(kOuterShare * double(sorted.size() - 1));
-    return {double(sorted[sorted.size() - 1 - outer] - sorted[outer]) / (1.0 - 2.0 * kOuterShare), outer};
+    const auto n_outer = std::size_t(kOuterShare * double(sorted.size() - 1));
+    const auto middle_span = double(sorted[sorted.size() - 1 - n_outer] - sorted[n_outer]);
+    return {middle_span / (1.0 - 2.0 * kOuterShare), n_outer};
 }
 
 }  // namespace
@@ -80,33 +116,29 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
     std::erase_if(times, [](double t) { return !std::isfinite(t); });
     if (times.empty()) return std::nullopt;
     std::ranges::sort(times);
-    constexpr double kMaxSpanRatio = 10.0;  // points can be in a small part of the sweep
-    // Keeps times that are at most ten spans outside of the middle 80 % of the times.
-    const auto [span, outer] = estimate_span(times);
+    const auto [span, n_outer] = estimate_span(times);
     if (span == 0.0) return std::array{times.front(), times.back()};
-    return std::array{
-        *std::ranges::lower_bound(times, times[outer] - kMaxSpanRatio * span),
-        *std::prev(std::ranges::upper_bound(times, times[times.size() - 1 - outer] + kMaxSpanRatio * span))};
+    // Values this many spans outside of the middle 80 % are outliers. The limit is wide,
+    // because most points can be in a small part of the sweep.
+    constexpr double kMaxSpanRatio = 10.0;
+    const double lowest = times[n_outer] - kMaxSpanRatio * span;
+    const double highest = times[times.size() - 1 - n_outer] + kMaxSpanRatio * span;
+    const auto first = std::ranges::lower_bound(times, lowest);
+    const auto last = std::prev(std::ranges::upper_bound(times, highest));
+    return std::array{*first, *last};
 }
 
 void unwrap_times(PointTable& table, bool are_offsets) {
     std::vector<double> times = read_times(table);
     const std::array<double, 2> range = value_range(times);
-    double limit = 0.0, period = 0.0;
-    const auto test = [&](double candidate) {
-        if ((period == 0.0 || candidate < period) && is_period(times, range, candidate, limit))
-            period = candidate;
-    };
     // The shortest possible period is right, because times span nearly all of it.
-    std::ranges::for_each(kCounterPeriods, test);
-    for (const double period_s : kClockPeriods_s)
-        for (const double unit : kUnitsOfSecond)
-            // Clocks can repeat a second or an hour without being 0 there.
-            if (!are_offsets &&
-                (period_s == 1.0 || period_s == 3600.0 || (range[0] >= 0.0 && range[1] <= period_s * unit)))
-                test(period_s * unit);
-    if (period == 0.0) return;
-    for (double& t : times) t -= t >= limit ? period : 0.0;
+    std::vector<double> periods = list_periods(range, are_offsets);
+    std::ranges::sort(periods);
+    const auto period =
+        std::ranges::find_if(periods, [&](double candidate) { return overflows(times, range, candidate); });
+    if (period == periods.end()) return;
+    for (double& t : times)
+        if (t >= middle_of(range)) t -= *period;
     replace_times(table, std::move(times));
 }
 
@@ -114,34 +146,34 @@ void restore_signs(PointTable& table) {
     std::vector<double> times = read_times(table);
     if (times.empty()) return;
     const auto [first, last] = value_range(times);
-    double number_period = 0.0;  // of an integer type; 0: floats, which come from counters of 32 bits
-    table.find_field(PointAttribute::time)->with_reader([&](const auto& time_at) {
-        using Number = decltype(time_at(0));
-        if (!std::is_floating_point_v<Number>) number_period = std::ldexp(1.0, 8 * sizeof(Number));
-    });
+    const PointFieldView& field = *table.find_field(PointAttribute::time);
     for (const double period : kCounterPeriods) {
-        const bool is_counter = number_period == 0.0 ? period != kCounterPeriods[0] : period == number_period;
         // Times are negative only if all of them are in the last part of the period.
-        if (!is_counter || first < kLastPart * period || last >= period) continue;
+        const bool are_at_end = first >= kLastPart * period && last < period;
+        if (!are_at_end || !can_have_period(field, period)) continue;
         for (double& t : times) t -= period;
-        return replace_times(table, std::move(times));
+        replace_times(table, std::move(times));
+        return;
     }
 }
 
 double time_resolution(const PointTable& table) {
-    constexpr double kLeastEpoch_s = 1e9;
+    constexpr double kLeastEpoch_s = 1e9;  // in the year 2001
     const std::vector<double> times = read_times(table);
     if (times.empty()) return 0.0;
     const auto [first, last] = value_range(times);
-    // A number that a 32-bit float can represent exactly was probably stored as one.
-    const bool is_float = std::ranges::all_of(
-                   times, [](double t) { return !std::isfinite(t) || double(float(t)) == t; }),
-               is_whole = std::ranges::all_of(
-                   times, [](double t) { return !std::isfinite(t) || std::round(t) == t; });
-    const float largest = float(std::max(std::abs(first), std::abs(last)));
-    // distance between the largest absolute time and the next larger float
-    double resolution = is_float ? double(std::nextafter(largest, INFINITY)) - double(largest) : 0.0;
-    if (is_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
+    const auto do_all = [&](auto test) {
+        return std::ranges::all_of(times, [&](double t) { return !std::isfinite(t) || test(t); });
+    };
+    double resolution = 0.0;
+    // Numbers that a 32-bit float can represent exactly were probably stored as such. The
+    // distance to the next larger float is greatest for the largest number.
+    if (do_all([](double t) { return double(float(t)) == t; })) {
+        const float largest = float(std::max(std::abs(first), std::abs(last)));
+        resolution = double(std::nextafter(largest, INFINITY)) - double(largest);
+    }
+    const bool are_whole = do_all([](double t) { return std::round(t) == t; });
+    if (are_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
         resolution = std::max(resolution, 1.0);
     return resolution;
 }
@@ -156,11 +188,11 @@ std::string describe_coarse(double time, double resolution) {
 double sweep_span_s(const LidarPoints& points) {
     std::vector<float> times_s = points.time_offset_s;
     std::ranges::sort(times_s);
-    return times_s.empty() ? 0.0 : estimate_span(times_s).first;
+    return times_s.empty() ? 0.0 : estimate_span(times_s).span;
 }
 
 std::string describe_span(const std::vector<LidarPoints>& scans, double frame_step_s) {
-    std::vector<double> spans_s, largest_offsets_s;
+    std::vector<double> spans_s, largest_offsets_s;  // [scans with times]
     for (const LidarPoints& points : scans) {
         if (points.time_offset_s.empty()) continue;
         const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
@@ -184,14 +216,14 @@ std::string describe_span(const std::vector<LidarPoints>& scans, double frame_st
 }
 
 std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s) {
-    std::vector<double> middles_s;
+    std::vector<double> middles_s;  // [scans with times] median time of the points
     for (const LidarPoints& scan : scans)
         if (!scan.time_offset_s.empty()) middles_s.push_back(double(compute_median(scan.time_offset_s)));
     if (middles_s.empty()) return std::nullopt;
     const double middle_s = compute_median(middles_s);
-    const auto n =
+    const auto n_near =
         std::ranges::count_if(middles_s, [&](double t_s) { return std::abs(t_s - middle_s) <= limit_s; });
-    return double(n) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
+    return double(n_near) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
 }
 
 void select_points(LidarPoints& points, const std::vector<std::size_t>& indices) {
@@ -213,11 +245,11 @@ std::size_t remove_mistimed(LidarPoints& points, double limit_s, std::optional<d
     const std::size_t n = points.time_offset_s.size();
     if (n == 0) return 0;
     if (!middle_s) middle_s = double(compute_median(points.time_offset_s));
-    std::vector<std::size_t> right;
+    std::vector<std::size_t> kept;
     for (std::size_t i = 0; i < n; ++i)
-        if (std::abs(double(points.time_offset_s[i]) - *middle_s) <= limit_s) right.push_back(i);
-    if (right.size() < n) select_points(points, right);
-    return n - right.size();
+        if (std::abs(double(points.time_offset_s[i]) - *middle_s) <= limit_s) kept.push_back(i);
+    if (kept.size() < n) select_points(points, kept);
+    return n - kept.size();
 }
 
 }  // namespace relidar::read

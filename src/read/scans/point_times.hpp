@@ -15,7 +15,7 @@
 namespace relidar::read {
 
 /// Returns the first and the last time of a cloud, in the unit of the file, without
-/// outliers.
+/// outliers. Returns nothing if the cloud has no finite time.
 std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 
 /// Makes the times of a cloud continuous if their counter overflows in this cloud.
@@ -32,6 +32,8 @@ void restore_signs(PointTable& table);
 /// in the unit of the file. Detects former 32-bit floats, and whole seconds since 1970.
 /// Returns 0 for other numbers.
 double time_resolution(const PointTable& table);
+/// Returns true if times in steps of `resolution` cannot order the points of a scan that
+/// lasts `span`.
 inline bool is_coarse_time(double resolution, double span) {
     constexpr double kFineStep = 1e-4;  // precise, even if the unit is seconds
     return resolution > kFineStep && resolution > 0.05 * span;
@@ -50,7 +52,8 @@ std::string describe_span(const std::vector<LidarPoints>& scans, double frame_st
 /// Share of the scans that must agree before a scan with other times is skipped.
 inline constexpr double kMostScans = 0.8;
 
-/// Returns the median of the median times of scans, if most of them are within `limit_s`.
+/// Returns the usual time of the points of a scan, relative to its frame: the median of
+/// the scans' medians. Returns nothing if too many scans are farther from it than `limit_s`.
 std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
 
 /// Keeps only the points with the given indices, in this order.

@@ -27,16 +27,19 @@ constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
 // Columns of no sensor are this close. Such pairs are returns, even if they are frequent.
 constexpr double kSameRay_rad = 2e-4;
-constexpr std::size_t kMostNeighbours = 64;  // number of points of equal ring and time that are compared
+// Number of points of equal ring and time that are compared. It limits the search in clouds
+// with coarse times.
+constexpr std::size_t kMostNeighbours = 64;
 
-constexpr std::size_t kNoPoint = SIZE_MAX;  // no point
+constexpr std::size_t kNoPoint = SIZE_MAX;
 
+using IndexPair = std::array<std::size_t, 2>;
 using RayKey = std::pair<double, double>;  // ring and time
 
 /// Returns ring and time of each point, or nothing if a field is missing.
 std::vector<RayKey> read_ray_keys(const PointTable& table) {
-    const PointFieldView *ring = table.find_field(PointAttribute::ring),
-                         *time = table.find_field(PointAttribute::time);
+    const PointFieldView* ring = table.find_field(PointAttribute::ring);
+    const PointFieldView* time = table.find_field(PointAttribute::time);
     std::vector<RayKey> keys(ring && time ? table.n : 0);
     if (keys.empty()) return keys;
     ring->for_each(table.n, [&](std::size_t i, double value) { keys[i].first = value; });
@@ -46,93 +49,85 @@ std::vector<RayKey> read_ray_keys(const PointTable& table) {
     return keys;
 }
 
-bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double limit_rad = kOneRay_rad) {
+/// Returns true if two points can be returns of one ray: their directions, seen from the
+/// centre of the sensor, differ by less than `limit_rad` and the parallax of the beam.
+bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double limit_rad) {
     const glm::dvec3 a(first), b(second);
-    const double near_m = glm::length(a), far_m = glm::length(b);
+    const double parallax_rad = kLargestOffset_m * std::abs(1.0 / glm::length(a) - 1.0 / glm::length(b));
     const double angle_rad = std::atan2(glm::length(glm::cross(a, b)), glm::dot(a, b));
-    return angle_rad < limit_rad + kLargestOffset_m * std::abs(1.0 / near_m - 1.0 / far_m);
+    return angle_rad < limit_rad + parallax_rad;
 }
 
-/// Returns the pairs of indices of points that occur exactly twice.
-std::vector<std::array<std::size_t, 2>> find_repeated(const std::vector<glm::vec3>& points,
-                                                      std::vector<std::size_t> indices) {
+/// Returns the pairs of indices of points that occur exactly twice. In a pair, the smaller
+/// index is first.
+std::vector<IndexPair> find_repeated(const std::vector<glm::vec3>& points, std::vector<std::size_t> indices) {
     const auto position = [&](std::size_t i) { return std::array{points[i].x, points[i].y, points[i].z}; };
     std::ranges::stable_sort(indices, {}, position);
-    std::vector<std::array<std::size_t, 2>> pairs;
-    for (std::size_t k = 0, next = 0; k < indices.size(); k = next) {
-        while (next < indices.size() && points[indices[next]] == points[indices[k]]) ++next;
-        if (next == k + 2) pairs.push_back({indices[k], indices[k + 1]});
+    std::vector<IndexPair> pairs;
+    for (std::size_t begin = 0, end = 0; begin < indices.size(); begin = end) {
+        while (end < indices.size() && points[indices[end]] == points[indices[begin]]) ++end;
+        if (end - begin == 2) pairs.push_back({indices[begin], indices[begin + 1]});
     }
     return pairs;
 }
 
-/// Counts groups of points with equal ring and time.
+/// Counts groups of points with equal ring and time, over some clouds.
 struct PairCounts {
-    std::size_t n_groups = 0, n_pairs = 0, n_large = 0, n_on_ray = 0, n_exact = 0;
+    std::size_t n_groups = 0;
+    std::size_t n_pairs = 0;   ///< groups of two points
+    std::size_t n_large = 0;   ///< groups of more points
+    std::size_t n_on_ray = 0;  ///< pairs whose directions differ by less than kOneRay_rad
+    std::size_t n_exact = 0;   ///< pairs whose directions differ by less than kSameRay_rad
 
-    /// Returns true if some points share ring and time with another point, and if these
-    /// pairs are on the same ray. If most points are pairs, they must be on exactly one
-    /// ray.
+    /// Returns true if the pairs are the two returns of one ray. If most groups are pairs,
+    /// they could also be two columns that share a time, so their directions must be equal.
     bool are_returns() const {
         const bool are_exact = double(n_exact) >= kMinRegularShare * double(n_pairs);
-        return n_pairs >= kFewestPairs && (2 * n_pairs <= n_groups || are_exact) &&
+        const bool are_rare = 2 * n_pairs <= n_groups;
+        return n_pairs >= kFewestPairs && (are_rare || are_exact) &&
                double(n_large) <= kMostLargeGroups * double(n_groups) &&
                double(n_on_ray) >= kLeastOnRay * double(n_pairs);
     }
 };
 
-/// Adds the points of a cloud to the counts. Sorts them so that points with the same ring
-/// and time are neighbours.
-void add_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
-               std::vector<std::size_t> indices) {
-    auto& [n_groups, n_pairs, n_large, n_on_ray, n_exact] = counts;
+/// Adds the groups of a cloud to the counts.
+/// @param keys  [points] ring and time
+/// @param indices  points that are compared
+void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
+                 std::vector<std::size_t> indices) {
     std::ranges::stable_sort(indices, {}, [&](std::size_t i) { return keys[i]; });
-    for (std::size_t k = 0, next = 0; k < indices.size(); k = next, ++n_groups) {
-        while (next < indices.size() && keys[indices[next]] == keys[indices[k]]) ++next;
-        n_large += next > k + 2;
-        if (next != k + 2) continue;
-        ++n_pairs;
-        n_on_ray += are_on_same_ray(points[indices[k]], points[indices[k + 1]]);
-        n_exact += are_on_same_ray(points[indices[k]], points[indices[k + 1]], kSameRay_rad);
+    for (std::size_t begin = 0, end = 0; begin < indices.size(); begin = end) {
+        while (end < indices.size() && keys[indices[end]] == keys[indices[begin]]) ++end;
+        const std::size_t group_size = end - begin;
+        ++counts.n_groups;
+        if (group_size > 2) ++counts.n_large;
+        if (group_size != 2) continue;
+        const glm::vec3 &first = points[indices[begin]], &second = points[indices[begin + 1]];
+        ++counts.n_pairs;
+        if (are_on_same_ray(first, second, kOneRay_rad)) ++counts.n_on_ray;
+        if (are_on_same_ray(first, second, kSameRay_rad)) ++counts.n_exact;
     }
 }
 
-/// Returns for each selected point the other return of its ray, or kNoPoint. Each pair
-/// occurs once. Sorts `order` so that the returns of a ray are close together.
-std::vector<std::size_t> find_partners(const PointTable& table, const UnnumberedReturns& layout,
-                                       const std::vector<std::uint32_t>& selected,
-                                       const std::vector<glm::vec3>& points,
-                                       std::vector<std::size_t>& order) {
-    const std::size_t n = selected.size();
-    std::vector<std::size_t> partner(n, kNoPoint);
-    // Some drivers store second returns at a constant distance after the first returns,
-    // for example in the second half. Otherwise, compares points with equal ring and
-    // time.
-    const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
-    if (distance > 0 && table.n % (2 * distance) == 0) {
-        std::vector<std::size_t> rank(table.n, kNoPoint);
-        for (std::size_t k = 0; k < n; ++k) rank[selected[k]] = k;
-        for (std::size_t k = 0; k < n; ++k)
-            if (selected[k] / distance % 2 == 0) partner[k] = rank[selected[k] + distance];
-    } else if (const std::vector<RayKey> keys = read_ray_keys(table); !keys.empty()) {
-        const auto key = [&](std::size_t k) { return keys[selected[k]]; };
-        std::ranges::stable_sort(order, {}, key);
-        std::vector<bool> is_second(n, false);
-        for (std::size_t a = 0; a < n; ++a) {
-            const std::size_t k = order[a];
-            for (std::size_t b = a + 1; !is_second[k] && b < std::min(n, a + kMostNeighbours); ++b) {
-                if (key(order[b]) != key(k)) break;
-                if (is_second[order[b]] || !are_on_same_ray(points[k], points[order[b]])) continue;
-                partner[k] = order[b];
-                is_second[order[b]] = true;
-                break;
-            }
-        }
+/// Returns the difference between the indices of nearly all pairs, or 0 if it varies.
+/// Blocks of so many first returns must alternate with equally large blocks of second
+/// returns.
+std::size_t find_pair_distance(const std::vector<IndexPair>& pairs, std::size_t n_points) {
+    std::map<std::size_t, std::size_t> n_pairs_of_distance;
+    for (const auto& [first, second] : pairs) {
+        const std::size_t distance = second - first;
+        const bool is_in_first_block = first / distance % 2 == 0;
+        if (is_in_first_block) ++n_pairs_of_distance[distance];
     }
-    return partner;
+    std::size_t usual_distance = 0;
+    for (const auto& [distance, n_pairs] : n_pairs_of_distance)
+        if (double(n_pairs) >= kMinRegularShare * double(pairs.size()) && n_points % (2 * distance) == 0)
+            usual_distance = distance;
+    return usual_distance;
 }
 
-/// Finds returns from the repeated points of a cloud. Otherwise counts its pairs.
+/// Searches a cloud for points that occur twice, which show two returns per ray. If few
+/// points do, counts the pairs of equal ring and time for a later decision.
 UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
         return {};
@@ -140,27 +135,82 @@ UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     std::vector<std::size_t> valid;
     for (std::size_t i = 0; i < cloud.n; ++i)
         if (is_return_point(points[i])) valid.push_back(i);
-    const auto repeated = find_repeated(points, valid);
+    const std::vector<IndexPair> repeated = find_repeated(points, valid);
     const std::vector<RayKey> keys = read_ray_keys(cloud);
-    UnnumberedReturns returns{.about =
+    UnnumberedReturns returns{.note =
                                   "the points have two returns of each ray without numbers; equal returns "
                                   "are read as one return, and of two other returns the stronger is first"};
     if (2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
-        if (!keys.empty()) add_pairs(counts, points, keys, valid);
+        if (!keys.empty()) count_pairs(counts, points, keys, valid);
         return returns;
     }
-    std::map<std::size_t, std::size_t> n_of_distance;
-    std::size_t n_of_ray = 0;
-    for (const auto& [first, second] : repeated) {
-        if (first / (second - first) % 2 == 0) ++n_of_distance[second - first];
-        n_of_ray += !keys.empty() && keys[first] == keys[second];
-    }
-    const double least = kMinRegularShare * double(repeated.size());
-    for (const auto& [distance, n] : n_of_distance)
-        if (double(n) >= least && cloud.n % (2 * distance) == 0) returns.distance = distance;
+    returns.distance = find_pair_distance(repeated, cloud.n);
     returns.are_halves = 2 * returns.distance == cloud.n;
-    returns.exist = returns.distance > 0 || double(n_of_ray) >= least;
+    const auto have_equal_keys = [&](const IndexPair& pair) {
+        return !keys.empty() && keys[pair[0]] == keys[pair[1]];
+    };
+    const auto n_equal_keys = std::ranges::count_if(repeated, have_equal_keys);
+    returns.exist =
+        returns.distance > 0 || double(n_equal_keys) >= kMinRegularShare * double(repeated.size());
     return returns;
+}
+
+/// Pairs each selected point of a block of first returns with the point `distance` later
+/// in the table. Returns positions in `selected`, or kNoPoint.
+std::vector<std::size_t> pair_by_distance(const std::vector<std::uint32_t>& selected, std::size_t n_points,
+                                          std::size_t distance) {
+    std::vector<std::size_t> position_of_point(n_points, kNoPoint);
+    for (std::size_t k = 0; k < selected.size(); ++k) position_of_point[selected[k]] = k;
+    std::vector<std::size_t> partner(selected.size(), kNoPoint);
+    for (std::size_t k = 0; k < selected.size(); ++k) {
+        const bool is_in_first_block = selected[k] / distance % 2 == 0;
+        if (is_in_first_block) partner[k] = position_of_point[selected[k] + distance];
+    }
+    return partner;
+}
+
+/// Pairs points of equal ring and time that are on the same ray. A time alone is not
+/// enough, because rounded times join several columns.
+/// @param keys  [selected] ring and time
+/// @param order  becomes the positions in `selected`, sorted by key
+std::vector<std::size_t> pair_by_key(const std::vector<RayKey>& keys, const std::vector<glm::vec3>& points,
+                                     std::vector<std::size_t>& order) {
+    const std::size_t n = keys.size();
+    std::ranges::stable_sort(order, {}, [&](std::size_t k) { return keys[k]; });
+    std::vector<std::size_t> partner(n, kNoPoint);
+    std::vector<bool> is_second(n, false);
+    for (std::size_t place = 0; place < n; ++place) {
+        const std::size_t first = order[place];
+        if (is_second[first]) continue;
+        const std::size_t end = std::min(n, place + kMostNeighbours);
+        for (std::size_t next = place + 1; next < end && keys[order[next]] == keys[first]; ++next) {
+            const std::size_t second = order[next];
+            if (is_second[second] || !are_on_same_ray(points[first], points[second], kOneRay_rad)) continue;
+            partner[first] = second;
+            is_second[second] = true;
+            break;
+        }
+    }
+    return partner;
+}
+
+/// Returns for each selected point the other return of its ray, or kNoPoint. Each pair
+/// occurs once.
+/// @param order  positions in `selected`; sorted so that the returns of a ray are close
+/// together
+std::vector<std::size_t> find_partners(const PointTable& table, const UnnumberedReturns& layout,
+                                       const std::vector<std::uint32_t>& selected,
+                                       const std::vector<glm::vec3>& points,
+                                       std::vector<std::size_t>& order) {
+    const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
+    const bool has_whole_blocks = distance > 0 && table.n % (2 * distance) == 0;
+    if (has_whole_blocks) return pair_by_distance(selected, table.n, distance);
+
+    const std::vector<RayKey> keys_of_table = read_ray_keys(table);
+    if (keys_of_table.empty()) return std::vector<std::size_t>(selected.size(), kNoPoint);
+    std::vector<RayKey> keys;
+    for (const std::uint32_t point : selected) keys.push_back(keys_of_table[point]);
+    return pair_by_key(keys, points, order);
 }
 
 }  // namespace
@@ -187,31 +237,33 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
                                          const std::string& intensity_field,
                                          std::vector<std::uint32_t>& selected,
                                          std::vector<glm::vec3>& points) {
-    const std::size_t n = selected.size();
-    std::vector<std::size_t> order(n), partner;
+    std::vector<std::size_t> order(selected.size());  // positions in `selected`
     std::iota(order.begin(), order.end(), std::size_t(0));
-    partner = find_partners(table, layout, selected, points, order);
+    const std::vector<std::size_t> partner = find_partners(table, layout, selected, points, order);
     const PointFieldView* intensity = table.find_field(intensity_field);
     std::vector<std::uint8_t> numbers;
     std::vector<std::uint32_t> sorted;
     std::vector<glm::vec3> sorted_points;
-    std::vector<bool> is_done(n, false);
+    std::vector<bool> is_done(selected.size(), false);
     const auto add = [&](std::size_t k, std::uint8_t number) {
         numbers.push_back(number);
         sorted.push_back(selected[k]);
         sorted_points.push_back(points[k]);
         is_done[k] = true;
     };
-    for (std::size_t k : order) {
+    for (const std::size_t k : order) {
         if (is_done[k]) continue;
-        std::size_t other = partner[k];
-        // Both returns have the same position, so one of them is removed.
-        if (other != kNoPoint && points[other] == points[k]) is_done[std::exchange(other, kNoPoint)] = true;
-        // The stronger return is number 1.
-        if (other != kNoPoint && intensity && (*intensity)[selected[other]] > (*intensity)[selected[k]])
-            std::swap(k, other);
-        add(k, 1);
-        if (other != kNoPoint) add(other, 2);
+        std::size_t stronger = k, weaker = partner[k];
+        // The sensor repeated the only return of the ray. One of the copies is removed.
+        if (weaker != kNoPoint && points[weaker] == points[k]) {
+            is_done[weaker] = true;
+            weaker = kNoPoint;
+        }
+        if (weaker != kNoPoint && intensity &&
+            (*intensity)[selected[weaker]] > (*intensity)[selected[stronger]])
+            std::swap(stronger, weaker);
+        add(stronger, 1);
+        if (weaker != kNoPoint) add(weaker, 2);
     }
     selected = std::move(sorted);
     points = std::move(sorted_points);

@@ -65,7 +65,7 @@ TEST(PointTimes, CountersThatOverflowInACloudContinue) {
     for (const double period_s : {1.0, 60.0, 3600.0, 86400.0, 604800.0})
         for (const double unit : {1.0, 1e3, 1e6, 1e9})
             expect_sweeps(make_f8(with_period(unit, period_s)), 1.0 / unit);
-    EXPECT_EQ(estimate_units(make_u4(late(1e-9))).zero, read::PointTimeReference::sensor_clock);
+    EXPECT_EQ(estimate_units(make_u4(late(1e-9))).time_reference, read::PointTimeReference::sensor_clock);
 }
 
 TEST(PointTimes, LateOffsetsAreNoOverflow) {
@@ -84,7 +84,7 @@ TEST(PointTimes, NegativeOffsetsWithoutASignAreRestored) {
     for (const double first_s : {-0.007, -0.1}) {
         std::vector<read::PointTable> clouds =
             make_u4([&](double t_s, double) { return 1e9 * (t_s + first_s); });
-        EXPECT_EQ(estimate_units(clouds).zero, read::PointTimeReference::stamp);
+        EXPECT_EQ(estimate_units(clouds).time_reference, read::PointTimeReference::stamp);
         for (read::PointTable& cloud : clouds) {
             read::restore_signs(cloud);
             EXPECT_NEAR((*cloud.find_field(read::PointAttribute::time))[0], 1e9 * first_s, 1.0);
@@ -97,7 +97,7 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
     const read::PointCloudUnits units =
         estimate_units(make_f4([](double t_s, double) { return t_s < 0.099 ? t_s : 100.0; }));
     EXPECT_EQ(units.time_unit_s, 1.0);
-    EXPECT_EQ(units.zero, read::PointTimeReference::stamp);
+    EXPECT_EQ(units.time_reference, read::PointTimeReference::stamp);
     LidarPoints points;
     points.time_offset_s = {0.0f, 0.05f, 4.288f, 0.1f, NAN, -3.0f, 0.02f};
     points.position_m.resize(7);
@@ -118,14 +118,18 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
 }
 
 TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {
-    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) { return 0.3 + 0.1 * k + t_s; })).zero,
-              read::PointTimeReference::sensor_clock);
-    // The times are within a second, and the clouds are 0.7 s apart.
     EXPECT_EQ(
-        estimate_units(make_f8([](double t_s, double k) { return std::fmod(0.7 * k + t_s, 1.0); })).zero,
+        estimate_units(make_f8([](double t_s, double k) { return 0.3 + 0.1 * k + t_s; })).time_reference,
         read::PointTimeReference::sensor_clock);
+    // The times are within a second, and the clouds are 0.7 s apart.
+    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) {
+                  return std::fmod(0.7 * k + t_s, 1.0);
+              })).time_reference,
+              read::PointTimeReference::sensor_clock);
     // One late cloud of six does not turn offsets into a clock.
-    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) { return t_s + (k == 2.0 ? 1.5 : 0.0); })).zero,
+    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) {
+                  return t_s + (k == 2.0 ? 1.5 : 0.0);
+              })).time_reference,
               read::PointTimeReference::stamp);
 }
 
@@ -138,14 +142,14 @@ TEST(PointTimes, LostPrecisionIsReported) {
     for (const auto& clouds : {make_f4(epoch(1.0)), make_f4(epoch(1e-3)), make_f4(epoch(1e-9)),
                                make_f8(rounded), make_f4(week), make_u4(epoch(1.0))}) {
         const read::PointCloudUnits units = estimate_units(clouds);
-        EXPECT_THAT(units.about, testing::HasSubstr("precision"));
-        EXPECT_EQ(units.zero, read::PointTimeReference::none);
+        EXPECT_THAT(units.time_note, testing::HasSubstr("precision"));
+        EXPECT_EQ(units.time_reference, read::PointTimeReference::none);
         EXPECT_FALSE(units.is_deskewed);
     }
     for (const double unit_s : {1.0, 1e-3, 1e-6, 1e-9}) {
         const read::PointCloudUnits units = estimate_units(make_f8(epoch(unit_s)));
         EXPECT_EQ(units.time_unit_s, unit_s);
-        EXPECT_EQ(units.zero, read::PointTimeReference::epoch);
+        EXPECT_EQ(units.time_reference, read::PointTimeReference::epoch);
     }
     const auto stamp = [](double, double k) { return kStamp_s + 0.1 * k; };
     const auto half = [](double, double) { return 0.05; };

@@ -145,7 +145,7 @@ read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& s
     read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
     format.units.intensity_max = brightness.max;
-    if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
+    if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;
     const MulranPointOrder order = detect_order(scan_files);

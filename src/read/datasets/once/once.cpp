@@ -145,7 +145,7 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
     read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(files, {});
     format.units.intensity_max = brightness.max;
-    if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
+    if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kAxesTurn_rad;
     format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
