@@ -29,65 +29,83 @@ namespace {
 
 constexpr std::size_t kMinStreamPackets = 64, kMaxStreams = 256, kMaxPending = 64, kMaxDatagramBytes = 65535;
 constexpr unsigned kEtherIpv4 = 0x0800, kEtherIpv6 = 0x86dd, kUdpProtocol = 17;
+// UDP header: source port, destination port, length with the header, and checksum
+constexpr std::size_t kUdpHeaderBytes = 8, kUdpPortAt = 2, kUdpLengthAt = 4;
 // A fragment that arrives later belongs to another datagram with the same identification.
 constexpr std::int64_t kMaxFragmentGap_ns = 1000000000;
 
-unsigned read_be16(std::string_view bytes, std::size_t offset) {
-    return offset + 2 <= bytes.size() ? static_cast<unsigned char>(bytes[offset]) * 256u +
-                                            static_cast<unsigned char>(bytes[offset + 1])
-                                      : 0u;
-}
+// Numbers of a packet. Bytes behind its end are 0.
 unsigned byte_at(std::string_view bytes, std::size_t offset) {
     return offset < bytes.size() ? static_cast<unsigned char>(bytes[offset]) : 0u;
+}
+unsigned read_be16(std::string_view bytes, std::size_t offset) {
+    return offset + 2 <= bytes.size() ? byte_at(bytes, offset) * 256u + byte_at(bytes, offset + 1) : 0u;
 }
 
 /// An unfragmented IP packet, or one fragment of an IP packet.
 struct IpPacket {
-    /// address of the sender; bytes that are equal in all fragments of a datagram
-    std::string from, key;
+    std::string from;        ///< address of the sender
+    std::string key;         ///< bytes that only the fragments of one datagram share
     std::size_t offset = 0;  ///< byte offset of the fragment in the packet; 0 for an unfragmented packet
     bool has_more = false;   ///< true if more fragments follow this fragment
-    std::string_view payload;
+    std::string_view payload = {};
 };
 
+/// Returns the UDP packet or fragment in an IPv4 packet (RFC 791). Bytes of the header: 0:
+/// its length in 4 bytes (low 4 bits), 2: length of the packet, 4: identification of the
+/// datagram, 6: flags and offset of the fragment, 9: protocol, 12: sender, 16: receiver.
 std::optional<IpPacket> parse_ipv4(std::string_view packet) {
-    const std::size_t head = 4 * (byte_at(packet, 0) & 15);
+    constexpr std::size_t kLeastHeader = 20;
+    constexpr unsigned kMoreFragments = 0x2000, kOffsetMask = 0x1fff, kBytesPerOffset = 8;
+    const std::size_t header_bytes = 4 * (byte_at(packet, 0) & 15);
     // Removes the padding of the Ethernet frame. Ignores a length of 0, because network
     // cards that split packets do not write the length.
-    if (const std::size_t length = read_be16(packet, 2); length >= 20) packet = packet.substr(0, length);
-    if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdpProtocol) return std::nullopt;
+    const std::size_t length = read_be16(packet, 2);
+    if (length >= kLeastHeader) packet = packet.substr(0, length);
+    if (header_bytes < kLeastHeader || packet.size() < header_bytes) return std::nullopt;
+    if (byte_at(packet, 9) != kUdpProtocol) return std::nullopt;
     const unsigned flags = read_be16(packet, 6);
-    return IpPacket{fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13), byte_at(packet, 14),
-                                byte_at(packet, 15)),
-                    std::string(packet.substr(12, 8)).append(packet.substr(4, 2)),
-                    std::size_t(8 * (flags & 0x1fff)), (flags & 0x2000) != 0, packet.substr(head)};
+    return IpPacket{.from = fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13),
+                                        byte_at(packet, 14), byte_at(packet, 15)),
+                    .key = std::string(packet.substr(12, 8)).append(packet.substr(4, 2)),
+                    .offset = std::size_t(kBytesPerOffset * (flags & kOffsetMask)),
+                    .has_more = (flags & kMoreFragments) != 0,
+                    .payload = packet.substr(header_bytes)};
 }
 
-/// Returns the UDP packet or fragment in an IPv6 packet. Skips the extension headers that
-/// precede the UDP header.
+/// Returns the UDP packet or fragment in an IPv6 packet (RFC 8200). Bytes of the header: 4:
+/// length of the remainder, 6: type of the next header, 8: sender, 24: receiver. Extension
+/// headers can precede the UDP header. They begin with the type of the next header (byte 0)
+/// and their length (byte 1), in units of 8 bytes beyond the first 8.
 std::optional<IpPacket> parse_ipv6(std::string_view packet) {
     constexpr std::size_t kIpv6HeaderBytes = 40, kFragmentHeaderBytes = 8;
     constexpr unsigned kFragmentHeader = 44, kHopByHopHeader = 0, kRoutingHeader = 43, kOptionsHeader = 60;
     if (packet.size() < kIpv6HeaderBytes) return std::nullopt;
-    std::array<char, INET6_ADDRSTRLEN> text{};
-    inet_ntop(AF_INET6, packet.data() + 8, text.data(), text.size());
-    IpPacket result{fmt::format("[{}]", text.data()), std::string(packet.substr(8, 32)), 0, false, {}};
-    unsigned next = byte_at(packet, 6);
+    std::array<char, INET6_ADDRSTRLEN> sender{};
+    inet_ntop(AF_INET6, packet.data() + 8, sender.data(), sender.size());
+    IpPacket result{.from = fmt::format("[{}]", sender.data()), .key = std::string(packet.substr(8, 32))};
+    unsigned header_type = byte_at(packet, 6);
     std::string_view rest = packet.substr(kIpv6HeaderBytes, read_be16(packet, 4));
-    while (next == kHopByHopHeader || next == kRoutingHeader || next == kOptionsHeader ||
-           next == kFragmentHeader) {
-        const std::size_t size = next == kFragmentHeader ? kFragmentHeaderBytes : 8 * (1 + byte_at(rest, 1));
-        if (rest.size() < size) return std::nullopt;
-        if (next == kFragmentHeader) {
+    const auto is_extension = [](unsigned type) {
+        return type == kHopByHopHeader || type == kRoutingHeader || type == kOptionsHeader ||
+               type == kFragmentHeader;
+    };
+    while (is_extension(header_type)) {
+        const bool is_fragment = header_type == kFragmentHeader;
+        const std::size_t header_bytes = is_fragment ? kFragmentHeaderBytes : 8 * (1 + byte_at(rest, 1));
+        if (rest.size() < header_bytes) return std::nullopt;
+        if (is_fragment) {
+            // bytes 2 and 3: offset of the fragment, in whole 8 bytes, and the bit "more"
             result.offset = read_be16(rest, 2) & 0xfff8;
             result.has_more = (read_be16(rest, 2) & 1) != 0;
-            result.key.append(rest.substr(4, 4));
+            result.key.append(rest.substr(4, 4));  // identification of the datagram
         }
-        next = byte_at(rest, 0);
-        rest.remove_prefix(size);
+        header_type = byte_at(rest, 0);
+        rest.remove_prefix(header_bytes);
     }
+    if (header_type != kUdpProtocol) return std::nullopt;
     result.payload = rest;
-    return next == kUdpProtocol ? std::optional(std::move(result)) : std::nullopt;
+    return result;
 }
 
 /// Size of the header of a frame, and byte offset of its EtherType.
@@ -103,14 +121,17 @@ constexpr LinkType kLinkTypes[] = {{DLT_EN10MB, 14, 12},   {DLT_LINUX_SLL, 16, 1
 /// Returns the UDP packet in a captured network frame, if it has one.
 /// @param link_type  in the table kLinkTypes
 std::optional<IpPacket> parse_ip_packet(std::string_view network_frame, int link_type) {
+    constexpr std::size_t kVlanTagBytes = 4, kLeastIpHeader = 20;
     const LinkType& link = *std::ranges::find(kLinkTypes, link_type, &LinkType::link);
-    std::size_t head = link.head;
+    std::size_t header_bytes = link.head;
     unsigned type = link.type_at == kNoType ? 0 : read_be16(network_frame, link.type_at);
-    // skips VLAN tags
-    for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4)
-        type = read_be16(network_frame, head + 2);
-    if (network_frame.size() < head + 20) return std::nullopt;
-    const std::string_view packet = network_frame.substr(head);
+    const auto is_vlan_tag = [&] { return type == 0x8100 || type == 0x88a8 || type == 0x9100; };
+    while (is_vlan_tag()) {
+        type = read_be16(network_frame, header_bytes + 2);
+        header_bytes += kVlanTagBytes;
+    }
+    if (network_frame.size() < header_bytes + kLeastIpHeader) return std::nullopt;
+    const std::string_view packet = network_frame.substr(header_bytes);
     const unsigned version = byte_at(packet, 0) >> 4;
     if (version == 4 && (type == 0 || type == kEtherIpv4)) return parse_ipv4(packet);
     if (version == 6 && (type == 0 || type == kEtherIpv6)) return parse_ipv6(packet);
@@ -124,37 +145,29 @@ struct Datagram {
     std::string bytes;
 };
 
-/// Fragments may arrive late, twice, or mixed with fragments of other packets.
+/// Joins the fragments of datagrams. Fragments may arrive late, twice, or mixed with
+/// fragments of other datagrams.
 class IpReassembler {
 public:
     /// Adds an IP packet or a fragment at byte `at` of the file.
     /// @return UDP header and payload, if all fragments of the datagram have been added
     std::optional<Datagram> add_fragment(const IpPacket& packet, std::uint64_t at, std::int64_t time_ns) {
         const std::string_view payload = packet.payload;
-        Datagram datagram{packet.from, at, time_ns, std::string(payload)};
-        if (packet.offset == 0 && !packet.has_more) return datagram;
-        if (packet.offset + payload.size() > kMaxDatagramBytes) return std::nullopt;
-        // Identifications are reused, so fragments of old datagrams are erased.
-        std::erase_if(pending_, [&](const auto& keyed) {
-            return std::abs(time_ns - keyed.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
-        });
-        // Erases the oldest pending datagram if there are too many.
-        if (!pending_.contains(packet.key) && pending_.size() >= kMaxPending)
-            pending_.erase(std::ranges::min_element(
-                pending_, {}, [](const auto& keyed) { return keyed.second.datagram.at; }));
+        const std::size_t payload_end = packet.offset + payload.size();
+        if (packet.offset == 0 && !packet.has_more)
+            return Datagram{packet.from, at, time_ns, std::string(payload)};
+        if (payload_end > kMaxDatagramBytes) return std::nullopt;
+        make_space(packet.key, time_ns);
         PendingDatagram& pending = pending_[packet.key];
         if (pending.parts.empty()) pending.datagram = {packet.from, at, time_ns, {}};
         std::string& bytes = pending.datagram.bytes;
-        bytes.resize(std::max(bytes.size(), packet.offset + payload.size()));
-        std::copy(payload.begin(), payload.end(), bytes.begin() + std::ptrdiff_t(packet.offset));
-        std::size_t& end = pending.parts[packet.offset];
-        end = std::max(end, packet.offset + payload.size());
-        if (!packet.has_more) pending.total = packet.offset + payload.size();
-        std::size_t received = 0;  // bytes without a gap from the start
-        for (const auto& [offset, fragment_end] : pending.parts)
-            if (offset <= received) received = std::max(received, fragment_end);
-        if (pending.total == 0 || received != pending.total) return std::nullopt;
-        datagram = std::move(pending.datagram);
+        bytes.resize(std::max(bytes.size(), payload_end));
+        std::ranges::copy(payload, bytes.begin() + std::ptrdiff_t(packet.offset));
+        std::size_t& part_end = pending.parts[packet.offset];
+        part_end = std::max(part_end, payload_end);
+        if (!packet.has_more) pending.total = payload_end;
+        if (!pending.is_complete()) return std::nullopt;
+        Datagram datagram = std::move(pending.datagram);
         pending_.erase(packet.key);
         return datagram;
     }
@@ -164,14 +177,33 @@ private:
         std::map<std::size_t, std::size_t> parts;  ///< end of each received fragment, by its byte offset
         std::size_t total = 0;  ///< size of the datagram; known when the last fragment has been received
         Datagram datagram;
+
+        bool is_complete() const {
+            std::size_t received = 0;  // bytes without a gap from the start
+            for (const auto& [offset, part_end] : parts)
+                if (offset <= received) received = std::max(received, part_end);
+            return total != 0 && received == total;
+        }
     };
-    std::map<std::string, PendingDatagram> pending_;
+    std::map<std::string, PendingDatagram> pending_;  ///< by IpPacket::key
+
+    /// Erases old datagrams, because identifications are reused. Erases the oldest one if a
+    /// new datagram would be one too many.
+    void make_space(const std::string& key, std::int64_t time_ns) {
+        std::erase_if(pending_, [&](const auto& entry) {
+            return std::abs(time_ns - entry.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
+        });
+        if (pending_.contains(key) || pending_.size() < kMaxPending) return;
+        pending_.erase(std::ranges::min_element(pending_, {},
+                                                [](const auto& entry) { return entry.second.datagram.at; }));
+    }
 };
 
 struct ClosePcap {
     void operator()(pcap_t* pcap) const { pcap_close(pcap); }
 };
 
+/// A network capture, read with libpcap.
 class PcapFile : public BagFile {
 public:
     PcapFile(const std::filesystem::path& file, const std::filesystem::path& name) : path_(name) {
@@ -201,23 +233,10 @@ public:
             CaptureStream* stream = find_stream(*datagram, topics);
             if (!stream) continue;
             callbacks.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
-            if (is_after_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
-                emit_message(*stream, callbacks);
-            if (stream->n++ == 0) {  // first datagram of a message
-                stream->at = stream->first_at = datagram->at;
-                stream->log_ns = datagram->stamp_ns;
-            }
-            // Late fragments: a datagram that is complete later can start earlier.
-            stream->at = std::min(stream->at, datagram->at);
-            // Datagrams of unknown products are only counted, by their size.
-            if (stream->product) append_datagram(stream->run, *datagram);
-            if (!stream->product && stream->n_of_bytes.size() < kMaxPending)
-                ++stream->n_of_bytes[payload_of(*datagram).size()];
-            if (!stream->product || is_complete(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
-                emit_message(*stream, callbacks);
+            add_datagram(*stream, *datagram, callbacks);
         }
         for (auto& [key, stream] : streams_)
-            if (stream.n > 0) emit_message(stream, callbacks);
+            if (stream.n_datagrams > 0) emit_message(stream, callbacks);
         if (broken.empty() || !ousters_.empty()) report_undecoded(callbacks);
         if (n_cut_ > 0)
             callbacks.note(
@@ -227,25 +246,29 @@ public:
 
     SharedBytes read_message(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
-        const auto stream = std::ranges::find_if(
-            streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
-        if (stream == streams_.end())
+        const auto entry = std::ranges::find_if(
+            streams_, [&](const auto& candidate) { return candidate.second.number == place.in_chunk; });
+        if (entry == streams_.end())
             fail("the capture file changed while it was read: one of its packet streams is missing");
+        const auto& [key, stream] = *entry;
+        // Reading starts at `place.at`. The first complete datagram may start later.
+        const auto late = stream.late_messages.find(place.at);
+        const std::uint64_t first_at = late == stream.late_messages.end() ? place.at : late->second;
         seek_to_byte(place.at);
         IpReassembler fragments;
-        std::string run;
-        const auto late = stream->second.late_runs.find(place.at);
-        // Reading starts at `place.at`. The first complete datagram may start later.
-        const std::uint64_t first_at = late == stream->second.late_runs.end() ? place.at : late->second;
+        std::string bytes;
+        std::size_t n_datagrams = 0;
         std::int64_t first_ns = 0;
-        for (std::size_t n = 0; const auto datagram = read_datagram(fragments, nullptr);) {
-            if (make_stream_key(*datagram) != stream->first || (n == 0 && datagram->at != first_at)) continue;
-            if (is_after_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
-            if (n++ == 0) first_ns = datagram->stamp_ns;
-            append_datagram(run, *datagram);
-            if (is_complete(stream->second, n, datagram->stamp_ns - first_ns)) break;
+        while (const auto datagram = read_datagram(fragments, nullptr)) {
+            const bool is_before_message = n_datagrams == 0 && datagram->at != first_at;
+            if (make_stream_key(*datagram) != key || is_before_message) continue;
+            if (is_after_pause(stream, n_datagrams, datagram->stamp_ns - first_ns)) break;
+            if (n_datagrams == 0) first_ns = datagram->stamp_ns;
+            ++n_datagrams;
+            append_datagram(bytes, *datagram);
+            if (is_complete(stream, n_datagrams, datagram->stamp_ns - first_ns)) break;
         }
-        return share_bytes(encode_message(stream->second, std::move(run)));
+        return share_bytes(encode_message(stream, std::move(bytes)));
     }
 
 private:
@@ -253,19 +276,20 @@ private:
     /// is null for datagrams that are not LiDAR packets.
     using CaptureStreamKey =
         std::tuple<std::string, const packets::LidarProduct*, const packets::OusterMetadata*>;
+    /// Datagrams of one sender. Consecutive datagrams are collected to a message.
     struct CaptureStream {
         std::size_t topic = 0;
-        std::uint64_t number = 0;
+        std::uint64_t number = 0;  ///< identifies the stream in MessagePosition::in_chunk
         const packets::LidarProduct* product = nullptr;
-        std::string run;
-        std::size_t n = 0;
+        std::string bytes;            ///< datagrams of the current message
+        std::size_t n_datagrams = 0;  ///< number of datagrams of the current message
         /// Byte offsets of a message, whose IP fragments can be mixed: the earliest start
         /// of a datagram, where reading begins, and the start of the first complete
         /// datagram.
         std::uint64_t at = 0, first_at = 0;
-        std::int64_t log_ns = 0;
+        std::int64_t log_ns = 0;  ///< time of the first datagram of the current message
         /// `first_at` by `at`, for messages in which they differ.
-        std::map<std::uint64_t, std::uint64_t> late_runs;
+        std::map<std::uint64_t, std::uint64_t> late_messages;
         /// Number of datagrams of each size, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterMetadata> ouster;  ///< metadata of the sensor
@@ -282,12 +306,30 @@ private:
     mutable std::mutex lock_;  ///< protects the read position in the file
 
     static std::string_view payload_of(const Datagram& datagram) {
-        return std::string_view(datagram.bytes).substr(8);
+        return std::string_view(datagram.bytes).substr(kUdpHeaderBytes);
     }
+    /// Appends time, size and payload of a datagram.
     static void append_datagram(std::string& message_bytes, const Datagram& datagram) {
         append_raw(message_bytes, datagram.stamp_ns);
-        append_raw(message_bytes, std::uint32_t(datagram.bytes.size() - 8));
+        append_raw(message_bytes, std::uint32_t(payload_of(datagram).size()));
         message_bytes.append(payload_of(datagram));
+    }
+    /// Adds a datagram to the current message of its stream. Emits messages that are complete.
+    void add_datagram(CaptureStream& stream, const Datagram& datagram, const ReadCallbacks& callbacks) const {
+        if (is_after_pause(stream, stream.n_datagrams, datagram.stamp_ns - stream.log_ns))
+            emit_message(stream, callbacks);
+        if (stream.n_datagrams == 0) {
+            stream.at = stream.first_at = datagram.at;
+            stream.log_ns = datagram.stamp_ns;
+        }
+        ++stream.n_datagrams;
+        // Late fragments: a datagram that is complete later can start earlier.
+        stream.at = std::min(stream.at, datagram.at);
+        // Datagrams of unknown products are only counted, by their size.
+        if (stream.product) append_datagram(stream.bytes, datagram);
+        else if (stream.n_of_bytes.size() < kMaxPending) ++stream.n_of_bytes[payload_of(datagram).size()];
+        if (!stream.product || is_complete(stream, stream.n_datagrams, datagram.stamp_ns - stream.log_ns))
+            emit_message(stream, callbacks);
     }
     std::uint64_t tell() const { return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0)); }
     void seek_to_byte(std::uint64_t file_offset) const {
@@ -312,19 +354,20 @@ private:
                 continue;
             }
             constexpr std::int64_t kMaxTime_s = 4'000'000'000;  // later times are damaged
-            if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kMaxTime_s) continue;
+            const auto seconds = std::int64_t(head->ts.tv_sec);
+            if (seconds < 0 || seconds > kMaxTime_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
             // The field tv_usec contains nanoseconds, because libpcap was opened with
             // this precision.
-            const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
+            const std::int64_t stamp_ns = seconds * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
             auto datagram = reassembler.add_fragment(*packet, at, stamp_ns);
-            if (!datagram || datagram->bytes.size() < 8) continue;
-            const unsigned length = read_be16(datagram->bytes, 4);
-            if (length < 8 || length > datagram->bytes.size()) continue;
-            datagram->bytes.resize(length);
-            datagram->source += fmt::format(":{}", read_be16(datagram->bytes, 2));
+            if (!datagram || datagram->bytes.size() < kUdpHeaderBytes) continue;
+            const unsigned length = read_be16(datagram->bytes, kUdpLengthAt);
+            if (length < kUdpHeaderBytes || length > datagram->bytes.size()) continue;
+            datagram->bytes.resize(length);  // removes padding
+            datagram->source += fmt::format(":{}", read_be16(datagram->bytes, kUdpPortAt));
             return datagram;
         }
     }
@@ -391,11 +434,12 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
+    /// Returns true if a message is complete. A Livox sends no revolutions, so its messages
+    /// last a fixed time. Other messages have a fixed number of datagrams.
     /// @param elapsed_ns  time from the first to the last datagram
     static bool is_complete(const CaptureStream& stream, std::size_t n_datagrams, std::int64_t elapsed_ns) {
-        return stream.livox_frame.empty()
-                   ? n_datagrams == kMinStreamPackets
-                   : elapsed_ns >= packets::kLivoxCloud_ns || n_datagrams == packets::kMostLivoxPackets;
+        if (stream.livox_frame.empty()) return n_datagrams == kMinStreamPackets;
+        return elapsed_ns >= packets::kLivoxCloud_ns || n_datagrams == packets::kMostLivoxPackets;
     }
     /// A datagram of a Livox after a pause begins a new message.
     static bool is_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
@@ -403,6 +447,7 @@ private:
         return n_datagrams_in_message > 0 && !stream.livox_frame.empty() &&
                time_since_message_start_ns >= 2 * packets::kLivoxCloud_ns;
     }
+    /// Returns the bytes of a message. The packets of a Livox become a cloud.
     static std::string encode_message(const CaptureStream& stream, std::string datagram_bytes) {
         return stream.livox_frame.empty() ? datagram_bytes
                                           : packets::join_livox_packets(datagram_bytes, stream.livox_frame);
@@ -410,11 +455,11 @@ private:
 
     /// Passes the collected datagrams of a stream to the caller as one message.
     void emit_message(CaptureStream& stream, const ReadCallbacks& callbacks) const {
-        if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
+        if (stream.at != stream.first_at) stream.late_messages[stream.at] = stream.first_at;
         callbacks.message_callback(
-            {stream.topic, stream.log_ns, encode_message(stream, stream.run), {stream.at, stream.number}});
-        stream.run.clear();
-        stream.n = 0;
+            {stream.topic, stream.log_ns, encode_message(stream, stream.bytes), {stream.at, stream.number}});
+        stream.bytes.clear();
+        stream.n_datagrams = 0;
     }
 };
 
