@@ -30,16 +30,21 @@ constexpr std::int64_t kMaxRecordingGap_ns = kOffsetUnit_ns;
 constexpr double kLeastSpread_ns = 5e8, kMostSpread_ns = 5e9;
 // Recording times that pass much faster than the time stamps come from a conversion.
 constexpr double kLeastPace = 0.5;
+constexpr std::size_t kMinMessages = 3;  // from which an offset is estimated
 
 /// Rounds an offset to a known difference between clocks: leap seconds since 1999 and
 /// time zones. A cloud is recorded up to 0.25 s later than a pose of the same time, so
 /// the measured offset is too small by this delay.
 std::int64_t round_offset(std::int64_t measured_ns) {
-    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 100 * kNsPerMs));
+    constexpr std::int64_t kUsualDelay_ns = 100 * kNsPerMs;
+    constexpr std::int64_t kMinDelay_ns = -50 * kNsPerMs, kMaxDelay_ns = 250 * kNsPerMs;
+    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
     const std::int64_t n = std::abs(seconds), delay_ns = seconds * kOffsetUnit_ns - measured_ns;
-    const bool is_known = (n >= 13 && n <= 19) || (n >= 32 && n <= 37) || n % 900 == 0;
-    return is_known && delay_ns >= -50 * kNsPerMs && delay_ns <= 250 * kNsPerMs ? seconds * kOffsetUnit_ns
-                                                                                : measured_ns;
+    const bool are_leap_seconds = (n >= 13 && n <= 19) || (n >= 32 && n <= 37);  // GPS or TAI minus UTC
+    const bool is_time_zone = n % 900 == 0;                                      // quarters of an hour
+    const bool is_known = are_leap_seconds || is_time_zone;
+    const bool is_possible_delay = delay_ns >= kMinDelay_ns && delay_ns <= kMaxDelay_ns;
+    return is_known && is_possible_delay ? seconds * kOffsetUnit_ns : measured_ns;
 }
 
 /// Returns true if most messages have the time stamps of reference messages, as poses
@@ -48,10 +53,10 @@ std::int64_t round_offset(std::int64_t measured_ns) {
 bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
                   std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
-    for (const MessageTimes& m : reference) stamps.insert(m.stamp_ns);
+    for (const MessageTimes& times : reference) stamps.insert(times.stamp_ns);
     const auto count_equal = [&](std::int64_t shift_ns) {
         return std::size_t(std::ranges::count_if(
-            messages, [&](const MessageTimes& m) { return stamps.contains(m.stamp_ns - shift_ns); }));
+            messages, [&](const MessageTimes& times) { return stamps.contains(times.stamp_ns - shift_ns); }));
     };
     const std::size_t n_equal = count_equal(0);
     return 2 * n_equal > messages.size() && count_equal(offset_ns) < n_equal;
@@ -64,12 +69,13 @@ constexpr std::size_t kLeastRun = 3;                 // fewer clouds between two
 /// Clouds [begin, end) between two jumps.
 struct ClockRun {
     std::size_t begin = 0, end = 0;
-    std::int64_t ahead_ns = 0;     ///< median time by which the clouds are ahead of the reference
-    std::int64_t recorder_ns = 0;  ///< median time by which they are ahead of the recorder
+    std::int64_t ahead_ns = 0;           ///< median time by which the clouds are ahead of the reference
+    std::int64_t ahead_recorder_ns = 0;  ///< median time by which they are ahead of the recorder
 
     std::size_t size() const { return end - begin; }
 };
 
+/// Returns the median of function(i) for the indices [begin, end).
 template <class Function>
 std::int64_t median_of(std::size_t begin, std::size_t end, const Function& function) {
     std::vector<std::int64_t> values;
@@ -78,33 +84,104 @@ std::int64_t median_of(std::size_t begin, std::size_t end, const Function& funct
 }
 
 /// Splits the clouds where their times jump. A late message is no jump: its time stamp
-/// follows the previous one regularly. Without recording times, only days are jumps.
+/// follows the previous one regularly.
+/// @param has_log  false: recording times cannot be compared, so only days are jumps
 std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogClock clock,
-                                     const std::vector<MessageTimes>& reference, std::int64_t period_ns,
-                                     bool has_log) {
+                                     std::int64_t period_ns, bool has_log) {
+    const auto is_jump = [&](const CloudEntry& before, const CloudEntry& cloud) {
+        const std::int64_t step_ns = cloud.time_ns(clock) - before.time_ns(clock);
+        const std::int64_t log_step_ns = cloud.log_ns - before.log_ns;
+        if (!has_log) return std::abs(step_ns) >= kDay_ns;
+        const bool is_regular = std::abs(step_ns - period_ns) <= std::abs(log_step_ns - period_ns);
+        const bool is_late = is_regular && (step_ns > 0 || log_step_ns < 0);
+        return std::abs(step_ns - log_step_ns) >= kMinJump_ns && !is_late;
+    };
     std::vector<ClockRun> runs{{}};
     for (std::size_t i = 1; i < clouds.size(); ++i) {
-        const std::int64_t step_ns = clouds[i].time_ns(clock) - clouds[i - 1].time_ns(clock),
-                           log_ns = clouds[i].log_ns - clouds[i - 1].log_ns;
-        const bool is_late =
-            std::abs(step_ns - period_ns) <= std::abs(log_ns - period_ns) && (step_ns > 0 || log_ns < 0);
-        if (has_log ? std::abs(step_ns - log_ns) < kMinJump_ns || is_late : std::abs(step_ns) < kDay_ns)
-            continue;
+        if (!is_jump(clouds[i - 1], clouds[i])) continue;
         runs.back().end = i;
-        runs.push_back({i});
+        runs.push_back({.begin = i});
     }
     runs.back().end = clouds.size();
-    const auto recorder_ns_of = [&](std::size_t i) {
+    return runs;
+}
+
+/// Sets by how much the clouds of each run are ahead of the recorder and the reference.
+/// @param has_log  see split_at_jumps()
+void measure_runs(std::vector<ClockRun>& runs, const std::vector<CloudEntry>& clouds, LogClock clock,
+                  const std::vector<MessageTimes>& reference, bool has_log) {
+    const auto ahead_recorder_ns = [&](std::size_t i) {
         return clouds[i].time_ns(clock) - (has_log ? clouds[i].log_ns : 0);
     };
     for (ClockRun& run : runs) {
-        run.recorder_ns = median_of(run.begin, run.end, recorder_ns_of);
+        run.ahead_recorder_ns = median_of(run.begin, run.end, ahead_recorder_ns);
         run.ahead_ns = median_of(run.begin, run.end, [&](std::size_t i) {
             const MessageTimes* near = find_nearest(reference, clouds[i].log_ns);
-            return recorder_ns_of(i) - (has_log && near ? near->stamp_ns - near->log_ns : 0);
+            return ahead_recorder_ns(i) - (has_log && near ? near->stamp_ns - near->log_ns : 0);
         });
     }
-    return runs;
+}
+
+/// Messages and the reference messages that were recorded nearest to them.
+struct OffsetSamples {
+    std::vector<std::int64_t> ahead_ns;            ///< time stamp minus recording time of each message
+    std::vector<std::int64_t> reference_ahead_ns;  ///< the same of the reference message
+    std::vector<std::int64_t> offset_ns;           ///< difference of both
+
+    std::size_t size() const { return offset_ns.size(); }
+
+    /// Returns true if messages [begin, end) are ahead of the recorder, but the reference
+    /// is not. No delay explains this, because a message is recorded after its time stamp.
+    bool are_ahead(std::size_t begin, std::size_t end) const {
+        return median_of(begin, end, [&](std::size_t i) { return ahead_ns[i]; }) > kMaxAhead_ns &&
+               median_of(begin, end, [&](std::size_t i) { return reference_ahead_ns[i]; }) < kMaxAhead_ns / 3;
+    }
+    std::int64_t median_offset_ns(std::size_t begin, std::size_t end) const {
+        return median_of(begin, end, [&](std::size_t i) { return offset_ns[i]; });
+    }
+};
+
+/// Pairs messages by their recording times.
+/// @param reference  sorted by recording time
+OffsetSamples pair_messages(const std::vector<MessageTimes>& messages,
+                            const std::vector<MessageTimes>& reference) {
+    OffsetSamples samples;
+    for (const MessageTimes& message : messages) {
+        const MessageTimes* near = find_nearest(reference, message.log_ns);
+        if (!near || std::abs(near->log_ns - message.log_ns) > kMaxRecordingGap_ns) continue;
+        samples.ahead_ns.push_back(message.stamp_ns - message.log_ns);
+        samples.reference_ahead_ns.push_back(near->stamp_ns - near->log_ns);
+        samples.offset_ns.push_back(samples.ahead_ns.back() - samples.reference_ahead_ns.back());
+    }
+    return samples;
+}
+
+/// Returns true if the recording times come from a conversion, which writes messages faster
+/// than they were measured. Such times do not show delays.
+bool is_converted(const std::vector<MessageTimes>& messages) {
+    const auto duration_ns = [&](std::int64_t MessageTimes::*time) {
+        return std::abs(double(messages.back().*time) - double(messages.front().*time));
+    };
+    return duration_ns(&MessageTimes::log_ns) < kLeastPace * duration_ns(&MessageTimes::stamp_ns);
+}
+
+/// Returns the drift of a clock: the change of the median offset from the first to the last
+/// tenth of the messages, and the larger of these offsets. Returns 0 if the change is small,
+/// or if messages that are late for a while can explain it.
+ClockOffset find_drift(const OffsetSamples& samples) {
+    const std::size_t n = samples.size(), n_tenth = n / 10;
+    if (n_tenth < kMinMessages) return {};
+    const std::int64_t median_ns = samples.median_offset_ns(0, n);
+    const std::int64_t first_ns = samples.median_offset_ns(0, n_tenth);
+    const std::int64_t last_ns = samples.median_offset_ns(n - n_tenth, n);
+    const std::int64_t change_ns = std::abs(last_ns - first_ns);
+    const bool is_last_larger = std::abs(last_ns) > std::abs(first_ns);
+    const bool is_clock = is_last_larger ? samples.are_ahead(n - n_tenth, n) : samples.are_ahead(0, n_tenth);
+    // Messages that are late for a while do not change the offset evenly.
+    const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
+    const bool is_drift = is_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns;
+    if (!is_drift) return {};
+    return {.offset_ns = is_last_larger ? last_ns : first_ns, .drift_ns = last_ns - first_ns};
 }
 
 }  // namespace
@@ -124,71 +201,36 @@ std::string ClockOffset::describe(const std::string& reference_name) const {
 }
 
 const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
-    auto near = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
-    if (near != messages.begin() &&
-        (near == messages.end() || log_ns - std::prev(near)->log_ns < near->log_ns - log_ns))
-        --near;
-    return near == messages.end() ? nullptr : &*near;
+    const auto after = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
+    if (after == messages.begin()) return messages.empty() ? nullptr : &*after;
+    const auto before = std::prev(after);
+    const bool is_before_nearer = after == messages.end() || log_ns - before->log_ns < after->log_ns - log_ns;
+    return is_before_nearer ? &*before : &*after;
 }
 
 ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vector<MessageTimes> reference) {
-    constexpr std::size_t kMinMessages = 3;
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
-    std::vector<std::int64_t> offsets_ns, ahead_ns, reference_ahead_ns;
-    for (const MessageTimes& m : messages) {
-        const MessageTimes* near = find_nearest(reference, m.log_ns);
-        if (!near || std::abs(near->log_ns - m.log_ns) > kMaxRecordingGap_ns) continue;
-        ahead_ns.push_back(m.stamp_ns - m.log_ns);
-        reference_ahead_ns.push_back(near->stamp_ns - near->log_ns);
-        offsets_ns.push_back(ahead_ns.back() - reference_ahead_ns.back());
-    }
-    const auto passed_ns = [&](std::int64_t MessageTimes::*time) {
-        return std::abs(double(messages.back().*time) - double(messages.front().*time));
-    };
-    // Recording times from a conversion do not show delays, so they are not compared.
-    if (offsets_ns.size() < kMinMessages ||
-        passed_ns(&MessageTimes::log_ns) < kLeastPace * passed_ns(&MessageTimes::stamp_ns))
-        return {};
-    const std::size_t n = offsets_ns.size(), n_tenth = n / 10;
-    const auto find_median = [&](const std::vector<std::int64_t>& values, std::size_t begin,
-                                 std::size_t end) {
-        return compute_median(
-            std::vector(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end)));
-    };
-    // A message is recorded after its time stamp. So no delay explains an offset of
-    // messages that are ahead of the recorder, if the others are not.
-    const auto is_ahead = [&](std::size_t begin, std::size_t end) {
-        return find_median(ahead_ns, begin, end) > kMaxAhead_ns &&
-               find_median(reference_ahead_ns, begin, end) < kMaxAhead_ns / 3;
-    };
-    ClockOffset clock;
-    const std::int64_t least_ns = is_ahead(0, n) ? kMaxAhead_ns : kLeastOffset_ns;
-    const std::int64_t median_ns = find_median(offsets_ns, 0, n);
-    // A drift is the change of the median offset from the first to the last tenth of
-    // messages.
-    if (n_tenth >= kMinMessages) {
-        const std::int64_t first_ns = find_median(offsets_ns, 0, n_tenth),
-                           last_ns = find_median(offsets_ns, n - n_tenth, n);
-        const bool is_last = std::abs(last_ns) > std::abs(first_ns);
-        const bool is_clock = is_last ? is_ahead(n - n_tenth, n) : is_ahead(0, n_tenth);
-        // Messages that are late for a while do not change the offset evenly.
-        const std::int64_t change_ns = std::abs(last_ns - first_ns);
-        const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
-        if (is_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns)
-            clock = {is_last ? last_ns : first_ns, last_ns - first_ns};
-    }
-    std::ranges::sort(offsets_ns);
-    // Range of the middle 80 % of the offsets. An offset is used only if it is steady.
-    const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
+    OffsetSamples samples = pair_messages(messages, reference);
+    const std::size_t n = samples.size();
+    if (n < kMinMessages || is_converted(messages)) return {};
+    const std::int64_t median_ns = samples.median_offset_ns(0, n);
     if (std::abs(median_ns) > kMostOffset_ns) return {};
-    if (spread_ns > std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns) ||
-        std::abs(median_ns) < least_ns) {
-        if (clock.drift_ns == 0) return {};
-    } else {
-        clock = {round_offset(median_ns), clock.drift_ns, std::abs(median_ns) >= kClear_ns};
-    }
+    const bool are_ahead = samples.are_ahead(0, n);
+    ClockOffset clock = find_drift(samples);
+
+    // An offset is used only if it is steady: its middle 80 % are close together.
+    std::ranges::sort(samples.offset_ns);
+    const double spread_ns = double(samples.offset_ns[n - 1 - n / 10]) - double(samples.offset_ns[n / 10]);
+    const double max_spread_ns =
+        std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns);
+    const bool is_large = std::abs(median_ns) >= (are_ahead ? kMaxAhead_ns : kLeastOffset_ns);
+    if (spread_ns <= max_spread_ns && is_large)
+        clock = {.offset_ns = round_offset(median_ns),
+                 .drift_ns = clock.drift_ns,
+                 .is_clear = std::abs(median_ns) >= kClear_ns};
+    else if (clock.drift_ns == 0) return {};
     if (share_stamps(messages, reference, clock.offset_ns)) {
-        if (clock.drift_ns != 0 && least_ns == kLeastOffset_ns) return {};
+        if (clock.drift_ns != 0 && !are_ahead) return {};
         clock.is_clear = false;
     }
     return clock;
@@ -198,40 +240,44 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
                             std::vector<MessageTimes> reference) {
     if (clouds.size() <= kLeastRun) return "";
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
-    const auto median_period_ns = [&](LogClock of) {
-        return median_of(1, clouds.size(),
-                         [&](std::size_t i) { return clouds[i].time_ns(of) - clouds[i - 1].time_ns(of); });
+    const auto median_period_ns = [&](LogClock any_clock) {
+        return median_of(1, clouds.size(), [&](std::size_t i) {
+            return clouds[i].time_ns(any_clock) - clouds[i - 1].time_ns(any_clock);
+        });
     };
     const std::int64_t period_ns = median_period_ns(clock);
     // Recording times of a conversion differ from the times of measurement.
     const bool has_log = clock == LogClock::stamps && period_ns > 0 &&
                          std::abs(median_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
-    const std::vector<ClockRun> runs = split_at_jumps(clouds, clock, reference, period_ns, has_log);
+    std::vector<ClockRun> runs = split_at_jumps(clouds, clock, period_ns, has_log);
+    measure_runs(runs, clouds, clock, reference, has_log);
     // Prefers clouds on the clock of the reference.
     const ClockRun main = *std::ranges::max_element(runs, {}, [](const ClockRun& run) {
         return std::pair(std::abs(run.ahead_ns) <= kMinJump_ns && run.size() >= kLeastRun, run.size());
     });
     if (main.size() < kLeastRun) return "";
+
     std::vector<CloudEntry> kept;
     std::size_t n_moved = 0;
-    std::int64_t moved_ns = 0, out_ns = 0;
+    std::int64_t moved_ns = 0, left_out_ns = 0;  // of one run, as an example for the user
     for (const ClockRun& run : runs) {
-        const std::int64_t about_ns = run.ahead_ns - main.ahead_ns;
-        const bool is_other = std::abs(about_ns) > kMinJump_ns;
-        const bool is_unclear =
-            std::max(run.recorder_ns, main.recorder_ns) <= kMaxAhead_ns && std::abs(about_ns) < kMostDelay_ns;
-        if (is_other && run.size() < kLeastRun && !is_unclear) {
-            out_ns = about_ns;
+        const std::int64_t ahead_ns = run.ahead_ns - main.ahead_ns;
+        const bool is_other_clock = std::abs(ahead_ns) > kMinJump_ns;
+        const bool may_be_late = std::max(run.ahead_recorder_ns, main.ahead_recorder_ns) <= kMaxAhead_ns &&
+                                 std::abs(ahead_ns) < kMostDelay_ns;
+        if (is_other_clock && run.size() < kLeastRun && !may_be_late) {
+            left_out_ns = ahead_ns;
             continue;
         }
         kept.insert(kept.end(), clouds.begin() + std::ptrdiff_t(run.begin),
                     clouds.begin() + std::ptrdiff_t(run.end));
-        if (!is_other || !has_log || is_unclear) continue;
-        // The nearest clouds of both runs are whole sweeps apart.
+        if (!is_other_clock || !has_log || may_be_late) continue;
+        // The nearest clouds of both runs are whole sweeps apart, which is more precise
+        // than `ahead_ns`.
         const bool is_before = run.begin < main.begin;
         const std::int64_t step_ns = clouds[is_before ? run.end - 1 : run.begin].stamp_ns -
                                      clouds[is_before ? main.begin : main.end - 1].stamp_ns;
-        moved_ns = step_ns - period_ns * std::llround(double(step_ns - about_ns) / double(period_ns));
+        moved_ns = step_ns - period_ns * std::llround(double(step_ns - ahead_ns) / double(period_ns));
         n_moved += run.size();
         for (std::size_t i = kept.size() - run.size(); i < kept.size(); ++i) {
             kept[i].stamp_ns -= moved_ns;
@@ -242,7 +288,7 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
     if (kept.size() < clouds.size())
         text = fmt::format(
             "{} clouds are left out, because their times are far from their neighbours, for example {:.3f} s",
-            clouds.size() - kept.size(), 1e-9 * double(std::abs(out_ns)));
+            clouds.size() - kept.size(), 1e-9 * double(std::abs(left_out_ns)));
     if (n_moved > 0)
         text += fmt::format(
             "{}the clock of the time stamps jumps, for example by {:.3f} s; the times of {} clouds are "
