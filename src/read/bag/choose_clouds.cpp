@@ -18,6 +18,7 @@ constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 // Limits of the lists of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
 
+/// Keeps the first texts of a list and replaces the others by their number.
 void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
     if (texts.size() <= max_count) return;
     const std::string more = fmt::format("and {} more", texts.size() - max_count);
@@ -25,6 +26,7 @@ void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
     texts.push_back(more);
 }
 
+/// Returns names and types of the topics of a recording, for an error message.
 std::string format_topics(const BagRecording& bag) {
     std::vector<std::string> texts;
     for (const BagTopic& topic : bag.topics())
@@ -45,39 +47,43 @@ constexpr PacketDriver kPacketDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
+/// Appends the reasons why a topic gave no clouds to `reasons`.
+/// @param t  index of the topic
+void explain_topic(const BagRecording& bag, const BagIndex& index, std::size_t t,
+                   std::vector<std::string>& reasons) {
+    const BagTopic& topic = bag.topics()[t];
+    const TopicStatistics& facts = index.facts[t];
+    const std::string name = quote(topic.name);
+    for (const PacketDriver& packet_driver : kPacketDrivers)
+        if (topic.type.starts_with(packet_driver.package))
+            reasons.push_back(fmt::format(
+                "{}: found packets that relidar cannot decode; convert them to point clouds with {}", name,
+                packet_driver.driver));
+    const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
+    const bool is_empty = clouds != index.clouds.end() && clouds->clouds.empty();
+    if (is_empty && !clouds->packets.empty())
+        reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
+                                      clouds->packets.size(), clouds->packets.describe_product(),
+                                      clouds->packets.describe_faults()));
+    else if (is_empty && clouds->n_empty > 0)
+        reasons.push_back(fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
+    if (facts.n == 0 && find_purpose(topic) == MessagePurpose::cloud)
+        reasons.push_back(fmt::format("topic {} contains no messages", name));
+    if (facts.n_broken > 0) reasons.push_back(fmt::format("{}: {}", name, facts.broken));
+    if (topic.type == packets::kOtherDatagrams)
+        reasons.push_back(fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets",
+                                      name, facts.n));
+}
+
 /// Returns the end of the error message for a bag without clouds. The text explains why
 /// topics that may contain clouds could not be read.
 /// @param requested_topic  topic to explain; empty: all topics
 std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
                               const std::string& requested_topic = "") {
     std::vector<std::string> reasons = bag.file_problems();
-    for (std::size_t t = 0; t < index.facts.size(); ++t) {
-        const BagTopic& topic = bag.topics()[t];
-        if (!requested_topic.empty() && topic.name != requested_topic) continue;
-        const std::string name = quote(topic.name);
-        for (const PacketDriver& packet_driver : kPacketDrivers)
-            if (topic.type.starts_with(packet_driver.package))
-                reasons.push_back(fmt::format(
-                    "{}: found packets that relidar cannot decode; convert them to point clouds with {}",
-                    name, packet_driver.driver));
-        const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
-        const bool is_empty = clouds != index.clouds.end() && clouds->clouds.empty();
-        if (is_empty && !clouds->packets.empty())
-            reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
-                                          clouds->packets.size(), clouds->packets.describe_product(),
-                                          clouds->packets.describe_faults()));
-        else if (is_empty && clouds->n_empty > 0)
-            reasons.push_back(
-                fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
-        if (index.facts[t].n == 0 && find_purpose(topic) == MessagePurpose::cloud)
-            reasons.push_back(fmt::format("topic {} contains no messages", name));
-        if (index.facts[t].n_broken > 0)
-            reasons.push_back(fmt::format("{}: {}", name, index.facts[t].broken));
-        if (topic.type == packets::kOtherDatagrams)
-            reasons.push_back(
-                fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets", name,
-                            index.facts[t].n));
-    }
+    for (std::size_t t = 0; t < index.facts.size(); ++t)
+        if (requested_topic.empty() || bag.topics()[t].name == requested_topic)
+            explain_topic(bag, index, t, reasons);
     if (bag.topics().empty()) reasons.push_back("the recording has no messages");
     shorten_list(reasons, kMostReasons);
     std::string text;
@@ -85,16 +91,19 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
     return text;
 }
 
+// Score of clouds with times. All other fields together give less.
+constexpr double kScoreOfTimes = 100.0;
+
 /// Returns a score that is higher if a topic has raw measurements. Packets have the
 /// highest score, then clouds with times, rings and return numbers, then clouds with many
 /// points.
 double score_raw_data(const CloudTopic& cloud_topic) {
-    if (!cloud_topic.packets.empty()) return 200.0;
-    const bool timed = cloud_topic.has_field(read::PointAttribute::time);
-    const bool ringed = cloud_topic.has_field(read::PointAttribute::ring);
-    const bool numbered = cloud_topic.has_field(read::PointAttribute::return_number) ||
-                          cloud_topic.has_field(read::PointAttribute::return_type);
-    return 100.0 * timed + 50.0 * ringed + 20.0 * numbered +
+    if (!cloud_topic.packets.empty()) return 2.0 * kScoreOfTimes;
+    const bool has_times = cloud_topic.has_field(read::PointAttribute::time);
+    const bool has_rings = cloud_topic.has_field(read::PointAttribute::ring);
+    const bool has_returns = cloud_topic.has_field(read::PointAttribute::return_number) ||
+                             cloud_topic.has_field(read::PointAttribute::return_type);
+    return kScoreOfTimes * has_times + 50.0 * has_rings + 20.0 * has_returns +
            std::log10(1.0 + double(cloud_topic.median_points()));
 }
 
@@ -137,19 +146,19 @@ std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& in
                                      const std::vector<std::string>& topic_names) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : topic_names) {
-        const std::size_t n_before = lidars.size();
-        for (std::size_t c = 0; c < index.clouds.size(); ++c)
-            if (const CloudTopic& clouds = index.clouds[c];
-                !clouds.clouds.empty() &&
-                (bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name))
-                lidars.push_back(c);
-        if (lidars.size() == n_before)
+        const auto is_requested = [&](const CloudTopic& clouds) {
+            const bool has_name = bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name;
+            return has_name && !clouds.clouds.empty();
+        };
+        if (std::ranges::none_of(index.clouds, is_requested))
             fail<UsageError>(
                 "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
                 quote(name), explain_no_clouds(bag, index, name), format_topics(bag));
+        for (std::size_t c = 0; c < index.clouds.size(); ++c)
+            if (is_requested(index.clouds[c])) lidars.push_back(c);
     }
     std::ranges::sort(lidars);
-    lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
+    lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());  // a topic can be named twice
     return lidars;
 }
 
@@ -163,37 +172,44 @@ const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_to
     return cloud_topic.frame;
 }
 
+/// Returns a note that topics are not read, because another topic has their frame.
+std::string describe_copies(const std::vector<std::string>& copies, const std::string& frame,
+                            const std::string& used) {
+    const bool is_one = copies.size() == 1;
+    return fmt::format(
+        "{} {} {} not read, because the clouds have the frame '{}' like {}, so they count as copies; to read "
+        "another LiDAR there, use dataset.lidars={},{}",
+        is_one ? "topic" : "topics", fmt::join(copies, ", "), is_one ? "is" : "are", quote(frame), used, used,
+        fmt::join(copies, ","));
+}
+
 /// If several topics have the same frame, selects the one with the least processed data,
-/// because the others are usually copies. Adds a note about the other topics.
+/// because the others are usually copies. Adds a note about the other topics. Ignores
+/// clouds in the frame of the vehicle or the world if some are in a sensor's frame.
 std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagIndex& index,
                                            std::vector<std::string>& notes) {
-    const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
-    const bool any_of_sensor = std::ranges::any_of(
-        index.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_in_sensor_frame(c); });
-    std::map<std::string, std::vector<std::size_t>> of_frame;
+    const bool has_sensor_frame = std::ranges::any_of(index.clouds, [&](const CloudTopic& clouds) {
+        return !clouds.clouds.empty() && is_in_sensor_frame(clouds);
+    });
+    std::map<std::string, std::vector<std::size_t>> topics_of_frame;
     for (std::size_t c = 0; c < index.clouds.size(); ++c) {
         const CloudTopic& clouds = index.clouds[c];
-        if (!has_clouds(clouds) || (any_of_sensor && !is_in_sensor_frame(clouds))) continue;
-        of_frame[lidar_frame(index, clouds)].push_back(c);
+        if (clouds.clouds.empty() || (has_sensor_frame && !is_in_sensor_frame(clouds))) continue;
+        topics_of_frame[lidar_frame(index, clouds)].push_back(c);
     }
+
     std::vector<std::size_t> lidars;
-    for (const auto& [frame, candidates] : of_frame) {
-        const CloudTopic& best = index.clouds[*std::ranges::max_element(
-            candidates, {}, [&](std::size_t c) { return score_raw_data(index.clouds[c]); })];
-        std::vector<std::string> others;
+    for (const auto& [frame, candidates] : topics_of_frame) {
+        const std::size_t best_index = *std::ranges::max_element(
+            candidates, {}, [&](std::size_t c) { return score_raw_data(index.clouds[c]); });
+        const CloudTopic& best = index.clouds[best_index];
+        std::vector<std::string> copies;
         for (const std::size_t c : candidates) {
             const CloudTopic& clouds = index.clouds[c];
             if (clouds.topic == best.topic) lidars.push_back(c);
-            else if (best.packets.empty()) others.push_back(clouds.make_name(bag));
+            else if (best.packets.empty()) copies.push_back(clouds.make_name(bag));
         }
-        if (others.empty()) continue;
-        const std::string names = fmt::format("{}", fmt::join(others, ", ")),
-                          used = bag.topics()[best.topic].name;
-        notes.push_back(
-            fmt::format("{} not read, because the clouds have the frame '{}' like {}, so they count as "
-                        "copies; to read another LiDAR there, use dataset.lidars={},{}",
-                        others.size() == 1 ? "topic " + names + " is" : "topics " + names + " are",
-                        quote(frame), used, used, fmt::join(others, ",")));
+        if (!copies.empty()) notes.push_back(describe_copies(copies, frame, bag.topics()[best.topic].name));
     }
     std::ranges::sort(lidars);
     return lidars;
@@ -204,10 +220,24 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
 std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& cloud_topic_indices) {
     const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
         const CloudTopic& clouds = index.clouds[c];
-        return std::pair(score_raw_data(clouds) >= 100.0,
+        return std::pair(score_raw_data(clouds) >= kScoreOfTimes,
                          double(clouds.median_points()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - cloud_topic_indices.begin());
+}
+
+/// Returns why a LiDAR cannot be read together with the main LiDAR, or an empty text. Its
+/// mounting must be rigid, and its rate similar.
+std::string find_obstacle(const BagRecording& bag, const BagIndex& index, const CloudTopic& clouds,
+                          const CloudTopic& main) {
+    if (&clouds == &main) return "";
+    if (!index.frames.find_constant(main.frame, clouds.frame))
+        return fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
+                           clouds.frame, main.frame);
+    const double rate = sweep_rate_hz(index, clouds) / std::max(sweep_rate_hz(index, main), 1e-9);
+    if (rate >= kLeastRate && rate <= kMostRate) return "";
+    return fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
+                       bag.topics()[main.topic].name);
 }
 
 }  // namespace
@@ -223,33 +253,26 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
             "livox_ros_driver2/CustomMsg; it contains {}",
             bag.file_paths().front().string(), explain_no_clouds(bag, index), format_topics(bag));
     choice.main = choose_main(index, choice.lidars);
-    const CloudTopic& main = index.clouds[choice.lidars[choice.main]];
-    std::vector<std::size_t> accepted_lidars;
+    const std::size_t main_index = choice.lidars[choice.main];
+    std::vector<std::size_t> accepted;
     for (const std::size_t c : choice.lidars) {
         const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
-        const double rate = sweep_rate_hz(index, clouds) / std::max(sweep_rate_hz(index, main), 1e-9);
-        // Reason to leave out the topic. Its mounting must be rigid, its rate similar.
-        std::string why;
-        if (&clouds != &main && !index.frames.find_constant(main.frame, clouds.frame))
-            why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
-                              clouds.frame, main.frame);
-        else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
-            why = fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
-                              bag.topics()[main.topic].name);
-        if (why.empty()) {
+        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main_index]);
+        if (obstacle.empty()) {
             check_cloud_frame(name, clouds, choice);
-            accepted_lidars.push_back(c);
+            accepted.push_back(c);
         } else if (requested_topics.empty()) {
-            choice.notes.push_back(fmt::format(
-                "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
+            choice.notes.push_back(
+                fmt::format("topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name,
+                            obstacle, name));
         } else {
-            fail("topic {} cannot be read together with the other topics of dataset.lidars: {}", name, why);
+            fail("topic {} cannot be read together with the other topics of dataset.lidars: {}", name,
+                 obstacle);
         }
     }
-    choice.main =
-        std::size_t(std::ranges::find(accepted_lidars, choice.lidars[choice.main]) - accepted_lidars.begin());
-    choice.lidars = std::move(accepted_lidars);
+    choice.main = std::size_t(std::ranges::find(accepted, main_index) - accepted.begin());
+    choice.lidars = std::move(accepted);
     return choice;
 }
 
