@@ -12,6 +12,13 @@ namespace {
 constexpr double kMaxExtrapolation_s = 0.1;
 constexpr std::size_t kMaxDepth = 64;  // maximum depth of the tree
 
+/// Returns true if two poses differ only by rounding errors.
+bool are_poses_equal(const Pose& first, const Pose& second) {
+    constexpr double kMaxShift_m = 1e-6, kMinCosine = 1.0 - 1e-12;  // cosine of half the angle
+    return glm::distance(first.translation, second.translation) <= kMaxShift_m &&
+           std::abs(glm::dot(first.rotation, second.rotation)) >= kMinCosine;
+}
+
 }  // namespace
 
 void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock,
@@ -23,8 +30,8 @@ void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples
     std::int64_t last_ns = 0;
     for (const StampedPose* sample : sorted) {
         const std::int64_t time_ns = sample->time_ns(clock);
-        // Interpolation needs increasing times, so only the first of several equal times
-        // is used.
+        // Interpolation needs increasing times, so only the first of several equal times is
+        // used.
         if (!track.time_s.empty() && time_ns == last_ns) continue;
         last_ns = time_ns;
         track.time_s.push_back(1e-9 * double(time_ns - origin_ns));
@@ -47,19 +54,14 @@ bool TransformChain::covers_time(double t_s) const {
     });
 }
 
-void FrameTree::add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static) {
+void FrameTree::add_transform(const TransformMessage& transform, std::int64_t log_ns, bool is_static) {
     if (transform.child.empty() || transform.child == transform.header.frame) return;
-    FrameTreeEdge& link = parents_[transform.child][transform.header.frame];
-    link.is_static = is_static;
-    if (is_static) link.samples.clear();  // a static transform keeps only its latest sample
-    if (!link.samples.empty()) {
-        // The transform changes if a pose differs from the first pose by more than
-        // rounding errors.
-        const Pose &first = link.samples.front().pose, &current = transform.parent_from_child;
-        link.changes = link.changes || glm::distance(first.translation, current.translation) > 1e-6 ||
-                       std::abs(glm::dot(first.rotation, current.rotation)) < 1.0 - 1e-12;
-    }
-    link.samples.push_back({{transform.header.stamp_ns, time_ns}, transform.parent_from_child});
+    FrameTreeEdge& edge = parents_[transform.child][transform.header.frame];
+    edge.is_static = is_static;
+    if (is_static) edge.samples.clear();  // a static transform keeps only its latest sample
+    if (!edge.samples.empty() && !are_poses_equal(edge.samples.front().pose, transform.parent_from_child))
+        edge.changes = true;
+    edge.samples.push_back({{transform.header.stamp_ns, log_ns}, transform.parent_from_child});
 }
 
 const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent(
@@ -100,21 +102,24 @@ std::optional<Pose> FrameTree::find_constant(const std::string& target, const st
         }
         return std::nullopt;
     };
-    const std::optional<Pose> of_to = climb(target_chain), of_from = climb(source_chain);
-    if (!of_to || !of_from) return std::nullopt;
-    return inverse(*of_to) * *of_from;
+    const std::optional<Pose> common_from_target = climb(target_chain);
+    const std::optional<Pose> common_from_source = climb(source_chain);
+    if (!common_from_target || !common_from_source) return std::nullopt;
+    return inverse(*common_from_target) * *common_from_source;
 }
 
 TransformChain FrameTree::make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                                      LogClock clock, std::int64_t time_origin_ns) const {
     const std::vector<std::string> frame_chain = path_to_root(child_frame);
     TransformChain path;
-    // Appends the transforms from the ancestor down to the child.
-    for (std::size_t k = std::size_t(std::ranges::find(frame_chain, ancestor_frame) - frame_chain.begin());
-         k-- > 0;) {
-        const FrameTreeEdge& up = find_parent(frame_chain[k])->second;
-        if (is_frame_moving(frame_chain[k])) path.append_samples(up.samples, clock, time_origin_ns);
-        else path.append_constant(up.samples.back().pose);
+    // Appends the transforms from the ancestor down to the child. The chain lists the
+    // frames from the child up to the root.
+    auto frame = std::ranges::find(frame_chain, ancestor_frame);
+    while (frame != frame_chain.begin()) {
+        --frame;
+        const FrameTreeEdge& edge = find_parent(*frame)->second;
+        if (is_frame_moving(*frame)) path.append_samples(edge.samples, clock, time_origin_ns);
+        else path.append_constant(edge.samples.back().pose);
     }
     return path;
 }

@@ -22,14 +22,17 @@ namespace {
 
 constexpr std::ptrdiff_t kMostLidarsOnTopic = 32;
 
+/// Adds messages to the index of a recording.
 class BagIndexer {
 public:
     BagIndexer(const BagRecording& bag, BagIndex& survey) : bag_(bag), survey_(survey) {}
 
+    /// Counts a message and adds its content to the index.
     void index_message(const BagMessage& message) {
         if (survey_.facts.size() <= message.topic) survey_.facts.resize(message.topic + 1);
         TopicStatistics& facts = survey_.facts[message.topic];
-        if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
+        if (facts.n == 0) facts.first_ns = facts.last_ns = message.log_ns;
+        ++facts.n;
         facts.first_ns = std::min(facts.first_ns, message.log_ns);
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
         count_broken(message.topic, [&] {
@@ -70,38 +73,28 @@ public:
 private:
     const BagRecording& bag_;
     BagIndex& survey_;
-    /// Angle correction files next to the recording, read when the first packet arrives.
     std::optional<std::vector<packets::AngleCorrection>> corrections_;
     packets::MetadataList ousters_;  ///< metadata known so far
     std::set<std::size_t> late_;     ///< topics with packets that were recorded before their metadata
     std::string broken_metadata_;
     bool has_read_metadata_ = false;
 
+    /// Calls index(). If the message cannot be read, only counts it.
     template <class Function>
     void count_broken(std::size_t topic_index, const Function& index) {
         try {
             index();
         } catch (const DataError& error) {
             TopicStatistics& facts = survey_.facts[topic_index];
-            if (facts.n_broken++ == 0) facts.broken = error.what();
+            if (facts.n_broken == 0) facts.broken = error.what();
+            ++facts.n_broken;
         }
     }
 
     /// Adds a cloud to the entry of its LiDAR. Several LiDARs can share a topic.
     void index_cloud(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud(topic, message.bytes);
-        // An empty cloud often has no frame.
-        const bool has_too_many =
-            std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic) > kMostLidarsOnTopic;
-        auto entry = std::ranges::find_if(survey_.clouds, [&](const CloudTopic& c) {
-            return c.topic == message.topic &&
-                   (has_too_many || cloud.size() == 0 || c.clouds.empty() || c.lidar == cloud.lidar);
-        });
-        if (entry == survey_.clouds.end()) {
-            entry = survey_.clouds.emplace(entry);
-            entry->topic = message.topic;
-        }
-        CloudTopic& clouds = *entry;
+        CloudTopic& clouds = find_cloud_topic(message.topic, cloud);
         if (clouds.clouds.empty()) {
             clouds.fields = cloud.fields;
             clouds.frame = cloud.header.frame;
@@ -111,13 +104,40 @@ private:
             ++clouds.n_empty;
             return;
         }
-        if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
-            clouds.other_frame = cloud.header.frame;
-        const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
+        if (cloud.header.frame != clouds.frame) {
+            if (clouds.n_other_frame == 0) clouds.other_frame = cloud.header.frame;
+            ++clouds.n_other_frame;
+        }
+        const auto n_points = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         const MessageTimes times{cloud.header.stamp_ns, message.log_ns};
-        clouds.clouds.push_back({times, n, message.message_position});
+        clouds.clouds.push_back({times, n_points, message.message_position});
         if (const auto arc = azimuth_arc(to_point_table(cloud, {nullptr, message.bytes})))
-            clouds.arcs.push_back({times, message.message_position, n, *arc});
+            clouds.arcs.push_back({times, message.message_position, n_points, *arc});
+    }
+
+    /// Returns the entry of the LiDAR of a cloud. Adds an entry for a new LiDAR. An empty
+    /// cloud often has no frame, so it counts for any LiDAR of the topic. The same holds
+    /// if the names of LiDARs are too many to be real.
+    CloudTopic& find_cloud_topic(std::size_t topic_index, const CloudMessage& cloud) {
+        const bool has_too_many =
+            std::ranges::count(survey_.clouds, topic_index, &CloudTopic::topic) > kMostLidarsOnTopic;
+        const auto entry = std::ranges::find_if(survey_.clouds, [&](const CloudTopic& known) {
+            if (known.topic != topic_index) return false;
+            return has_too_many || cloud.size() == 0 || known.clouds.empty() || known.lidar == cloud.lidar;
+        });
+        if (entry != survey_.clouds.end()) return *entry;
+        survey_.clouds.emplace_back().topic = topic_index;
+        return survey_.clouds.back();
+    }
+
+    /// Reads the angle correction files next to the recording, when the first packet arrives.
+    const std::vector<packets::AngleCorrection>& read_corrections() {
+        if (corrections_) return *corrections_;
+        corrections_.emplace();  // a file with an error is read only once
+        std::vector<std::filesystem::path> names;
+        for (const std::filesystem::path& file : bag_.file_paths()) names.push_back(strip_packed(file));
+        corrections_ = packets::find_angle_files(names);
+        return *corrections_;
     }
 
     /// Adds the packets of a message. Postpones Ouster packets without known metadata to
@@ -127,18 +147,15 @@ private:
         const std::vector<packets::ReceivedPacket> views =
             packets::read_packets(topic, message.bytes, message.log_ns, header);
         if (views.empty()) return;
-        if (!corrections_) {
-            corrections_.emplace();  // a file with an error is read only once
-            std::vector<std::filesystem::path> names;
-            for (const std::filesystem::path& file : bag_.file_paths()) names.push_back(strip_packed(file));
-            corrections_ = packets::find_angle_files(names);
-        }
-        packets::DecoderCalibration calibration{*corrections_};
+        packets::DecoderCalibration calibration{read_corrections()};
         if (topic.encoding == packets::kLidarDatagrams) read_metadata();
         calibration.ouster = packets::find_metadata(ousters_, topic.name, views.front().bytes);
         if (packets::is_ouster_topic(topic)) {
-            if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
-                return void(late_.insert(message.topic));
+            const bool was_postponed = late_.contains(message.topic);
+            if (!has_read_metadata_ && (was_postponed || !calibration.ouster)) {
+                late_.insert(message.topic);
+                return;
+            }
             if (!calibration.ouster)
                 throw DataError(packets::ouster_error(ousters_, bag_.file_paths().front(), topic.name,
                                                       views.front().bytes.size()) +
@@ -167,12 +184,14 @@ private:
         return std::move(list.transforms);
     }
 
+    /// Adds the transforms of a message to the tree of frames.
     void index_transforms(const BagTopic& topic, const BagMessage& message) {
         const bool is_static = topic.name.ends_with("tf_static");
         for (const TransformMessage& transform : read_valid(topic, message))
             survey_.frames.add_transform(transform, message.log_ns, is_static);
     }
 
+    /// Adds the poses of a message to its topic.
     void index_poses(const BagTopic& topic, const BagMessage& message) {
         for (const TransformMessage& transform : read_valid(topic, message)) {
             PoseTopic& poses = find_entry(survey_.poses, message.topic);
@@ -193,6 +212,7 @@ private:
         fixes.samples.push_back({{fix.header.stamp_ns, message.log_ns}, fix.position});
     }
 
+    /// Counts the boxes of a message. Stores its position, because the boxes are read later.
     void index_boxes(const BagTopic& topic, const BagMessage& message) {
         const BoxListMessage list = read_boxes(topic, message.bytes);
         BoxTopic& boxes = find_entry(survey_.boxes, message.topic);
@@ -206,6 +226,7 @@ private:
             {{list.boxes.front().header.stamp_ns, message.log_ns}, message.message_position});
     }
 
+    /// Returns the entry of a topic. Adds an entry for a new topic.
     template <class Entry>
     static Entry& find_entry(std::vector<Entry>& entries, std::size_t topic_index) {
         const auto existing_entry = std::ranges::find(entries, topic_index, &Entry::topic);
@@ -223,6 +244,7 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
         if (packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
             ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
+        // The driver's frames have the prefix of the topic. A single Ouster may have none.
         const std::string& name = bag.topics()[clouds->topic].name;
         std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
         if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
@@ -230,11 +252,12 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
         for (const std::string& prefix : prefixes) {
             for (const char* frame : {"os_lidar", "os_sensor"})
                 clouds->driver_frames.push_back(prefix + frame);
-            if (bag_index.frames.path_to_root(clouds->frame).size() > 1 ||
-                bag_index.frames.path_to_root(prefix + "os_lidar").size() < 2)
-                continue;
-            bag_index.frames.add_transform(
-                {{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
+            const bool is_connected = bag_index.frames.path_to_root(clouds->frame).size() > 1;
+            const bool has_driver_frame = bag_index.frames.path_to_root(prefix + "os_lidar").size() > 1;
+            if (is_connected || !has_driver_frame) continue;
+            const Pose half_turn{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};  // about z
+            bag_index.frames.add_transform({{0, prefix + "os_lidar"}, clouds->frame, half_turn}, 0,
+                                           /*is_static=*/true);
         }
     }
 }
@@ -249,33 +272,37 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
         if (clouds.topic == topic) entries.push_back(&clouds);
     if (entries.size() == 1) entries[0]->lidar.clear();
     if (entries.size() < 2) return;
-    const CloudTopic& most =
-        **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
-    const auto order_of = [](const auto& entry) {
-        const MessagePosition& at = entry.message_position;
-        return std::tuple(at.file, at.at, at.in_chunk);
+
+    const auto position_of = [](const auto& cloud) {
+        const MessagePosition& position = cloud.message_position;
+        return std::tuple(position.file, position.at, position.in_chunk);
     };
-    const auto is_lidar = [&](const CloudTopic* c) {
-        return c == &most || (order_of(c->clouds.front()) < order_of(most.clouds.back()) &&
-                              order_of(most.clouds.front()) < order_of(c->clouds.back()) &&
-                              double(c->clouds.size()) >= kLeastShare * double(most.clouds.size()));
+    const CloudTopic& most =
+        **std::ranges::max_element(entries, {}, [](const CloudTopic* entry) { return entry->clouds.size(); });
+    const auto is_lidar = [&](const CloudTopic* entry) {
+        if (entry == &most) return true;
+        const bool alternates = position_of(entry->clouds.front()) < position_of(most.clouds.back()) &&
+                                position_of(most.clouds.front()) < position_of(entry->clouds.back());
+        return alternates && double(entry->clouds.size()) >= kLeastShare * double(most.clouds.size());
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
     const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
+
+    // The entries that are no LiDARs become a part of the first LiDAR.
     CloudTopic& first = is_one ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
     if (is_one) first.lidar.clear();
-    for (CloudTopic* c : entries) {
-        if (c == &first || (!is_one && is_lidar(c))) continue;
-        if (c->frame != first.frame) {
-            if (first.n_other_frame == 0) first.other_frame = c->frame;
-            first.n_other_frame += c->clouds.size();
+    for (CloudTopic* entry : entries) {
+        if (entry == &first || (!is_one && is_lidar(entry))) continue;
+        if (entry->frame != first.frame) {
+            if (first.n_other_frame == 0) first.other_frame = entry->frame;
+            first.n_other_frame += entry->clouds.size();
         }
-        std::ranges::move(std::exchange(c->clouds, {}), std::back_inserter(first.clouds));
-        std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
+        std::ranges::move(std::exchange(entry->clouds, {}), std::back_inserter(first.clouds));
+        std::ranges::move(std::exchange(entry->arcs, {}), std::back_inserter(first.arcs));
     }
-    std::ranges::stable_sort(first.clouds, {}, order_of);
-    std::ranges::stable_sort(first.arcs, {}, order_of);
-    std::erase_if(all, [&](const CloudTopic& c) { return c.topic == topic && c.clouds.empty(); });
+    std::ranges::stable_sort(first.clouds, {}, position_of);
+    std::ranges::stable_sort(first.arcs, {}, position_of);
+    std::erase_if(all, [&](const CloudTopic& entry) { return entry.topic == topic && entry.clouds.empty(); });
 }
 
 /// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
@@ -298,6 +325,21 @@ void join_parts(CloudTopic& cloud_topic) {
             : fmt::format("; {} clouds of incomplete revolutions are skipped", joined.n_left_out));
 }
 
+/// Adds each revolution of the packets of a topic as a cloud. Its number of points is
+/// unknown.
+void add_revolutions(CloudTopic& clouds) {
+    clouds.packets.finish();
+    clouds.revolutions = clouds.packets.revolutions();
+    for (std::size_t r = 0; r < clouds.revolutions.size(); ++r) {
+        const packets::PacketRevolution& revolution = clouds.revolutions[r];
+        CloudEntry& cloud = clouds.clouds.emplace_back();
+        cloud.stamp_ns = revolution.forward_ns;
+        cloud.log_ns = revolution.log_ns;
+        cloud.message_position = clouds.packets.messages_of(revolution).front().message_position;
+        cloud.revolution_index = r;
+    }
+}
+
 }  // namespace
 
 bool CloudTopic::has_field(read::PointAttribute attribute) const {
@@ -318,40 +360,25 @@ std::size_t CloudTopic::median_points() const {
 }
 
 BagIndex index_bag(BagRecording& bag, const Progress& progress) {
-    BagIndex survey;
-    BagIndexer surveyor(bag, survey);
+    BagIndex index;
+    BagIndexer indexer(bag, index);
     bag.read_messages([](const BagTopic& topic) { return find_purpose(topic) != MessagePurpose::nothing; },
-                      [&](const BagMessage& message) { surveyor.index_message(message); }, progress);
-    survey.facts.resize(bag.topics().size());
-    // Packets that precede their metadata need a second pass.
-    if (surveyor.needs_second_pass()) {
-        surveyor.read_metadata();
-        std::vector<bool> is_late;
-        for (std::size_t t = 0; t < bag.topics().size(); ++t)
-            is_late.push_back(surveyor.is_in_second_pass(t));
-        bag.read_messages([&](const BagTopic& topic) { return packets::is_ouster_topic(topic); },
-                          [&](const BagMessage& message) {
-                              if (message.topic < is_late.size() && is_late[message.topic])
-                                  surveyor.index_again(message);
-                          },
-                          progress);
+                      [&](const BagMessage& message) { indexer.index_message(message); }, progress);
+    index.facts.resize(bag.topics().size());
+    if (indexer.needs_second_pass()) {
+        indexer.read_metadata();
+        const auto index_late = [&](const BagMessage& message) {
+            if (indexer.is_in_second_pass(message.topic)) indexer.index_again(message);
+        };
+        bag.read_messages(packets::is_ouster_topic, index_late, progress);
     }
-    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries(survey.clouds, t);
-    for (CloudTopic& clouds : survey.clouds) {
-        clouds.packets.finish();
-        clouds.revolutions = clouds.packets.revolutions();
-        // Each revolution of packets is a cloud. Its number of points (0) is unknown.
-        for (std::size_t t = 0; t < clouds.revolutions.size(); ++t) {
-            const packets::PacketRevolution& revolution = clouds.revolutions[t];
-            clouds.clouds.push_back({{revolution.forward_ns, revolution.log_ns},
-                                     0,
-                                     clouds.packets.messages_of(revolution).front().message_position,
-                                     t});
-        }
+    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries(index.clouds, t);
+    for (CloudTopic& clouds : index.clouds) {
+        add_revolutions(clouds);
+        join_parts(clouds);
     }
-    for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
-    add_ouster_frames(bag, survey);
-    return survey;
+    add_ouster_frames(bag, index);
+    return index;
 }
 
 }  // namespace relidar::bag

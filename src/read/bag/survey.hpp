@@ -25,6 +25,7 @@ enum class LogClock {
     recorder
 };
 
+/// Times of a message: its time stamp, and when it was recorded.
 struct MessageTimes {
     std::int64_t stamp_ns = 0, log_ns = 0;
 
@@ -66,15 +67,21 @@ struct FramePose {
     }
 };
 
+/// Tree of coordinate frames, from the transforms of a recording.
 class FrameTree {
 public:
-    void add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static);
+    /// Adds a sample of the transform between two frames.
+    /// @param log_ns  time of recording
+    /// @param is_static  true: the sample replaces earlier ones and holds for all times
+    void add_transform(const TransformMessage& transform, std::int64_t log_ns, bool is_static);
     /// Returns a frame and all its ancestors, up to the root of the tree.
     std::vector<std::string> path_to_root(const std::string& start_frame) const;
     bool is_frame_moving(const std::string& frame) const;
     /// Returns the pose of frame `source` in frame `target`. Returns nothing
     /// if a transform between the frames is missing or changes over time.
     std::optional<Pose> find_constant(const std::string& target, const std::string& source) const;
+    /// Returns the pose of a frame in one of its ancestor frames as a function of time.
+    /// @param time_origin_ns  time on `clock` that is 0 s in the log
     TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                               LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns nothing if no transforms connect the two frames.
@@ -109,6 +116,7 @@ struct AzimuthArc {
 /// points. Returns nothing if the cloud has no field x or y.
 std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud);
 
+/// A cloud that may be a part of a revolution.
 struct RevolutionPart : MessageTimes {
     MessagePosition message_position;
     std::uint32_t n_points = 0;
@@ -127,6 +135,7 @@ struct JoinedRevolutions {
 /// @param partial_clouds  all clouds of a topic
 JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds);
 
+/// Counts of the messages of a topic.
 struct TopicStatistics {
     std::size_t n = 0;                       ///< number of messages
     std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
@@ -140,6 +149,7 @@ struct TopicStatistics {
     }
 };
 
+/// A cloud of a recording, without its points.
 struct CloudEntry : MessageTimes {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
@@ -208,6 +218,7 @@ struct FixTopic {
     std::vector<Sample> samples;
 };
 
+/// Content of a recording, without points and boxes.
 struct BagIndex {
     std::vector<TopicStatistics>
         facts;  ///< message statistics of each topic, in the order of BagRecording::topics()
