@@ -19,38 +19,42 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-/// Object trackers change the category and the size of an object over time. Gives all
-/// labels of an object its most frequent category and its median size.
+/// Gives all labels of an object its most frequent category and its median size, because
+/// object trackers change them over time.
 void unify_labels(std::vector<BoxLabel>& labels) {
-    std::map<std::string, std::vector<const BoxLabel*>> things;
-    for (const BoxLabel& label : labels) things[label.id].push_back(&label);
-    std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
-    for (auto& [id, seen] : things) {
+    std::map<std::string, std::vector<BoxLabel*>> labels_of_object;
+    for (BoxLabel& label : labels) labels_of_object[label.id].push_back(&label);
+    for (auto& [id, seen] : labels_of_object) {
         glm::dvec3 size_m;
-        for (int a = 0; a < 3; ++a) {
+        for (int axis = 0; axis < 3; ++axis) {
             const auto middle = seen.begin() + std::ptrdiff_t(seen.size() / 2);
             std::ranges::nth_element(seen, middle, {},
-                                     [a](const BoxLabel* label) { return label->size_m[a]; });
-            size_m[a] = (*middle)->size_m[a];
+                                     [axis](const BoxLabel* label) { return label->size_m[axis]; });
+            size_m[axis] = (*middle)->size_m[axis];
         }
-        std::map<std::string, std::size_t> votes;
-        for (const BoxLabel* label : seen) ++votes[label->category];
-        if (votes.size() > 1) votes.erase(kNoCategory);
-        settled[id] = {
-            size_m, std::ranges::max_element(votes, {}, [](const auto& vote) { return vote.second; })->first};
+        std::map<std::string, std::size_t> n_of_category;
+        for (const BoxLabel* label : seen) ++n_of_category[label->category];
+        if (n_of_category.size() > 1) n_of_category.erase(kNoCategory);
+        const std::string category = std::ranges::max_element(n_of_category, {}, [](const auto& entry) {
+                                         return entry.second;
+                                     })->first;
+        for (BoxLabel* label : seen) {
+            label->size_m = size_m;
+            label->category = category;
+        }
     }
-    for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
 
 /// Reads the box messages of a topic and converts the boxes to the world frame.
 class BoxMessageReader {
 public:
+    /// @param first_s, last_s  labels outside of these times are ignored
     BoxMessageReader(const BoxContext& context, double first_s, double last_s)
         : context_(context), first_s_(first_s), last_s_(last_s) {}
 
     bool is_in_log(const MessageTimes& times) const {
-        const double t_s = log_time_s(times);
-        return t_s >= first_s_ && t_s <= last_s_;
+        const double time_s = log_time_s(times);
+        return time_s >= first_s_ && time_s <= last_s_;
     }
 
     /// Adds the boxes of a message in the world frame. Ignores boxes outside the log, and
@@ -80,11 +84,9 @@ public:
                 n_unplaced_, quote(*unplaced_.begin()), context_.vehicle));
         // Sorts labels by time. Removes repeated labels of an object at the same time.
         std::ranges::stable_sort(labels_, {}, &BoxLabel::time_s);
-        std::map<std::string, double> last_s;
-        const std::size_t n_repeated = std::erase_if(labels_, [&](const BoxLabel& label) {
-            const auto [known, is_new] = last_s.try_emplace(label.id, label.time_s);
-            return !is_new && std::exchange(known->second, label.time_s) == label.time_s;
-        });
+        std::set<std::pair<std::string, double>> seen;
+        const std::size_t n_repeated = std::erase_if(
+            labels_, [&](const BoxLabel& label) { return !seen.emplace(label.id, label.time_s).second; });
         if (n_repeated > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because another box has the same track id and time", n_repeated));
@@ -96,11 +98,13 @@ public:
 private:
     const BoxContext& context_;
     double first_s_, last_s_;
+    /// by frame; null if no transforms connect the frame with the vehicle
     std::map<std::string, std::optional<FramePose>> vehicle_from_frame_;
     std::vector<BoxLabel> labels_;
     std::set<std::string> unplaced_;  ///< frames without a known pose
     std::size_t n_unplaced_ = 0;
 
+    /// Returns the time in the log. A message without a stamp gets its recording time.
     double log_time_s(const MessageTimes& times) const {
         const LogClock clock = times.stamp_ns == 0 ? LogClock::recorder : context_.poses.clock;
         return 1e-9 * double(times.time_ns(clock) - context_.box_zero_ns);
@@ -111,14 +115,14 @@ private:
     std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
         const ChosenPoses& poses = context_.poses;
         if (context_.is_world_of_poses && frame_id == poses.world) return Pose{};
-        const auto [known, is_new] = vehicle_from_frame_.try_emplace(frame_id);
+        const auto [entry, is_new] = vehicle_from_frame_.try_emplace(frame_id);
+        std::optional<FramePose>& vehicle_from_frame = entry->second;
         if (is_new)
-            known->second =
+            vehicle_from_frame =
                 context_.frames.find_chain(context_.vehicle, frame_id, poses.clock, poses.poses_zero_ns);
-        if (!known->second || !known->second->covers_time(t_s) ||
-            (context_.is_world_of_poses && !poses.path->covers_time(t_s)))
-            return std::nullopt;
-        return context_.world_from_vehicle(t_s) * known->second->compute_pose_at(t_s);
+        if (!vehicle_from_frame || !vehicle_from_frame->covers_time(t_s)) return std::nullopt;
+        if (context_.is_world_of_poses && !poses.path->covers_time(t_s)) return std::nullopt;
+        return context_.world_from_vehicle(t_s) * vehicle_from_frame->compute_pose_at(t_s);
     }
 };
 
@@ -128,28 +132,29 @@ SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index) {
     SelectedBoxTopic choice;
     const auto name_of = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
     const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
-        return first.n_named != second.n_named ? first.n_named < second.n_named
-                                               : name_of(first) > name_of(second);
+        if (first.n_named != second.n_named) return first.n_named < second.n_named;
+        return name_of(first) > name_of(second);
     };
     const auto best = std::ranges::max_element(index.boxes, is_worse);
     if (best != index.boxes.end() && best->n_named > 0) choice.topic = &*best;
+
     for (const BoxTopic& boxes : index.boxes) {
         const std::string name = quote(name_of(boxes));
-        if (&boxes == choice.topic)
-            choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
-                                               boxes.n_named == boxes.n_boxes
-                                                   ? ""
-                                                   : fmt::format("; {} boxes without a track id are skipped",
-                                                                 boxes.n_boxes - boxes.n_named)));
-        else if (boxes.n_named > 0)
+        if (&boxes == choice.topic) {
+            const std::size_t n_skipped = boxes.n_boxes - boxes.n_named;
+            choice.notes.push_back(
+                "boxes are read from " + name +
+                (n_skipped == 0 ? "" : fmt::format("; {} boxes without a track id are skipped", n_skipped)));
+        } else if (boxes.n_named > 0) {
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored: {} of them have a track id, but relidar reads "
                             "boxes from only one topic, {}, where {} boxes have one",
                             name, boxes.n_named, quote(name_of(*choice.topic)), choice.topic->n_named));
-        else if (boxes.n_boxes > 0)
+        } else if (boxes.n_boxes > 0) {
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,
                             boxes.n_boxes));
+        }
     }
     for (const BagTopic& topic : bag.topics())
         if (find_purpose(topic) == MessagePurpose::nameless_boxes)
@@ -165,9 +170,10 @@ LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
     BoxMessageReader reader(transform_context, times_s.front() - step_s, times_s.back() + step_s);
     const BagTopic& topic = bag.topics()[box_topic.topic];
     for (const BoxIndexEntry& entry : box_topic.lists)
-        if (reader.is_in_log(entry))
-            reader.add_labels(read_boxes(topic, bag.read_message(topic, entry.message_position).bytes),
-                              entry.log_ns);
+        if (reader.is_in_log(entry)) {
+            const SharedBytes message = bag.read_message(topic, entry.message_position);
+            reader.add_labels(read_boxes(topic, message.bytes), entry.log_ns);
+        }
     return reader.make_tracks();
 }
 

@@ -112,6 +112,7 @@ struct SelectedBoxTopic {
 /// same number, selects the first one by name.
 SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index);
 
+/// What is needed to place boxes in the log.
 struct BoxContext {
     const FrameTree& frames;
     const ChosenPoses& poses;
