@@ -3,8 +3,8 @@
 
 #include <algorithm>
 #include <array>
-#include <map>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include "base/codecs/unpack.hpp"
@@ -26,21 +26,23 @@ bool is_pcap_file(const fs::path& file) {
     return ending == ".pcap" || ending == ".pcapng";
 }
 
+/// Removes a pair of quotation marks around a value of a YAML file.
+std::string_view strip_quotes(std::string_view value) {
+    if (value.size() < 2 || value.front() != value.back()) return value;
+    const bool has_quotes = value.front() == '"' || value.front() == '\'';
+    return has_quotes ? value.substr(1, value.size() - 2) : value;
+}
+
 /// Returns the files that rosbag2's metadata.yaml lists. Reads line by line and accepts
 /// only the layout that rosbag2 writes.
 std::vector<std::string> read_file_list(const fs::path& file) {
     std::vector<std::string> files;
-    bool in_files = false;
+    bool is_in_list = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string_view text = trim(line);
-        if (text.starts_with("relative_file_paths:")) in_files = true;
-        else if (in_files && text.starts_with("- ")) {
-            std::string_view value = trim(text.substr(2));
-            if (value.size() >= 2 && (value.front() == '"' || value.front() == '\'') &&
-                value.back() == value.front())
-                value = value.substr(1, value.size() - 2);
-            files.emplace_back(value);
-        } else in_files = false;
+        if (text.starts_with("relative_file_paths:")) is_in_list = true;
+        else if (is_in_list && text.starts_with("- ")) files.emplace_back(strip_quotes(trim(text.substr(2))));
+        else is_in_list = false;
     }
     return files;
 }
@@ -59,22 +61,44 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
     if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
     // maximum size of an unpacked message in bytes, or in sizes of the packed message
     constexpr std::size_t kMostMessageBytes = std::size_t(64) << 20, kMostGrowth = 100;
+    const std::size_t most_bytes = std::max(kMostMessageBytes, kMostGrowth * bytes.size());
     std::string unpacked;
-    const bool is_complete = stream_zstd(
-        [&] { return std::exchange(bytes, {}); },
-        [&, most = std::max(kMostMessageBytes, kMostGrowth * bytes.size())](std::string_view block) {
-            if (unpacked.append(block).size() > most) fail("found more than {} unpacked bytes", most);
-        });
-    if (!is_complete) fail("the zstd data of the message are truncated");
+    // stream_zstd() reads blocks until one is empty. The message is the only block.
+    const auto read_block = [&] { return std::exchange(bytes, {}); };
+    const auto write_block = [&](std::string_view block) {
+        if (unpacked.append(block).size() > most_bytes) fail("found more than {} unpacked bytes", most_bytes);
+    };
+    if (!stream_zstd(read_block, write_block)) fail("the zstd data of the message are truncated");
     return unpacked;
+}
+
+/// Returns true for a file of a recording. Ignores a compressed file if its unpacked copy
+/// exists.
+bool is_recording_file(const fs::path& file) {
+    if (is_pcap_file(file)) return true;
+    const fs::path unpacked = strip_packed(file);
+    const bool is_copy = unpacked != file && does_path_exist(unpacked);
+    return std::ranges::find(kBagExtensions, unpacked.extension()) != kBagExtensions.end() && !is_copy;
+}
+
+/// Lists the recordings in a folder. Sorts numbers in names by value, so NAME_2 precedes
+/// NAME_10.
+std::vector<fs::path> list_recording_files(const fs::path& folder) {
+    std::vector<fs::path> files = list_folder(folder);
+    std::erase_if(files, [](const fs::path& file) { return !is_recording_file(file); });
+    std::ranges::stable_sort(files, {}, [](const fs::path& file) { return file.filename().string().size(); });
+    return files;
 }
 
 }  // namespace
 
 std::size_t TopicTable::topic_index(BagTopic topic) {
-    if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
-    const auto existing_topic = std::ranges::find_if(topics_, [&](const BagTopic& t) {
-        return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
+    // ROS 1 and ROS 2 differ in this part of the type: sensor_msgs/msg/PointCloud2.
+    constexpr std::string_view kRos2Part = "/msg";
+    const std::size_t at = topic.type.find("/msg/");
+    if (at != std::string::npos) topic.type.erase(at, kRos2Part.size());
+    const auto existing_topic = std::ranges::find_if(topics_, [&](const BagTopic& known) {
+        return known.name == topic.name && known.type == topic.type && known.encoding == topic.encoding;
     });
     if (existing_topic != topics_.end()) return std::size_t(existing_topic - topics_.begin());
     topics_.push_back(std::move(topic));
@@ -94,17 +118,8 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
                                           file.string(), kMetadataFile));
         }
     }
-    // Without files from metadata.yaml, uses all recordings in the folder. Sorts numbers
-    // in names by value, so NAME_2 precedes NAME_10.
-    if (paths_.empty()) {
-        for (const fs::path& file : list_folder(path))
-            if (is_pcap_file(file) ||
-                (std::ranges::find(kBagExtensions, strip_packed(file).extension()) != kBagExtensions.end() &&
-                 (strip_packed(file) == file || !does_path_exist(strip_packed(file)))))
-                paths_.push_back(file);
-        std::ranges::stable_sort(paths_, {},
-                                 [](const fs::path& file) { return file.filename().string().size(); });
-    }
+    // Without files from metadata.yaml, uses all recordings in the folder.
+    if (paths_.empty()) paths_ = list_recording_files(path);
     if (paths_.empty())
         fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
@@ -131,45 +146,52 @@ void BagRecording::add_note_once(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
+/// Returns the bytes of a message, which rosbag2 may have compressed.
+/// @param memory  receives unpacked bytes
+std::string_view BagRecording::unpack_bytes(const BagMessage& message, std::string& memory) const {
+    try {
+        std::optional<std::string> unpacked = unpack_message(topics()[message.topic], message.bytes);
+        if (!unpacked) return message.bytes;
+        memory = std::move(*unpacked);
+        return memory;
+    } catch (const DataError&) {
+        return message.bytes;  // the reader of the message reports the damaged bytes
+    }
+}
+
 /// Reads the messages of all files, one file after another. Unpacks compressed messages
 /// of the requested topics. Replaces impossible recording times, with a note.
 void BagRecording::read_messages(const TopicFilter& filter, const MessageCallback& callback,
                                  const Progress& progress) {
-    std::map<std::size_t, bool> noted_topics;  ///< topics with a note about recording times
+    std::set<std::size_t> noted_topics;  // topics with a note about recording times
     for (std::size_t f = 0; f < files_.size(); ++f) {
-        double last_reported_fraction = -1.0;
-        const auto done = [&](double share) {
-            if (!progress || share < last_reported_fraction + 0.01) return;
-            last_reported_fraction = share;
+        double last_reported_share = -1.0;
+        const auto report_progress = [&](double share) {
+            if (!progress || share < last_reported_share + 0.01) return;
+            last_reported_share = share;
             progress("reading the recording", (double(f) + share) / double(files_.size()));
         };
         std::int64_t last_ns = 0;
-        const MessageCallback of_file = [&](BagMessage message) {
+        const MessageCallback pass_message = [&](BagMessage message) {
             const BagTopic& topic = topics_.topics()[message.topic];
             const std::int64_t log_ns = message.log_ns;
             const bool is_possible = log_ns >= 0 && log_ns <= kMaxRosTime_ns;
             // The time of the previous message replaces an impossible one.
             if (!is_possible) message.log_ns = last_ns;
             last_ns = message.log_ns;
-            std::optional<std::string> unpacked;
-            if (filter(topic)) {
-                if (!is_possible && std::exchange(noted_topics[message.topic], true) == false)
-                    add_note_once(
-                        fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
-                                    "the time of the previous message is used",
-                                    quote(topic.name), log_ns, kMaxRosTime_ns));
-                try {
-                    unpacked = unpack_message(topic, message.bytes);
-                } catch (const DataError&) {
-                    // The reader of the message reports the damaged bytes.
-                }
-                if (unpacked) message.bytes = *unpacked;
-            }
+            const bool is_requested = filter(topic);
+            if (is_requested && !is_possible && noted_topics.insert(message.topic).second)
+                add_note_once(
+                    fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
+                                "the time of the previous message is used",
+                                quote(topic.name), log_ns, kMaxRosTime_ns));
+            std::string unpacked;
+            if (is_requested) message.bytes = unpack_bytes(message, unpacked);
             message.message_position.file = std::uint32_t(f);
             callback(message);
         };
-        files_[f]->read_messages(
-            topics_, {filter, of_file, [&](const std::string& text) { add_note_once(text); }, done});
+        const auto add_note = [&](const std::string& text) { add_note_once(text); };
+        files_[f]->read_messages(topics_, {filter, pass_message, add_note, report_progress});
     }
 }
 

@@ -61,6 +61,7 @@ using MessageCallback = std::function<void(const BagMessage&)>;
 /// The topics of all files of a bag, in the order in which they first occur.
 class TopicTable {
 public:
+    /// Returns the index of a topic. Adds a new topic.
     std::size_t topic_index(BagTopic topic);
     const std::vector<BagTopic>& topics() const { return topics_; }
 
@@ -130,6 +131,8 @@ public:
     const std::vector<std::filesystem::path>& file_paths() const { return paths_; }
     std::string points_frame() const;  ///< see BagFile
 
+    /// Reads all messages in the order of the files.
+    /// @param filter  topics whose messages are read completely
     void read_messages(const TopicFilter& filter, const MessageCallback& callback,
                        const Progress& progress = {});
     /// Thread-safe.
@@ -142,6 +145,7 @@ private:
     std::vector<std::string> notes_;
 
     void add_note_once(const std::string& text);
+    std::string_view unpack_bytes(const BagMessage& message, std::string& memory) const;
 };
 
 }  // namespace relidar::bag

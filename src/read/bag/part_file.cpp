@@ -29,13 +29,15 @@ namespace {
 /// accepted.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
+/// Unpacks bz2 data to exactly `target.size()` bytes.
 void unpack_bz2(std::string_view source, std::span<char> target) {
-    unsigned n = unsigned(target.size());
-    const int code = source.size() > UINT_MAX
-                         ? BZ_PARAM_ERROR
-                         : BZ2_bzBuffToBuffDecompress(target.data(), &n, const_cast<char*>(source.data()),
-                                                      unsigned(source.size()), 0, 0);
-    if (code != BZ_OK || n != target.size())
+    int code = BZ_PARAM_ERROR;
+    unsigned n_unpacked = unsigned(target.size());
+    constexpr int kFastMode = 0, kSilent = 0;
+    if (source.size() <= UINT_MAX)
+        code = BZ2_bzBuffToBuffDecompress(target.data(), &n_unpacked, const_cast<char*>(source.data()),
+                                          unsigned(source.size()), kFastMode, kSilent);
+    if (code != BZ_OK || n_unpacked != target.size())
         fail("the bz2 data is damaged, expected {} bytes after unpacking", target.size());
 }
 
@@ -71,6 +73,37 @@ bool unpack_zstd(std::FILE* file, const std::function<void(std::string_view)>& w
         write_block);
 }
 
+/// Writes the unpacked data of a file. Rejects more data than a packed file can contain.
+class UnpackedWriter {
+public:
+    UnpackedWriter(const std::filesystem::path& path, std::uint64_t n_packed_bytes)
+        : file_(std::fopen(path.c_str(), "wb")), n_packed_(n_packed_bytes) {
+        if (!file_) fail("cannot write {}", path.string());
+    }
+
+    void write_block(std::string_view bytes) {
+        // A file that grows more is damaged.
+        constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+        n_unpacked_ += bytes.size();
+        if (n_unpacked_ > kSmall && n_unpacked_ / kMostGrowth > n_packed_)
+            fail("found more than {} unpacked bytes, expected at most {} times the size of the file",
+                 n_unpacked_, kMostGrowth);
+        require_space(std::fwrite(bytes.data(), 1, bytes.size(), file_.get()) == bytes.size());
+    }
+    void flush() { require_space(std::fflush(file_.get()) == 0); }
+
+private:
+    File file_;
+    const std::uint64_t n_packed_;
+    std::uint64_t n_unpacked_ = 0;
+
+    static void require_space(bool has_space) {
+        if (!has_space)
+            fail("no space is left in {} for the unpacked file",
+                 std::filesystem::temp_directory_path().string());
+    }
+};
+
 }  // namespace
 
 RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
@@ -91,33 +124,35 @@ SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t 
         fail("the file is truncated: it has {} bytes after byte {}, expected {} bytes",
              size_ - std::min(offset, size_), offset, n_bytes);
     return allocate_bytes(std::size_t(n_bytes), [&](std::span<char> bytes) {
-        for (std::size_t got = 0; got < bytes.size();) {
-            const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
-            if (k < 0 && errno == EINTR) continue;
-            if (k <= 0)
+        std::size_t n_read = 0;  // pread() may read only a part
+        while (n_read < bytes.size()) {
+            const ssize_t n =
+                ::pread(handle_, bytes.data() + n_read, bytes.size() - n_read, off_t(offset + n_read));
+            if (n < 0 && errno == EINTR) continue;  // a signal interrupted the call
+            if (n <= 0)
                 fail("cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
-                     k < 0 ? last_error() : "the file has become shorter since it was opened");
-            got += std::size_t(k);
+                     n < 0 ? last_error() : "the file has become shorter since it was opened");
+            n_read += std::size_t(n);
         }
     });
 }
 
 SharedBytes ChunkCache::find_or_unpack(std::uint64_t chunk_offset,
                                        const std::function<SharedBytes()>& unpack) const {
-    const auto find_cached_chunk = [&] {
-        return std::find_if(chunks_.begin(), chunks_.end(),
-                            [&](const auto& chunk) { return chunk.first == chunk_offset; });
+    const auto find_cached = [&] {
+        return std::ranges::find_if(chunks_,
+                                    [&](const auto& cached) { return cached.first == chunk_offset; });
     };
     {
         const std::lock_guard guard(lock_);
-        if (const auto cached_chunk = find_cached_chunk(); cached_chunk != chunks_.end())
-            return cached_chunk->second;
+        const auto cached = find_cached();
+        if (cached != chunks_.end()) return cached->second;
     }
     // Unpacks without the lock, so that other threads are not blocked.
     const SharedBytes chunk = unpack();
     const std::lock_guard guard(lock_);
     // Another thread may have added the same chunk.
-    if (find_cached_chunk() == chunks_.end()) chunks_.emplace_back(chunk_offset, chunk);
+    if (find_cached() == chunks_.end()) chunks_.emplace_back(chunk_offset, chunk);
     if (chunks_.size() > kMaxCachedChunks) chunks_.pop_front();
     return chunk;
 }
@@ -134,7 +169,8 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
     else if (compression == "zstd") unpack = decompress_zstd;
     else if (compression == "bz2") unpack = unpack_bz2;
     else fail("found the compression '{}', expected none, lz4, zstd or bz2", quote(compression));
-    if (size > UINT_MAX || (size > kAlwaysUnpacked && size / kMostUnpacked > bytes.size()))
+    const bool grows_too_much = size > kAlwaysUnpacked && size / kMostUnpacked > bytes.size();
+    if (size > UINT_MAX || grows_too_much)
         fail("found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
              bytes.size(), size,
              std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size())));
@@ -163,26 +199,12 @@ UnpackedFile::UnpackedFile(const std::filesystem::path& file) : path_(file) {
     temporary_folder_ = folder;
     path_ = temporary_folder_ / strip_packed(file).filename();
     try {
-        const File unpacked(std::fopen(path_.c_str(), "wb"));
-        if (!unpacked) fail("cannot write {}", path_.string());
-        const auto require_space = [&](bool has_space) {
-            if (!has_space)
-                fail("no space is left in {} for the unpacked file",
-                     std::filesystem::temp_directory_path().string());
-        };
-        const std::uint64_t n_packed = std::filesystem::file_size(file);
-        std::uint64_t n_unpacked = 0;
-        const auto write_block = [&](std::string_view bytes) {
-            // A file that grows more is damaged.
-            constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
-            n_unpacked += bytes.size();
-            if (n_unpacked > kSmall && n_unpacked / kMostGrowth > n_packed)
-                fail("found more than {} unpacked bytes, expected at most {} times the size of the file",
-                     n_unpacked, kMostGrowth);
-            require_space(std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) == bytes.size());
-        };
-        is_truncated_ = !(is_gzip ? unpack_gzip(file, write_block) : unpack_zstd(packed.get(), write_block));
-        require_space(std::fflush(unpacked.get()) == 0);
+        UnpackedWriter writer(path_, std::filesystem::file_size(file));
+        const auto write_block = [&](std::string_view bytes) { writer.write_block(bytes); };
+        const bool is_complete =
+            is_gzip ? unpack_gzip(file, write_block) : unpack_zstd(packed.get(), write_block);
+        is_truncated_ = !is_complete;
+        writer.flush();
     } catch (const DataError& error) {
         // A constructor that throws has no destructor call, so it cleans up here.
         std::error_code ignored;
