@@ -13,6 +13,8 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kCovarianceDoubles = 36, kTwistDoubles = 6 + kCovarianceDoubles;  // number of doubles
+// number of bytes of a class with probability and of a point of three floats
+constexpr std::size_t kLabelBytes = 5, kPointBytes = 12;
 // maximum number of padding bytes that CDR appends after the last field
 constexpr std::size_t kMaxPaddingBytes = 3;
 
@@ -45,6 +47,7 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
 /// Reads the classification results of a detection. Returns the class with the highest
 /// score.
 std::string read_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
+    // bytes of the score and the pose with its covariance, without the class
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovarianceDoubles);
     std::string best;
     double best_score = -INFINITY;
@@ -66,7 +69,7 @@ std::string read_best_class(MessageReader& reader, const DetectionMessageLayout&
 /// Reads the message as one version of vision_msgs. Throws if it does not end where this
 /// version ends.
 BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout& layout) {
-    constexpr std::size_t kLeastDetection = 8 * 10;
+    constexpr std::size_t kLeastDetection = 8 * 10;  // bytes of the pose and the size of the box
     BoxListMessage list{read_header(reader), {}, 0};
     const std::size_t n = reader.read_length(kLeastDetection);
     for (std::size_t i = 0; i < n; ++i) {
@@ -114,7 +117,7 @@ constexpr const char* kAutowareLabels[] = {"unknown",    "car",     "truck",    
 std::string read_best_label(MessageReader& reader) {
     std::uint8_t best = 0;
     float best_probability = -1.0f;
-    const std::size_t n = reader.read_length(5);
+    const std::size_t n = reader.read_length(kLabelBytes);
     for (std::size_t i = 0; i < n; ++i) {
         const auto label = reader.read_number<std::uint8_t>();
         const auto probability = reader.read_number<float>();
@@ -132,6 +135,7 @@ std::string read_uuid(MessageReader& reader) {
     const std::string_view bytes = reader.read_bytes(kUuidBytes);
     std::string text;
     for (std::size_t i = 0; i < kUuidBytes; ++i) {
+        // The text has groups of 4, 2, 2, 2 and 6 bytes.
         if (i == 4 || i == 6 || i == 8 || i == 10) text += '-';
         text += fmt::format("{:02x}", static_cast<unsigned char>(bytes[i]));
     }
@@ -144,15 +148,16 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     constexpr std::uint8_t kPolygonShape = 2;
     const auto type = reader.read_number<std::uint8_t>();
     glm::dvec2 least(INFINITY), most(-INFINITY);
-    const std::size_t n = reader.read_length(12);
+    const std::size_t n = reader.read_length(kPointBytes);
     for (std::size_t i = 0; i < n; ++i) {
         const auto x = reader.read_number<float>(), y = reader.read_number<float>();
-        reader.read_number<float>();
+        reader.read_number<float>();  // skips z
         least = glm::min(least, glm::dvec2(x, y));
         most = glm::max(most, glm::dvec2(x, y));
     }
     box.size_m = read_vector3(reader);
     if (type != kPolygonShape || n == 0) return;
+    // The box has its centre in the middle of the polygon, which is in the object's frame.
     const glm::dvec2 middle = 0.5 * (least + most);
     const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
@@ -173,10 +178,10 @@ BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {
         box.category = read_best_label(reader);
         PoseComponents pose = read_pose(reader);
         skip_doubles(reader, kCovarianceDoubles);
-        if (is_autoware_auto) reader.read_number<std::uint8_t>();
-        skip_doubles(reader, 2 * kTwistDoubles);  // skips twist and acceleration
-        if (!is_autoware_auto) reader.read_number<std::uint8_t>();
-        reader.read_number<std::uint8_t>();  // skips the flag is_stationary
+        if (is_autoware_auto) reader.read_number<std::uint8_t>();   // skips the orientation flag
+        skip_doubles(reader, 2 * kTwistDoubles);                    // skips twist and acceleration
+        if (!is_autoware_auto) reader.read_number<std::uint8_t>();  // skips the orientation flag
+        reader.read_number<std::uint8_t>();                         // skips the flag is_stationary
         read_shape(reader, box, pose);
         list.add_if_valid(std::move(box), pose);
     }
@@ -186,11 +191,12 @@ BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {
 }  // namespace
 
 void BoxListMessage::add_if_valid(BoxMessage box, const PoseComponents& pose) {
-    const glm::dvec3& s = box.size_m;
+    const glm::dvec3& size_m = box.size_m;
+    const bool has_size =
+        std::isfinite(size_m.x + size_m.y + size_m.z) && std::min({size_m.x, size_m.y, size_m.z}) > 0.0;
     try {
         box.frame_from_box = make_pose(pose);
-        if (std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0)
-            boxes.push_back(std::move(box));
+        if (has_size) boxes.push_back(std::move(box));
         else ++n_left_out;
     } catch (const DataError&) {
         ++n_left_out;

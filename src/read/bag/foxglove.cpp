@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads point clouds, transforms and boxes in Foxglove's protobuf schemas. `relidar
-// render --format mcap` writes these schemas.
+// Reads point clouds, transforms and boxes in Foxglove's protobuf schemas
+// (github.com/foxglove/foxglove-sdk/tree/main/schemas/proto). `relidar render --format
+// mcap` writes these schemas. A protobuf message is a list of fields, each with a number
+// (tag) and a type. The schema defines the meaning of each number.
 #include <algorithm>
 #include <functional>
 #include <utility>
@@ -34,6 +36,7 @@ void read_fields(pbf_reader reader, const std::vector<PbfField>& fields) {
     }
 }
 
+// Each of these functions describes a field that is stored in `value`.
 PbfField number(unsigned tag, double& value) {
     return {tag, pbf_wire_type::fixed64, [&value](pbf_reader& reader) { value = reader.get_double(); }};
 }
@@ -47,12 +50,13 @@ PbfField text(unsigned tag, std::string& value) {
     return {tag, pbf_wire_type::length_delimited,
             [&value](pbf_reader& reader) { value = reader.get_string(); }};
 }
-/// @param read  function of a reader of the message
+/// Describes a field that contains a message.
+/// @param read  reads the message
 template <class Read>
 PbfField message(unsigned tag, const Read& read) {
     return {tag, pbf_wire_type::length_delimited, [read](pbf_reader& reader) { read(reader.get_message()); }};
 }
-/// Missing coordinates are 0.
+/// foxglove.Vector3 or foxglove.Quaternion. Missing coordinates are 0.
 PbfField vector(unsigned tag, glm::dvec4& v) {
     return message(tag, [&v](const pbf_reader& reader) {
         v = glm::dvec4(0.0);
@@ -65,11 +69,12 @@ PbfField stamp(unsigned tag, std::int64_t& stamp_ns) {
         std::int64_t seconds = 0, nanoseconds = 0;
         read_fields(reader, {integer(1, seconds), integer(2, nanoseconds)});
         constexpr std::int64_t kMaxRosTime_s = 4294967295;  // limit of ROS times
+        constexpr std::int64_t kNsPerSecond = 1000000000;
         if (seconds < 0 || seconds > kMaxRosTime_s)
             fail("found the message time {} s, expected 0 to {} s", seconds, kMaxRosTime_s);
-        if (nanoseconds < 0 || nanoseconds > 999999999)
-            fail("found {} ns in a message time, expected 0 to 999999999 ns", nanoseconds);
-        stamp_ns = seconds * 1000000000 + nanoseconds;
+        if (nanoseconds < 0 || nanoseconds >= kNsPerSecond)
+            fail("found {} ns in a message time, expected 0 to {} ns", nanoseconds, kNsPerSecond - 1);
+        stamp_ns = seconds * kNsPerSecond + nanoseconds;
     });
 }
 
@@ -103,7 +108,7 @@ CloudMessage parse_cloud(const pbf_reader& reader) {
     PbfPose cloud_pose;
     const auto add_field = [&](const pbf_reader& field) { cloud.fields.push_back(parse_field(field)); };
     const auto set_data = [&](pbf_reader& field) {
-        const protozero::data_view view = field.get_view();
+        const protozero::data_view view = field.get_view();  // not copied
         cloud.data = {view.data(), view.size()};
     };
     read_fields(reader, {stamp(1, cloud.header.stamp_ns),
@@ -112,9 +117,10 @@ CloudMessage parse_cloud(const pbf_reader& reader) {
                          size_number(4, cloud.point_step),
                          message(5, add_field),
                          {6, pbf_wire_type::length_delimited, set_data}});
-    if (!(glm::length(glm::dvec3(cloud_pose.position)) + glm::length(glm::dvec3(cloud_pose.rotation)) <=
-          1e-9))
-        fail("the cloud has a pose, expected a pose without translation and rotation");
+    // The vector part of a quaternion is 0 without rotation.
+    const double pose_size =
+        glm::length(glm::dvec3(cloud_pose.position)) + glm::length(glm::dvec3(cloud_pose.rotation));
+    if (!(pose_size <= 1e-9)) fail("the cloud has a pose, expected a pose without translation and rotation");
     cloud.height = 1;
     cloud.width = cloud.point_step == 0 ? 0 : std::uint32_t(cloud.data.size() / cloud.point_step);
     cloud.row_step = cloud.width * cloud.point_step;
@@ -140,7 +146,8 @@ FixMessage parse_fix(const pbf_reader& reader) {
     return fix;
 }
 
-/// Reads a scene entity. Adds it as a box if it consists of exactly one cube.
+/// Reads a foxglove.SceneEntity, which has a pose, an id and geometric shapes. Adds it as a
+/// box if it contains exactly one cube. Several cubes have no common track.
 void add_entity(BoxListMessage& box_list, const pbf_reader& reader) {
     BoxMessage box;
     PbfPose box_pose;
@@ -163,6 +170,7 @@ void add_entity(BoxListMessage& box_list, const pbf_reader& reader) {
     else if (n_cubes > 1) ++box_list.n_left_out;
 }
 
+/// Returns read(reader of the message).
 /// @throws DataError that names the schema
 template <class Read>
 auto parse(const char* schema, std::string_view message_bytes, const Read& read) {

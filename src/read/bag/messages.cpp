@@ -67,12 +67,16 @@ void check_layout(const CloudMessage& cloud) {
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
         fail("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep);
-    const std::size_t row = cloud.width * cloud.point_step;
-    if (cloud.row_step < row && cloud.height > 1)
+    const std::size_t row_bytes = cloud.width * cloud.point_step;  // without padding after the row
+    const bool has_rows = cloud.height > 1;
+    if (has_rows && cloud.row_step < row_bytes)
         fail("each row of the cloud has {} bytes (row_step), expected at least {} for {} points of {} bytes",
-             cloud.row_step, row, cloud.width, cloud.point_step);
-    if (cloud.data.size() < row ||
-        (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
+             cloud.row_step, row_bytes, cloud.width, cloud.point_step);
+    // The last row may have no padding.
+    const bool is_complete =
+        cloud.data.size() >= row_bytes &&
+        (!has_rows || (cloud.data.size() - row_bytes) / cloud.row_step >= cloud.height - 1);
+    if (!is_complete)
         fail("the data of the cloud have {} bytes, expected {} rows of {} points of {} bytes",
              cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
 }
@@ -97,8 +101,7 @@ CloudMessage read_livox(MessageReader& reader) {
     cloud.fields = {
         {{"offset_time", 'U', 4}, 0},   {{"x", 'F', 4}, 4},    {{"y", 'F', 4}, 8},    {{"z", 'F', 4}, 12},
         {{"reflectivity", 'U', 1}, 16}, {{"tag", 'U', 1}, 17}, {{"line", 'U', 1}, 18}};
-    cloud.data =
-        n == 0 ? std::string_view() : reader.read_bytes((n - 1) * cloud.point_step + kLivoxPointBytes);
+    if (n > 0) cloud.data = reader.read_bytes((n - 1) * cloud.point_step + kLivoxPointBytes);
     return cloud;
 }
 
@@ -107,22 +110,22 @@ CloudMessage read_livox(MessageReader& reader) {
 std::vector<read::PointField> make_layout(const CloudMessage& cloud,
                                           const std::vector<CloudMessage::CloudField>& sorted_fields) {
     std::vector<read::PointField> layout;
-    std::size_t at = 0;
-    const auto skip_to = [&](std::size_t offset) {
-        if (offset > at) layout.push_back({std::string(read::kPaddingName), 'U', 1, offset - at});
-        at = offset;
+    std::size_t end = 0;  // of the fields so far
+    const auto fill_gap = [&](std::size_t offset) {
+        if (offset > end) layout.push_back({std::string(read::kPaddingName), 'U', 1, offset - end});
+        end = offset;
     };
     for (const CloudMessage::CloudField& field : sorted_fields) {
-        if (field.offset < at)
+        if (field.offset < end)
             fail(
                 "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} or "
                 "more",
-                quote(field.name), field.offset, at);
-        skip_to(field.offset);
+                quote(field.name), field.offset, end);
+        fill_gap(field.offset);
         layout.push_back(field);
-        at += field.size * field.count;
+        end += field.size * field.count;
     }
-    skip_to(cloud.point_step);
+    fill_gap(cloud.point_step);
     return layout;
 }
 
@@ -177,18 +180,15 @@ PoseComponents read_pose(MessageReader& reader) {
 }
 
 Pose make_pose(const PoseComponents& position_and_quaternion) {
-    // The order is x, y, z of the position, then x, y, z, w of the quaternion.
-    const glm::dquat q(position_and_quaternion[6], position_and_quaternion[3], position_and_quaternion[4],
-                       position_and_quaternion[5]);
-    const double length = glm::length(q);
-    if (!(std::abs(length - 1.0) <= kUnitLength) ||
-        !std::isfinite(position_and_quaternion[0] + position_and_quaternion[1] + position_and_quaternion[2]))
+    const auto& [x, y, z, qx, qy, qz, qw] = position_and_quaternion;
+    const glm::dquat rotation(qw, qx, qy, qz);
+    const double length = glm::length(rotation);
+    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(x + y + z))
         fail(
             "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite numbers and length "
             "1",
-            position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2], length);
-    return {glm::normalize(q),
-            {position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2]}};
+            x, y, z, length);
+    return {glm::normalize(rotation), {x, y, z}};
 }
 
 /// Reads the fields of sensor_msgs/PointCloud2 in the order of its definition.
@@ -197,8 +197,9 @@ CloudMessage read_ros_cloud(MessageReader& reader) {
     cloud.header = read_header(reader);
     cloud.height = reader.read_number<std::uint32_t>();
     cloud.width = reader.read_number<std::uint32_t>();
-    const std::size_t n = reader.read_length(13);
-    for (std::size_t i = 0; i < n; ++i) cloud.fields.push_back(read_ros_field(reader));
+    constexpr std::size_t kLeastField = 13;  // bytes of a field with an empty name
+    const std::size_t n_fields = reader.read_length(kLeastField);
+    for (std::size_t i = 0; i < n_fields; ++i) cloud.fields.push_back(read_ros_field(reader));
     cloud.is_big_endian = reader.read_number<std::uint8_t>() != 0;
     cloud.point_step = reader.read_number<std::uint32_t>();
     cloud.row_step = reader.read_number<std::uint32_t>();
@@ -234,17 +235,18 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
 
 read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes) {
     if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
-    std::vector<CloudMessage::CloudField> point_fields;
-    std::ranges::copy_if(cloud.fields, std::back_inserter(point_fields),
+    std::vector<CloudMessage::CloudField> known_fields;
+    std::ranges::copy_if(cloud.fields, std::back_inserter(known_fields),
                          [](const CloudMessage::CloudField& f) { return read::is_known_field(f.name); });
-    std::ranges::sort(point_fields, {}, &CloudMessage::CloudField::offset);
-    const std::size_t n_bytes = cloud.size() * cloud.point_step;
+    std::ranges::sort(known_fields, {}, &CloudMessage::CloudField::offset);
+    const std::vector<read::PointField> layout = make_layout(cloud, known_fields);
+
     // Points without gaps between rows, in our byte order, are not copied.
-    const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
-                           (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
-    const std::vector<read::PointField> layout = make_layout(cloud, point_fields);
-    const SharedBytes points = is_packed ? message_bytes.share_part(cloud.data.substr(0, n_bytes))
-                                         : share_bytes(pack_points(cloud, point_fields));
+    const std::size_t n_bytes = cloud.size() * cloud.point_step;
+    const bool has_gaps = cloud.height > 1 && cloud.row_step != cloud.width * cloud.point_step;
+    const bool can_share = !cloud.is_big_endian && !has_gaps && cloud.data.size() >= n_bytes;
+    const SharedBytes points = can_share ? message_bytes.share_part(cloud.data.substr(0, n_bytes))
+                                         : share_bytes(pack_points(cloud, known_fields));
     read::PointTable table =
         read::table_of_records(points, layout, cloud.size(), read::PointMemoryLayout::by_point, "points");
     for (const CloudMessage::CloudField& field : cloud.fields)
@@ -257,9 +259,10 @@ void TransformListMessage::add_if_valid(TransformMessage transform, const PoseCo
         transform.parent_from_child = make_pose(pose);
         transforms.push_back(std::move(transform));
     } catch (const DataError& error) {
-        if (n_left_out++ == 0)
+        if (n_left_out == 0)
             problem = fmt::format("from '{}' to '{}': {}", quote(transform.header.frame),
                                   quote(transform.child), error.what());
+        ++n_left_out;
     }
 }
 
@@ -269,9 +272,11 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
     TransformListMessage list;
     const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
     // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
-    if (is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
-        // Size of a transform without its names. Rejects impossible lengths.
-        const std::size_t n = is_list ? reader.read_length(72) : 1;
+    const bool has_child =
+        is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
+    if (has_child) {
+        constexpr std::size_t kLeastTransform = 72;  // bytes of a transform without its names
+        const std::size_t n = is_list ? reader.read_length(kLeastTransform) : 1;
         for (std::size_t i = 0; i < n; ++i) {
             TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
             if (transform.child.starts_with('/')) transform.child.erase(0, 1);
@@ -292,9 +297,10 @@ bool FixMessage::is_valid() const {
 FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_fix(message_bytes);
     MessageReader reader = open_message(topic, message_bytes);
+    // sensor_msgs/NavSatFix: header, status, latitude, longitude and altitude
     FixMessage fix{read_header(reader), {}};
     const auto status = reader.read_number<std::int8_t>();
-    reader.read_number<std::uint16_t>();  // skips the services
+    reader.read_number<std::uint16_t>();  // skips the satellite systems
     fix.position.latitude_deg = reader.read_number<double>();
     fix.position.longitude_deg = reader.read_number<double>();
     fix.position.height_m = reader.read_number<double>();
