@@ -53,22 +53,25 @@ McapMessage parse_message(std::string_view record_body) {
     return {channel, std::int64_t(log_ns), reader.read_rest()};
 }
 
-/// A chunk consists of two times, unpacked size, checksum, compression and records.
+/// Returns the records of a chunk, which may be compressed. A chunk consists of two times, unpacked size, checksum, compression and records.
 SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     codecs::ByteReader reader(chunk_record_body.bytes);
     reader.read_bytes(16);  // skips the times of the first and the last message
-    const auto n = reader.read_number<std::uint64_t>();
-    const auto sum = reader.read_number<std::uint32_t>();
+    const auto n_unpacked = reader.read_number<std::uint64_t>();
+    const auto checksum = reader.read_number<std::uint32_t>();
     const std::string_view compression = reader.read_string();
-    SharedBytes records = unpack_chunk(
-        compression, chunk_record_body.share_part(reader.read_bytes(reader.read_number<std::uint64_t>())), n);
-    // The checksum 0 means that the writer has computed none.
-    if (sum != 0 &&
-        crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
+    const auto n_packed = reader.read_number<std::uint64_t>();
+    const SharedBytes packed = chunk_record_body.share_part(reader.read_bytes(n_packed));
+    SharedBytes records = unpack_chunk(compression, packed, n_unpacked);
+    const auto* bytes = reinterpret_cast<const Bytef*>(records.bytes.data());
+    const bool has_checksum = checksum != 0;  // 0: the writer has computed none
+    if (has_checksum && crc32_z(0, bytes, records.bytes.size()) != checksum)
         fail("the checksum of the data is wrong, so the data is damaged");
     return records;
 }
 
+/// An MCAP file. Each message belongs to a channel (topic), and each channel to a schema
+/// (message type).
 class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
@@ -116,7 +119,7 @@ public:
 private:
     RandomAccessFile file_;
     const bool skip_broken_;
-    std::string points_in_;
+    std::string points_in_;  ///< see points_frame()
     ChunkCache chunks_;
     struct Schema {
         std::string name, encoding;
@@ -124,21 +127,25 @@ private:
     std::map<std::uint16_t, Schema> schemas_;
     std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
 
+    /// Reads the body of the record at a byte.
     SharedBytes read_body(std::uint64_t record_offset) const {
         const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
         return file_.read_bytes_at(record_offset + kRecordHead,
                                    codecs::ByteReader(head.bytes.substr(1)).read_number<std::uint64_t>());
     }
 
+    /// Processes the record at a byte of the file. A chunk contains further records.
     void process_at(std::uint8_t record_code, std::uint64_t record_offset, std::uint64_t body_length,
                     TopicTable& topics, const ReadCallbacks& callbacks) {
         constexpr std::array kReadRecords = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk,
                                              kMcapMetadata};
         if (std::ranges::find(kReadRecords, record_code) == kReadRecords.end()) return;
         SharedBytes body = file_.read_bytes_at(record_offset + kRecordHead, body_length);
-        if (record_code != kMcapChunk)
-            return process_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk},
-                                  topics, callbacks);
+        if (record_code != kMcapChunk) {
+            process_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk}, topics,
+                           callbacks);
+            return;
+        }
         const SharedBytes records = unpack_mcap_chunk(body);
         // Frees the packed bytes, unless `records` shares them.
         body = {};
@@ -149,6 +156,7 @@ private:
         }
     }
 
+    /// Stores the schema or the channel of a record, or passes on its message.
     void process_record(const McapRecord& record, const MessagePosition& message_position, TopicTable& topics,
                         const ReadCallbacks& callbacks) {
         codecs::ByteReader reader(record.body);

@@ -16,6 +16,7 @@ namespace {
 
 constexpr std::string_view kRos1Magic = "#ROSBAG V2.0\n";
 constexpr std::uint32_t kLongestHeader = 1 << 20;
+constexpr std::uint64_t kLengthBytes = 4;
 enum Ros1Op : std::uint8_t { kRos1Message = 2, kRos1Chunk = 5, kRos1Connection = 7 };
 
 /// The named values in the header of a record.
@@ -55,6 +56,7 @@ Ros1Record read_ros1_record(codecs::ByteReader& reader) {
     return {header, reader.read_string()};
 }
 
+/// A ROS 1 bag. Each message belongs to a connection, which defines its topic and type.
 class Ros1File : public BagFile {
 public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
@@ -107,23 +109,28 @@ private:
     /// Returns the header of a record and the position of its data. Returns nothing if
     /// the file ends within the record.
     std::optional<Ros1RecordExtent> read_extent(std::uint64_t record_offset) const {
-        const auto length_at = [&](std::uint64_t length_offset) -> std::optional<std::uint32_t> {
-            if (length_offset > file_.size() || file_.size() - length_offset < 4) return std::nullopt;
-            const SharedBytes length = file_.read_bytes_at(length_offset, 4);
-            const auto n = codecs::ByteReader(length.bytes).read_number<std::uint32_t>();
-            return n > file_.size() - length_offset - 4 ? std::nullopt : std::optional(n);
+        // Header and data are preceded by their lengths.
+        const auto length_at = [&](std::uint64_t at) -> std::optional<std::uint32_t> {
+            if (at > file_.size() || file_.size() - at < kLengthBytes) return std::nullopt;
+            const SharedBytes bytes = file_.read_bytes_at(at, kLengthBytes);
+            const auto length = codecs::ByteReader(bytes.bytes).read_number<std::uint32_t>();
+            const bool is_complete = length <= file_.size() - at - kLengthBytes;
+            return is_complete ? std::optional(length) : std::nullopt;
         };
         const auto header_bytes = length_at(record_offset);
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
             fail("{}: the record at byte {} has a header of {} bytes, expected at most {}", file_.name(),
                  record_offset, *header_bytes, kLongestHeader);
-        const std::uint64_t data = record_offset + 4 + *header_bytes;
-        const auto data_bytes = length_at(data);
+        const std::uint64_t header_at = record_offset + kLengthBytes;
+        const auto data_bytes = length_at(header_at + *header_bytes);
         if (!data_bytes) return std::nullopt;
-        return Ros1RecordExtent{file_.read_bytes_at(record_offset + 4, *header_bytes), data + 4, *data_bytes};
+        return Ros1RecordExtent{.header = file_.read_bytes_at(header_at, *header_bytes),
+                                .data_at = header_at + *header_bytes + kLengthBytes,
+                                .data_bytes = *data_bytes};
     }
 
+    /// Reads and unpacks the records of a chunk.
     SharedBytes read_chunk(const Ros1RecordExtent& chunk_extent) const {
         const Ros1Header header(chunk_extent.header.bytes);
         return unpack_chunk(header.text_field("compression"),
@@ -131,6 +138,7 @@ private:
                             header.number_field<std::uint32_t>("size"));
     }
 
+    /// Processes the record at a byte of the file. A chunk contains further records.
     void process_at(std::uint64_t record_offset, const Ros1RecordExtent& record_extent, TopicTable& topics,
                     const ReadCallbacks& callbacks) {
         const Ros1Header header(record_extent.header.bytes);
@@ -150,6 +158,7 @@ private:
         }
     }
 
+    /// Stores the connection of a record, or passes on its message.
     void process_record(const Ros1Header& record_header, std::string_view record_data,
                         const MessagePosition& message_position, TopicTable& topics,
                         const ReadCallbacks& callbacks) {
@@ -158,9 +167,9 @@ private:
         const auto id = record_header.number_field<std::uint32_t>("conn");
         // The data of a connection is a header with the message type.
         if (op == kRos1Connection) {
-            const Ros1Header about(record_data);
+            const Ros1Header connection(record_data);
             connections_[id] = topics.topic_index({std::string(record_header.text_field("topic")),
-                                                   std::string(about.text_field("type")), "ros1"});
+                                                   std::string(connection.text_field("type")), "ros1"});
             return;
         }
         const auto connection = connections_.find(id);

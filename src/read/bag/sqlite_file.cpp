@@ -34,6 +34,7 @@ std::string_view bytes_column(sqlite3_stmt* statement, int column) {
                  : std::string_view();
 }
 
+/// A rosbag2 database.
 class SqliteFile : public BagFile {
 public:
     explicit SqliteFile(const std::filesystem::path& path)
@@ -55,7 +56,8 @@ public:
             uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail_with("opening the database");
-        // No value can be larger than the file. The margin is 1 MiB.
+        // Protects from a damaged size: no value can be larger than the file, with a margin
+        // of 1 MiB.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         // A bag can come from anybody, so its schema must not run functions with side
@@ -91,28 +93,28 @@ public:
 
     SharedBytes read_message(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
-        // Prepared once for all messages.
-        if (!one_) one_ = prepare("SELECT data FROM messages WHERE rowid = ?");
-        sqlite3_reset(one_.get());
-        sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
-        if (!next_row(one_.get()))
+        if (!query_of_message_) query_of_message_ = prepare("SELECT data FROM messages WHERE rowid = ?");
+        sqlite3_reset(query_of_message_.get());
+        sqlite3_bind_int64(query_of_message_.get(), 1, std::int64_t(place.at));
+        if (!next_row(query_of_message_.get()))
             fail("{}: row {} of the table 'messages' has disappeared since the file was opened", name_,
                  place.at);
-        return share_bytes(std::string(bytes_column(one_.get(), 0)));
+        return share_bytes(std::string(bytes_column(query_of_message_.get(), 0)));
     }
 
 private:
     const std::string name_;
     const std::uint64_t bytes_;
     std::unique_ptr<sqlite3, CloseDatabase> database_;
-    mutable std::mutex lock_;  ///< only one thread may use the database at a time
-    mutable Statement one_;
+    mutable std::mutex lock_;             ///< only one thread may use the database at a time
+    mutable Statement query_of_message_;  ///< reads one message; prepared once for all messages
 
     [[noreturn]] void fail_with(const char* action) const {
         fail("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
              quote(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory"));
     }
 
+    /// Compiles a query.
     Statement prepare(const std::string& sql_text) const {
         sqlite3_stmt* statement = nullptr;
         if (sqlite3_prepare_v2(database_.get(), sql_text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
