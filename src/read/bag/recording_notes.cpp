@@ -19,6 +19,7 @@ constexpr double kMinGapSteps = 1.6;
 // Time stamps have jumped if time stamp minus recording time changes by more than this.
 constexpr double kMinJump_s = 0.5;
 
+/// Describes the clouds of a topic, or the packets from which clouds are decoded.
 std::string describe_content(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) {
         std::size_t n_missing = 0;
@@ -40,6 +41,37 @@ std::string describe_content(const CloudTopic& cloud_topic) {
                        cloud_topic.median_points(), fmt::join(names, " "));
 }
 
+// These functions return an empty text if topic `t` has other content.
+
+std::string describe_clouds(const BagRecording& bag, const BagIndex& index, std::size_t t) {
+    const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
+    if (clouds == index.clouds.end()) return "";
+    std::string text = describe_content(*clouds);
+    const auto n_lidars = std::ranges::count(index.clouds, t, &CloudTopic::topic);
+    if (n_lidars > 1)
+        text += fmt::format(", clouds of {} LiDARs, which are read as '{}' and so on", n_lidars,
+                            quote(clouds->make_name(bag)));
+    if (clouds->n_empty > 0) text += fmt::format(", {} clouds without points", clouds->n_empty);
+    return text;
+}
+
+std::string describe_poses(const BagIndex& index, std::size_t t) {
+    const auto poses = std::ranges::find(index.poses, t, &PoseTopic::topic);
+    if (poses == index.poses.end()) return "";
+    return fmt::format(", frame '{}' in '{}'", poses->child.empty() ? "unknown" : quote(poses->child),
+                       quote(poses->parent));
+}
+
+std::string describe_boxes(const BagIndex& index, std::size_t t) {
+    const auto boxes = std::ranges::find(index.boxes, t, &BoxTopic::topic);
+    if (boxes == index.boxes.end()) return "";
+    std::string text = fmt::format(", frame '{}', {} boxes, {} with a track id", quote(boxes->frame),
+                                   boxes->n_boxes, boxes->n_named);
+    if (boxes->n_left_out != 0)
+        text += fmt::format("; {} more boxes have no size or no pose", boxes->n_left_out);
+    return text;
+}
+
 }  // namespace
 
 std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex& index,
@@ -50,28 +82,12 @@ std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex
         const TopicStatistics& facts = index.facts[t];
         std::string line = fmt::format("topic {}: {}", quote(topic.name), quote(topic.type));
         // The messages of a network capture are groups of packets that the reader makes.
-        const bool is_run = topic.type == packets::kLidarDatagrams;
-        if (!is_run) line += fmt::format(", {} messages", facts.n);
-        if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
-        if (const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
-            clouds != index.clouds.end()) {
-            line += describe_content(*clouds);
-            if (const auto n = std::ranges::count(index.clouds, t, &CloudTopic::topic); n > 1)
-                line += fmt::format(", clouds of {} LiDARs, which are read as '{}' and so on", n,
-                                    quote(clouds->make_name(bag)));
-            if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
-        }
-        if (const auto poses = std::ranges::find(index.poses, t, &PoseTopic::topic);
-            poses != index.poses.end())
-            line += fmt::format(", frame '{}' in '{}'",
-                                poses->child.empty() ? "unknown" : quote(poses->child), quote(poses->parent));
-        if (const auto boxes = std::ranges::find(index.boxes, t, &BoxTopic::topic);
-            boxes != index.boxes.end()) {
-            line += fmt::format(", frame '{}', {} boxes, {} with a track id", quote(boxes->frame),
-                                boxes->n_boxes, boxes->n_named);
-            if (boxes->n_left_out != 0)
-                line += fmt::format("; {} more boxes have no size or no pose", boxes->n_left_out);
-        }
+        const bool has_messages = topic.type != packets::kLidarDatagrams;
+        if (has_messages) line += fmt::format(", {} messages", facts.n);
+        if (has_messages && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        line += describe_clouds(bag, index, t);
+        line += describe_poses(index, t);
+        line += describe_boxes(index, t);
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);
@@ -85,22 +101,22 @@ std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex
 }
 
 std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep_period_s) {
-    std::size_t n = 0;
-    double missing = 0.0, longest_s = 0.0, at_s = 0.0;
+    std::size_t n_gaps = 0;
+    double n_missing = 0.0, longest_s = 0.0, begin_of_longest_s = 0.0;
     for (std::size_t i = 1; i < sweep_times_s.size(); ++i) {
         const double gap_s = sweep_times_s[i] - sweep_times_s[i - 1];
         if (gap_s < kMinGapSteps * sweep_period_s) continue;
-        ++n;
+        ++n_gaps;
         // n - 1 sweeps are missing in a gap of n periods.
-        missing += std::round(gap_s / sweep_period_s) - 1.0;
+        n_missing += std::round(gap_s / sweep_period_s) - 1.0;
         if (gap_s > longest_s) {
             longest_s = gap_s;
-            at_s = sweep_times_s[i - 1];
+            begin_of_longest_s = sweep_times_s[i - 1];
         }
     }
-    if (n == 0) return "";
-    return fmt::format("{} gaps with about {} missing sweeps; the longest gap is {:.2f} s, at {:.2f} s", n,
-                       missing, longest_s, at_s);
+    if (n_gaps == 0) return "";
+    return fmt::format("{} gaps with about {} missing sweeps; the longest gap is {:.2f} s, at {:.2f} s",
+                       n_gaps, n_missing, longest_s, begin_of_longest_s);
 }
 
 std::string describe_frame_ids(const CloudTopic& cloud_topic) {
@@ -115,7 +131,7 @@ std::string describe_jumps(const CloudTopic& cloud_topic) {
     double largest_s = 0.0;
     for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
         const CloudEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
-        n_falls += entry.stamp_ns <= before.stamp_ns;
+        if (entry.stamp_ns <= before.stamp_ns) ++n_falls;
         // Difference between the steps of the time stamps and of the recorder's clock.
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));
