@@ -28,6 +28,7 @@ constexpr double kMinStep_s = 2e-3;  // minimum time between sweeps
 // The unit is the sweep period of the main LiDAR.
 constexpr double kMaxSweepOffset = 0.6;
 
+/// Selects topics of a recording and loads them as a log.
 class BagLogLoader {
 public:
     BagLogLoader(const std::filesystem::path& path, const DatasetOptions& options)
@@ -57,11 +58,11 @@ public:
         read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
         for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !sequence_.lidars[l].sensor.beams.empty()});
-            layout.motion_compensated |= lidars_[l].units.is_deskewed;
+            if (lidars_[l].units.is_deskewed) layout.motion_compensated = true;
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
-        LidarPoseFunction deskewed_by;
+        LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
         if (is_deskewed_ && has_poses_)
             deskewed_by = [&](std::size_t lidar, double t_s) {
                 const Pose pose = vehicle_pose(t_s);
@@ -116,19 +117,26 @@ private:
         if (!text.empty()) sequence_.notes.push_back(topic_name_of(topic_entry) + ": " + text);
     }
 
-    void add_topic_notes() {
+    /// Returns for each topic of the recording whether it is loaded.
+    std::vector<bool> list_used_topics() const {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
-        for (std::size_t t = 0; t < used.size(); ++t)
-            if (has_poses_ && !used[t])
-                used[t] = find_purpose(bag_.topics()[t]) == MessagePurpose::transforms ||
-                          // `description` ends with the name of the topic if the poses are
-                          // from a pose topic.
-                          poses_.description.ends_with(" " + bag_.topics()[t].name);
+        for (std::size_t t = 0; t < used.size() && has_poses_; ++t) {
+            const BagTopic& topic = bag_.topics()[t];
+            // The description ends with the name of the topic if the poses are from a pose topic.
+            if (find_purpose(topic) == MessagePurpose::transforms ||
+                poses_.description.ends_with(" " + topic.name))
+                used[t] = true;
+        }
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         if (const FixTopic* fixes = find_fixes()) used[fixes->topic] = true;
-        for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, used), clouds_.notes,
-                                  poses_.notes, boxes_.notes})
+        return used;
+    }
+
+    /// Adds notes about the topics and their selection. Corrects jumps of the clocks.
+    void add_topic_notes() {
+        for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, list_used_topics()),
+                                  clouds_.notes, poses_.notes, boxes_.notes})
             for (const std::string& text : texts) add_note(text);
         if (has_poses_) {
             add_note(poses_.clock_note);
@@ -160,7 +168,11 @@ private:
                 ++n_late;
                 continue;
             }
-            sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
+            sweeps.push_back({.number = int(sweeps.size()),
+                              .time_s = t_s,
+                              .cloud_s = t_s,
+                              .lidar = clouds_.main,
+                              .entry = entry});
         }
         if (n_late > 0)
             add_note(fmt::format("{} clouds are skipped, because they are not later than the previous cloud",
@@ -172,9 +184,8 @@ private:
         std::vector<FrameCloud> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             if (l != clouds_.main) append_nearest(all, sweeps, l, kMaxSweepOffset * step_s);
-        std::ranges::stable_sort(all, [](const FrameCloud& first, const FrameCloud& second) {
-            return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
-        });
+        std::ranges::stable_sort(
+            all, {}, [](const FrameCloud& cloud) { return std::pair(cloud.number, cloud.lidar); });
         select_clouds(all);
         add_units(step_s);
     }
@@ -184,8 +195,6 @@ private:
     void append_nearest(std::vector<FrameCloud>& all_clouds, const std::vector<FrameCloud>& main_sweeps,
                         std::size_t lidar_index, double max_time_difference_s) {
         const std::vector<CloudEntry>& clouds = cloud_topic_of(lidar_index).clouds;
-        std::vector<double> main_s, other_s;
-        for (const FrameCloud& sweep : main_sweeps) main_s.push_back(sweep.time_s);
         ClockOffset offset;
         if (poses_.clock == LogClock::stamps)
             offset = estimate_offset(list_times(clouds), list_times(main_topic().clouds));
@@ -197,20 +206,25 @@ private:
                             offset.is_clear
                                 ? ", so their clocks differ; this time is subtracted"
                                 : "; either the clocks differ or messages are late; nothing is corrected"));
+        std::vector<double> main_s, other_s;
+        for (const FrameCloud& sweep : main_sweeps) main_s.push_back(sweep.time_s);
         for (const CloudEntry& entry : clouds)
             other_s.push_back(cloud_time_of(entry) - 1e-9 * double(offset.correction_ns()));
-        const auto beside = match_sweeps(main_s, other_s, max_time_difference_s);
-        std::size_t n_left = clouds.size();
+        const auto nearest = match_sweeps(main_s, other_s, max_time_difference_s);  // [main sweeps]
+        std::size_t n_skipped = clouds.size();
         for (std::size_t k = 0; k < main_sweeps.size(); ++k) {
-            if (!beside[k]) continue;
-            all_clouds.push_back(
-                {main_sweeps[k].number, main_s[k], other_s[*beside[k]], lidar_index, clouds[*beside[k]]});
-            --n_left;
+            if (!nearest[k]) continue;
+            all_clouds.push_back({.number = main_sweeps[k].number,
+                                  .time_s = main_s[k],
+                                  .cloud_s = other_s[*nearest[k]],
+                                  .lidar = lidar_index,
+                                  .entry = clouds[*nearest[k]]});
+            --n_skipped;
         }
-        if (n_left > 0)
+        if (n_skipped > 0)
             add_topic_note(cloud_topic_of(lidar_index),
                            fmt::format("{} clouds are skipped, because {} has no cloud near their times",
-                                       n_left, topic_name_of(main_topic())));
+                                       n_skipped, topic_name_of(main_topic())));
     }
 
     /// Keeps the clouds of the requested frames that have a pose at their time.
@@ -276,6 +290,7 @@ private:
         }
     }
 
+    /// Returns the pose of the vehicle. The frame of a single LiDAR is the vehicle frame.
     Pose vehicle_pose(double t_s) const {
         const Pose world_from_vehicle = poses_.path->compute_pose_at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
@@ -288,19 +303,20 @@ private:
         if (poses_.clock == LogClock::recorder) return {};
         const CloudTopic& main = main_topic();
         std::vector<MessageTimes> times = list_times(main.clouds);
-        for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i)
-            if (const std::int64_t ahead_ns =
-                    main.revolutions[main.clouds[i].revolution_index].stamp_less_clock_ns;
-                ahead_ns != 0)
-                times[i].log_ns = times[i].stamp_ns - ahead_ns;
+        for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i) {
+            const packets::PacketRevolution& revolution = main.revolutions[main.clouds[i].revolution_index];
+            const std::int64_t ahead_ns = revolution.stamp_less_clock_ns;  // 0: unknown
+            if (ahead_ns != 0) times[i].log_ns = times[i].stamp_ns - ahead_ns;
+        }
+        // The same messages with stamps of the other clock.
         std::vector<MessageTimes> other = times;
-        for (MessageTimes& t : other) t.stamp_ns = t.log_ns;
+        for (MessageTimes& message : other) message.stamp_ns = message.log_ns;
         const ClockOffset offset = estimate_offset(times, other);
         if (offset.drift_ns != 0 && !offset.is_clear) return {};
         // A sensor without GPS counts its hour from any moment. Only whole seconds show
         // that the sensor has GPS.
-        return main.packets.has_clock_wraps() && offset.offset_ns % kNsPerSecond != 0 ? ClockOffset{}
-                                                                                      : offset;
+        const bool is_unrelated = main.packets.has_clock_wraps() && offset.offset_ns % kNsPerSecond != 0;
+        return is_unrelated ? ClockOffset{} : offset;
     }
 
     /// Reads vehicle poses from a file of the user, which lists them by frame number or
@@ -319,42 +335,48 @@ private:
             return *poses;
         };
         const ClockOffset offset = compare_clocks();
-        std::vector<Pose> poses, other;
+        std::vector<Pose> poses, other_poses;  // on the clock of the scans, and on the other clock
         Notes ignored_notes;
         try {
-            if (offset.offset_ns != 0) other = read_poses(offset.offset_ns, ignored_notes);
+            if (offset.offset_ns != 0) other_poses = read_poses(offset.offset_ns, ignored_notes);
         } catch (const DataError&) {
             // The file has no poses at the times of the other clock.
         }
         try {
             poses = read_poses(0, sequence_.notes);
         } catch (const DataError&) {
-            if (other.empty()) throw;
+            if (other_poses.empty()) throw;
         }
-        const bool is_equal = std::ranges::equal(poses, other, [](const Pose& a, const Pose& b) {
+        const bool are_equal = std::ranges::equal(poses, other_poses, [](const Pose& a, const Pose& b) {
             return a.translation == b.translation && a.rotation == b.rotation;
         });
-        if (!other.empty() && !is_equal)
+        if (!other_poses.empty() && !are_equal)
             add_note(fmt::format(
                 "the clock of the scans is {}; {}",
                 offset.describe(main_topic().revolutions.empty() ? "the recorder" : "the sensor"),
                 poses.empty() ? "the poses cover the scans only on the latter clock, so it is used"
                               : "the poses cover the scans on both clocks; they are read on the clock of the "
                                 "scans, so check the clock of the poses"));
-        return poses.empty() ? other : poses;
+        return poses.empty() ? other_poses : poses;
     }
 
     /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the
     /// user, the boxes move with the vehicle.
     void add_boxes() {
         if (!boxes_.topic) return;
-        BoxContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
-        if (poses_.clock == LogClock::stamps)
-            transform_context.box_zero_ns -=
-                estimate_offset(list_times(main_topic().clouds), list_times(boxes_.topic->lists))
-                    .correction_ns();
-        transform_context.vehicle =
-            has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : main_topic().frame;
+        BoxContext transform_context{.frames = survey_.frames,
+                                     .poses = poses_,
+                                     .vehicle = {},
+                                     .world_from_vehicle = {},
+                                     .box_zero_ns = poses_.zero_ns,
+                                     .is_world_of_poses = has_poses_};
+        if (poses_.clock == LogClock::stamps) {
+            const ClockOffset offset =
+                estimate_offset(list_times(main_topic().clouds), list_times(boxes_.topic->lists));
+            transform_context.box_zero_ns -= offset.correction_ns();
+        }
+        const bool has_vehicle_frame = has_poses_ || clouds_.lidars.size() > 1;
+        transform_context.vehicle = has_vehicle_frame ? poses_.vehicle : main_topic().frame;
         transform_context.world_from_vehicle = [&](double t_s) {
             if (has_poses_) return poses_.path->compute_pose_at(t_s);
             return sequence_.has_poses ? sequence_.world_from_vehicle.pose_at(t_s) : Pose{};
@@ -367,11 +389,12 @@ private:
 
     /// Returns the topic with the most positions on the earth, or null.
     const FixTopic* find_fixes() const {
+        if (!has_poses_ || survey_.fixes.empty()) return nullptr;
         const auto count = [](const FixTopic& fixes) { return fixes.samples.size(); };
-        return has_poses_ && !survey_.fixes.empty() ? &*std::ranges::max_element(survey_.fixes, {}, count)
-                                                    : nullptr;
+        return &*std::ranges::max_element(survey_.fixes, {}, count);
     }
 
+    /// Adds the frames with their vehicle poses, then the boxes and the place on the earth.
     void add_frames() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();
