@@ -17,6 +17,7 @@ namespace relidar {
 
 namespace {
 
+// Converts to MiB (2^20 bytes), for error messages.
 double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
 /// Throws an error with the size of the buffer, the free memory and the cause.
@@ -159,6 +160,7 @@ VkResult Device::Impl::bind_sparse(VkBuffer buffer, const std::vector<gpu::Memor
     return result == VK_SUCCESS ? vkQueueWaitIdle(queue) : result;
 }
 
+/// Destroys the buffer, after the device has finished all commands that may use it.
 Buffer::Impl::~Impl() {
     if (!handle || device->is_forked()) return;
     // Usually, the owner waits for the commands that use a buffer before it destroys the

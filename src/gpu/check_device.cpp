@@ -68,32 +68,35 @@ constexpr std::uint32_t kCheckWorkgroup = 256;
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lanes, std::size_t lane,
                                                                   std::uint32_t earlier_sum,
                                                                   std::uint32_t total) {
-    std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
+    std::uint32_t sum = 0, sum_before_lane = 0, largest = 0, n_odd = 0, odd_sum = 0;
     for (std::size_t i = 0; i < lanes.size(); ++i) {
-        const std::uint32_t x = lanes[i];
-        sum += x;
-        if (i < lane) earlier += x;
-        largest = std::max(largest, x);
-        if (x & 1u) {
-            ++n_odd;
-            odd_sum += x;
-        }
+        const bool is_odd = lanes[i] & 1u;
+        sum += lanes[i];
+        if (i < lane) sum_before_lane += lanes[i];
+        largest = std::max(largest, lanes[i]);
+        if (is_odd) ++n_odd;
+        if (is_odd) odd_sum += lanes[i];
     }
     const auto size = static_cast<std::uint32_t>(lanes.size());
+    const std::uint32_t neighbour = lanes[lane ^ 1u];
+    const std::uint32_t any_and_all_odd = (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u);
+    // Only lanes with odd values take the branch.
+    const std::uint32_t branch_sum = lanes[lane] & 1u ? odd_sum : 0u;
     return {size,
             sum,
-            earlier,
+            sum_before_lane,
             largest,
             n_odd,
-            lanes[lane ^ 1u],
-            (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u),
+            neighbour,
+            any_and_all_odd,
             lanes.front(),
-            lanes[lane] & 1u ? odd_sum : 0u,
-            earlier_sum + earlier,
+            branch_sum,
+            earlier_sum + sum_before_lane,
             total};
 }
 
-/// Returns a text about the first wrong result, or an empty text.
+/// Compares the results of all subgroup operations with the host's results. Returns a
+/// text about the first wrong result, or an empty text.
 std::string run_subgroup_test(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
@@ -105,24 +108,24 @@ std::string run_subgroup_test(Device& device) {
     run(stream, kernel, kCheckThreads, {.results = results.address(), .fault = fault});
     stream.submit_and_wait();
     const Words actual = results.download();
-    const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
-    for (std::uint32_t group = 0; group < kCheckThreads; group += kCheckWorkgroup) {
-        std::uint32_t total = 0, before = 0;
-        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(group + i);
-        // `before` is the sum of the earlier subgroups of this workgroup.
-        for (std::uint32_t first = group; first < group + kCheckWorkgroup; first += lanes) {
+    const auto n_lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
+    // A sum in a branch is only defined if lanes reconverge.
+    const auto is_tested = [&](std::size_t k) { return k != kInBranch || lanes_reconverge(device); };
+    for (std::uint32_t workgroup = 0; workgroup < kCheckThreads; workgroup += kCheckWorkgroup) {
+        std::uint32_t total = 0, earlier_sum = 0;  // of the workgroup, and of its earlier subgroups
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(workgroup + i);
+        for (std::uint32_t first = workgroup; first < workgroup + kCheckWorkgroup; first += n_lanes) {
             Words values;
-            for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::test_value(first + i));
-            for (std::uint32_t lane = 0; lane < lanes; ++lane) {
-                const auto expected = expected_results(values, lane, before, total);
+            for (std::uint32_t i = 0; i < n_lanes; ++i) values.push_back(shared::test_value(first + i));
+            for (std::uint32_t lane = 0; lane < n_lanes; ++lane) {
+                const auto expected = expected_results(values, lane, earlier_sum, total);
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    // A sum in a branch is only defined if lanes reconverge.
-                    if (lane_results[k] != expected[k] && (k != kInBranch || lanes_reconverge(device)))
+                    if (lane_results[k] != expected[k] && is_tested(k))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k],
                                            lane_results[k], lane, expected[k]);
             }
-            before = std::accumulate(values.begin(), values.end(), before);
+            earlier_sum = std::accumulate(values.begin(), values.end(), earlier_sum);
         }
     }
     return {};
@@ -135,18 +138,19 @@ std::string run_sort_test(Device& device) {
     constexpr std::uint32_t kCheckKeys = 5000;
     Words keys(kCheckKeys);
     for (std::uint32_t i = 0; i < kCheckKeys; ++i) keys[i] = shared::test_value(i);
+    static_assert(kCheckKeys > RELIDAR_TILE_SIZE);
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, kCheckKeys, "keys");
     const Array<std::uint32_t, shared::SortOrder> first_order(device, kCheckKeys, "order"),
         second_order(device, kCheckKeys, "order");
-    const RadixSort sort(device, kCheckKeys, 1);
+    constexpr std::uint32_t kWordsPerKey = 1, kKeyBits = 16;
+    const RadixSort sort(device, kCheckKeys, kWordsPerKey);
     Stream stream(device);
     sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
-             16);
+             kKeyBits);
     stream.submit_and_wait();
     std::ranges::sort(keys);
-    static_assert(kCheckKeys > RELIDAR_TILE_SIZE);
-    const Words actual = first.download();
+    const Words actual = first.download();  // 16 bits need two passes, so the first buffer has the result
     const auto [found, expected] = std::ranges::mismatch(actual, keys);
     if (found == actual.end()) return {};
     return fmt::format("sort of {} keys: found key {} at position {}, expected {}", kCheckKeys, *found,

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
+#include <tuple>
 
 #include <fmt/format.h>
 
@@ -33,6 +34,7 @@ void vk_fail(VkResult result, const std::string& message) {
     throw DeviceError(message);
 }
 
+/// Returns the name of a result code, or its number if it is unusual.
 std::string vk_result_name(VkResult result) {
     static const std::map<VkResult, const char*> kNames = {
         {VK_TIMEOUT, "VK_TIMEOUT"},
@@ -58,6 +60,8 @@ VkBool32 on_validation(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessa
     return VK_FALSE;
 }
 
+/// Returns the description of a messenger that counts and prints warnings and errors of
+/// the validation layer.
 VkDebugUtilsMessengerCreateInfoEXT messenger_info(VulkanInstance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
     info.messageSeverity =
@@ -89,6 +93,8 @@ void load_vulkan() {
             "package manager of your system");
 }
 
+/// Creates a Vulkan instance, which gives access to the drivers.
+/// @param validation true: enables the validation layer, which checks all calls
 VulkanInstance::VulkanInstance(bool validation) {
     load_vulkan();
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
@@ -165,22 +171,20 @@ int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptio
             "cannot open device {}: this machine has {} devices, expected a number from 0 to {}",
             options.index, n, n - 1);
     if (options.index >= 0) return options.index;
-    int best = 0, best_score = -1;
-    for (const DeviceInfo& d : device_infos) {
+    const auto preference = [&](const DeviceInfo& device) {
         // For `automatic`, the device must support at least one traversal method.
-        bool runs = best_backend(d) != RayTracingBackend::automatic;
-        if (options.traversal == RayTracingBackend::ray_query) runs = d.ray_query;
-        if (options.traversal == RayTracingBackend::software) runs = d.software;
-        const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
-                          (d.ray_query ? 1 : 0);
-        if (score > best_score) {
-            best = d.index;
-            best_score = score;
-        }
-    }
-    return best;
+        bool can_trace = best_backend(device) != RayTracingBackend::automatic;
+        if (options.traversal == RayTracingBackend::ray_query) can_trace = device.ray_query;
+        if (options.traversal == RayTracingBackend::software) can_trace = device.software;
+        const bool is_usable = device.why_not_usable.empty(), is_gpu = device.type != "CPU";
+        return std::tuple(is_usable, can_trace, is_gpu, device.ray_query);
+    };
+    return std::ranges::max_element(device_infos, {}, preference)->index;  // the first of equal devices
 }
 
+/// Checks that a device has the features that relidar and the traversal method need.
+/// @param is_lent true if another program has opened the device
+/// @throws DeviceError with the names of the missing features
 void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend, bool is_lent) {
     if (!info.why_not_usable.empty())
         fail<DeviceError>("cannot open device {} ({}): {} these required features: {}", info.index, info.name,
@@ -194,9 +198,8 @@ void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend, 
             "cannot open device {} ({}) with software traversal: it lacks {}; use --traversal auto",
             info.index, info.name, info.why_not_software);
     // SwiftShader cannot run the tracing kernels, but tests run all other kernels on it.
-    const bool runs_the_rest = gpu::is_swiftshader(info);
-    if (requested_backend == RayTracingBackend::automatic &&
-        best_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
+    const bool can_trace = best_backend(info) != RayTracingBackend::automatic;
+    if (requested_backend == RayTracingBackend::automatic && !can_trace && !gpu::is_swiftshader(info))
         fail<DeviceError>(
             "cannot open device {} ({}): for ray query it lacks {}, and for software traversal {}",
             info.index, info.name, info.why_not_ray_query, info.why_not_software);
@@ -292,6 +295,8 @@ void Device::Impl::select_traversal(RayTracingBackend requested) {
     if (traversal == RayTracingBackend::automatic) traversal = RayTracingBackend::software;
 }
 
+/// Opens the physical device that was selected, with the features that it has. Creates
+/// the objects that all streams and kernels share: allocator, transfers, pipeline cache.
 void Device::Impl::open_device(const DeviceOptions& options) {
     select_traversal(options.traversal);
     memory_limit_bytes = options.memory_limit_bytes;
@@ -310,6 +315,8 @@ void Device::Impl::open_device(const DeviceOptions& options) {
     memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device,
                                                           share_memory && info.type == "CPU", exports_memory);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
+    // A kernel gets the address of these zeros instead of an array that a launch leaves
+    // out.
     constexpr std::size_t kNothingBytes = 64 << 10;
     nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::BufferPurpose::parameters,
                                              "placeholder for optional arrays");
@@ -359,14 +366,18 @@ void Device::Impl::select_queue() {
         fail<DeviceError>("cannot open device {} ({}): the queue family {} cannot compute", info.index,
                           info.name, queue_family);
     while (queue_family < n && !can_compute()) ++queue_family;
+    if (queue_family >= n) return;
+    const VkQueueFamilyProperties& family = families[queue_family];
     VkPhysicalDeviceFeatures features;
     vkGetPhysicalDeviceFeatures(physical, &features);
-    binds_sparse = features.sparseBinding && gpu::is_enabled(lender(), "sparseBinding") && queue_family < n &&
-                   (families[queue_family].queueFlags & VK_QUEUE_SPARSE_BINDING_BIT) != 0;
-    const std::uint32_t bits = queue_family < n ? families[queue_family].timestampValidBits : 0;
-    if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
+    binds_sparse = features.sparseBinding && gpu::is_enabled(lender(), "sparseBinding") &&
+                   (family.queueFlags & VK_QUEUE_SPARSE_BINDING_BIT) != 0;
+    const std::uint32_t n_bits = family.timestampValidBits;
+    if (n_bits > 0 && n_bits < 64) timestamp_mask = (std::uint64_t(1) << n_bits) - 1;
 }
 
+/// Creates the Vulkan device with one queue. Enables the required features, and those
+/// optional features that the device has and relidar can use.
 void Device::Impl::create_device() {
     const float priority = 1.0f;
     VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
@@ -387,6 +398,7 @@ void Device::Impl::create_device() {
 
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
+    // Vulkan gets the features of extensions as a linked list (pNext).
     void** feature_chain_end = &v13.pNext;
     const auto enable = [&](const char* extension, auto& feature) {
         extensions.push_back(extension);

@@ -31,25 +31,31 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
     stream.submit_and_wait();
     constexpr int kCopyRounds = 8, kCopiesPerRound = 8;
     constexpr double kMaxCopyTime_s = 0.25;
-    const auto begin = std::chrono::steady_clock::now();
-    double best = 1e30;
-    for (int i = 0; i < kCopyRounds; ++i) {
-        const auto start = std::chrono::steady_clock::now();
-        if (i > 1 && std::chrono::duration<double>(start - begin).count() > kMaxCopyTime_s) break;
+    using Clock = std::chrono::steady_clock;
+    const auto seconds_since = [](Clock::time_point start) {
+        return std::chrono::duration<double>(Clock::now() - start).count();
+    };
+    const Clock::time_point begin = Clock::now();
+    double fastest_s = 1e30;
+    for (int round = 0; round < kCopyRounds; ++round) {
+        const bool has_run_both = round > 1;
+        if (has_run_both && seconds_since(begin) > kMaxCopyTime_s) break;
+        const Clock::time_point start = Clock::now();
         for (int k = 0; k < kCopiesPerRound; ++k) {
-            if (i % 2 == 0)
+            if (round % 2 == 0)
                 run(stream, copy, n_vectors,
                     {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n_vectors)});
             else stream.copy(from.buffer(), to.buffer(), n_vectors * sizeof(glm::vec4));
         }
         stream.submit_and_wait();
-        best =
-            std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
-                               kCopiesPerRound);
+        fastest_s = std::min(fastest_s, seconds_since(start) / kCopiesPerRound);
     }
-    if (!device.info().timestamps) return best;
-    const auto times = stream.times().milliseconds;
-    return std::min(std::ranges::min(times.at("gpu/copy")), std::ranges::min(times.at("copy"))) / 1000.0;
+    // The device's timestamps are more precise, because they exclude submissions and
+    // waits.
+    if (!device.info().timestamps) return fastest_s;
+    const auto times_ms = stream.times().milliseconds;
+    return std::min(std::ranges::min(times_ms.at("gpu/copy")), std::ranges::min(times_ms.at("copy"))) /
+           1000.0;
 }
 
 }  // namespace

@@ -60,6 +60,8 @@ bool is_enabled(const LentVulkan* lent, const char* feature_name) {
     return !lent || std::ranges::find(lent->features, feature_name) != lent->features.end();
 }
 
+/// Returns which optional features of subgroups the device has. For a lent device, its
+/// owner must have enabled them.
 OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* lent) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
@@ -78,7 +80,8 @@ OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* len
     uniform.pNext = &maximal;
 #endif
     vkGetPhysicalDeviceFeatures2(physical, &features);
-    optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
+    const bool varies = sizes.minSubgroupSize != sizes.maxSubgroupSize;
+    optional.subgroup_size = varies && control.subgroupSizeControl &&
                              is_enabled(lent, "subgroupSizeControl") &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups && is_enabled(lent, "computeFullSubgroups");
@@ -115,33 +118,36 @@ bool loses_float_adds([[maybe_unused]] const VkPhysicalDeviceDriverProperties& d
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
+/// Returns the missing features that the software traversal needs, as one text.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroups,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional) {
-    const auto operations = [&](VkSubgroupFeatureFlags required) {
+    const auto has_operation = [&](VkSubgroupFeatureFlags required) {
         return (subgroups.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
                (subgroups.supportedOperations & required) == required;
     };
-    Missing groups;
-    groups.require(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
-    groups.require(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
-    groups.require(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
-    groups.require(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
-    groups.require(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups with 4 to 64 lanes");
-    groups.require(can_fix_subgroup_size(sizes, optional),
-                   "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
-    return groups.text;
+    Missing missing;
+    missing.require(has_operation(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    missing.require(has_operation(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
+    missing.require(has_operation(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    missing.require(has_operation(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
+    missing.require(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64,
+                    "subgroups with 4 to 64 lanes");
+    missing.require(can_fix_subgroup_size(sizes, optional),
+                    "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    return missing.text;
 }
 
+/// Returns the missing features that the ray-drop network needs, as one text.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroups,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional) {
-    Missing groups;
-    groups.require(subgroups.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
-                   "subgroup shuffles in compute");
-    groups.require(can_fix_subgroup_size(sizes, optional),
-                   "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
-    return groups.text;
+    Missing missing;
+    missing.require(subgroups.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+                    "subgroup shuffles in compute");
+    missing.require(can_fix_subgroup_size(sizes, optional),
+                    "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    return missing.text;
 }
 
 bool has_extension(VkPhysicalDevice physical, const char* extension_name) {
@@ -177,6 +183,7 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
     return base.text;
 }
 
+/// Returns the missing extensions and features of ray queries, as one text.
 std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
                                   const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,
                                   const VkPhysicalDeviceRayQueryFeaturesKHR& ray_query_features) {

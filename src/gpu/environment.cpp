@@ -22,12 +22,15 @@ std::string read_variable(const char* name) {
     return text ? text : "";
 }
 
+/// Converts a memory limit in MiB to bytes.
+/// @throws UsageError if the text is not a whole number above 0
 std::uint64_t parse_limit(const std::string& mib_text) {
+    constexpr std::uint64_t kMaxMib = 1u << 30;  // avoids an overflow of the number of bytes
     std::uint64_t mib = 0;
     const char* end = mib_text.data() + mib_text.size();
-    const auto [parsed, failed] = std::from_chars(mib_text.data(), end, mib);
-    // The upper limit avoids an overflow of the number of bytes.
-    if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
+    const auto [parsed_end, failed] = std::from_chars(mib_text.data(), end, mib);
+    const bool is_number = failed == std::errc() && parsed_end == end;
+    if (!is_number || mib == 0 || mib > kMaxMib) {
         fail<UsageError>(
             "environment variable RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0",
             mib_text);

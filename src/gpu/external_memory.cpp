@@ -81,6 +81,7 @@ struct ComputeLibrary {
 /// Loads the functions of a library. They stay loaded until the process ends.
 /// @return the functions, or null if the library or one of its functions is missing
 const ComputeLibrary* load_library(const LibraryNames& names) {
+    // ComputeLibrary starts with function pointers in the order of the names.
     static_assert(offsetof(ComputeLibrary, names) == sizeof(LibraryNames::functions));
     auto loaded = std::make_unique<ComputeLibrary>();
     loaded->names = &names;
@@ -101,14 +102,17 @@ const ComputeLibrary* find_library(std::uint32_t vendor_id) {
     return kLoaded && kLoaded->names == names ? kLoaded : nullptr;
 }
 
-/// Returns the index of the Vulkan device in the library.
+/// Returns the index that the library gives to the Vulkan device, which has the same
+/// UUID.
 int find_device(const ComputeLibrary& library, const Device::Impl& device) {
     VkPhysicalDeviceIDProperties id{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &id};
     vkGetPhysicalDeviceProperties2(device.physical, &properties);
-    int n = 0;
-    library.check(library.count_devices(&n), 1);
-    for (int index = 0; index < n; ++index) {
+    // The second argument of check() is the index of the function in
+    // LibraryNames::functions.
+    int n_devices = 0;
+    library.check(library.count_devices(&n_devices), 1);
+    for (int index = 0; index < n_devices; ++index) {
         int handle = 0;
         std::uint8_t uuid[VK_UUID_SIZE];
         library.check(library.get_device(&handle, index), 2);
@@ -118,7 +122,7 @@ int find_device(const ComputeLibrary& library, const Device::Impl& device) {
     fail<DeviceError>(
         "cannot share memory of {} with {}: none of its {} devices has the UUID of this card; make the card "
         "visible to it, or open the device without shared memory",
-        device.info.name, library.names->file, n);
+        device.info.name, library.names->file, n_devices);
 }
 
 /// Memory that a library has imported, in the context of its device.
@@ -130,7 +134,6 @@ struct ImportedBlock {
 
     ImportedBlock(const ComputeLibrary& of, const Device::Impl& owner, const MemoryBlock& block)
         : library(of), device_index(find_device(of, owner)) {
-        // The second argument is the index of the function in LibraryNames::functions.
         library.check(library.get_device(&device, device_index), 2);
         library.check(library.retain_context(&context, device), 4);
         ImportDescription import;
@@ -161,6 +164,7 @@ struct ImportedBlock {
 
 }  // namespace
 
+/// Returns true if the device can export the memory of buffers as file descriptors.
 bool can_export(VkPhysicalDevice physical, bool binds_sparse) {
     if (!has_extension(physical, VK_KHR_EXTERNAL_MEMORY_FD_EXTENSION_NAME)) return false;
     VkPhysicalDeviceExternalBufferInfo info{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_EXTERNAL_BUFFER_INFO};

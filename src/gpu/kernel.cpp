@@ -53,8 +53,9 @@ std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<co
         if (!skips_dead_loads(device.info.driver)) words = gpu::make_nonuniform(words);
         words = gpu::hoist_loads(words);
     }
-    if (std::find(kReconvergingKernels.begin(), kReconvergingKernels.end(), base) !=
-        kReconvergingKernels.end()) {
+    // Lanes of these kernels must run together again after a branch. The stronger
+    // guarantee is used if the device has it.
+    if (std::ranges::find(kReconvergingKernels, base) != kReconvergingKernels.end()) {
         if (device.optional.maximal_reconvergence)
             return gpu::add_execution_mode(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow)
@@ -126,17 +127,13 @@ private:
 /// Returns the constants that the module uses as "NAME=value ...", sorted by their ids.
 /// The workgroup size is left out, because every kernel has one.
 std::string format_constants(std::span<const std::uint32_t> words, KernelConstants constants) {
-    std::sort(constants.begin(), constants.end(),
-              [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
-                  return first.id < second.id;
-              });
-    const std::set<std::uint32_t> of_module = gpu::list_constants(words);
+    std::ranges::sort(constants, {}, &SpecialisationConstant::id);
+    const std::set<std::uint32_t> module_constants = gpu::list_constants(words);
     std::string text;
-    for (const SpecialisationConstant& c : constants) {
-        if (c.id == SpecialisationConstantId::WORKGROUP_SIZE ||
-            !of_module.contains(static_cast<std::uint32_t>(c.id)))
-            continue;
-        text += fmt::format("{}{}={}", text.empty() ? "" : " ", constant_name(c.id), c.value);
+    for (const SpecialisationConstant& constant : constants) {
+        const bool is_used = module_constants.contains(static_cast<std::uint32_t>(constant.id));
+        if (!is_used || constant.id == SpecialisationConstantId::WORKGROUP_SIZE) continue;
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", constant_name(constant.id), constant.value);
     }
     return text;
 }
@@ -154,18 +151,19 @@ std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, co
     // Modules of programs can have equal names, so the key contains the code.
     if (kernel.loaded_words)
         key.append(reinterpret_cast<const char*>(kernel.words.data()), kernel.words.size_bytes());
-    std::shared_future<gpu::CompiledPipeline>& made = device.pipelines.by_key[key];
-    if (!made.valid())
-        made = std::async(mode, [&device, module = kernel.module, stem = kernel.name, words = kernel.words,
+    std::shared_future<gpu::CompiledPipeline>& pipeline = device.pipelines.by_key[key];
+    if (pipeline.valid()) return pipeline;
+    // Copies what it needs, because the kernel may be destroyed before.
+    pipeline = std::async(mode, [&device, module = kernel.module, base = kernel.name, words = kernel.words,
                                  loaded_words = kernel.loaded_words, constants = kernel.constants,
                                  subgroups = kernel.subgroups] {
-            const CompilerSlot compiler_slot(device.pipelines.compilers);
-            const std::string constants_shown = format_constants(words, constants);
-            return create_pipeline(device, kernel_spirv(device, words, stem, constants),
-                                   constants_shown.empty() ? module : module + " " + constants_shown,
-                                   constants, subgroups);
-        });
-    return made;
+        const CompilerSlot compiler_slot(device.pipelines.compilers);
+        const std::string text = format_constants(words, constants);
+        const std::string name = text.empty() ? module : module + " " + text;
+        return create_pipeline(device, kernel_spirv(device, words, base, constants), name, constants,
+                               subgroups);
+    });
+    return pipeline;
 }
 
 }  // namespace
@@ -210,11 +208,10 @@ void KernelBase::start_compilation(Device& owner, const KernelConstants& constan
     impl_->device = &device;
     impl_->constants = constants;
     KernelConstants& all = impl_->constants;
-    const auto size = std::find_if(all.begin(), all.end(), [](const SpecialisationConstant& c) {
-        return c.id == SpecialisationConstantId::WORKGROUP_SIZE;
-    });
-    impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
-    if (size == all.end()) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, device.workgroup_size});
+    constexpr auto kSizeId = SpecialisationConstantId::WORKGROUP_SIZE;
+    if (std::ranges::find(all, kSizeId, &SpecialisationConstant::id) == all.end())
+        all.push_back({kSizeId, device.workgroup_size});
+    impl_->workgroup_size = std::ranges::find(all, kSizeId, &SpecialisationConstant::id)->value;
     impl_->addresses = gpu::list_pointers(impl_->words);
     impl_->made_ =
         find_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
@@ -276,19 +273,19 @@ void query_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& 
 /// compiler. Skips a kernel whose constants and workgroup size were already compiled.
 void KernelBase::compile_pipeline() {
     Device::Impl& device = *impl_->device;
-    PipelineStatistics s;
-    s.kernel = impl_->module;
-    s.constants = format_constants(impl_->words, impl_->constants);
-    s.workgroup_size = static_cast<int>(impl_->workgroup_size);
+    PipelineStatistics statistics;
+    statistics.kernel = impl_->module;
+    statistics.constants = format_constants(impl_->words, impl_->constants);
+    statistics.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
-        return known.kernel == s.kernel && known.constants == s.constants &&
-               known.workgroup_size == s.workgroup_size;
+        return known.kernel == statistics.kernel && known.constants == statistics.constants &&
+               known.workgroup_size == statistics.workgroup_size;
     };
-    if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
+    if (std::ranges::any_of(device.compiled, is_same)) return;
     const gpu::CompiledPipeline made = impl_->made_.get();
-    if (made.result != VK_SUCCESS) s.failure = gpu::vk_result_name(made.result);
-    else if (device.pipeline_statistics) query_statistics(device.device, made.pipeline, s);
-    device.compiled.push_back(s);
+    if (made.result != VK_SUCCESS) statistics.failure = gpu::vk_result_name(made.result);
+    else if (device.pipeline_statistics) query_statistics(device.device, made.pipeline, statistics);
+    device.compiled.push_back(statistics);
 }
 
 KernelBase::~KernelBase() = default;

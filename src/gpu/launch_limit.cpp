@@ -15,6 +15,7 @@ std::uint32_t KernelSpeed::workgroups_for(double target_dispatch_s) const {
 
 double KernelSpeed::estimate_s(std::uint32_t n_workgroups) const { return s_per_group_ * n_workgroups; }
 
+/// Returns true if a dispatch should be measured: the first few, and then every 64th.
 bool KernelSpeed::should_measure(double target_dispatch_s, std::uint32_t n_workgroups) {
     constexpr std::uint64_t kFirstMeasured = 8, kMeasureInterval = 64;
     // Does not measure small dispatches, because their fixed cost would make the kernel

@@ -71,6 +71,7 @@ std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes, s
 /// Returns a range to the free list and merges it with adjacent free ranges, so that
 /// large arrays can use the space again.
 void FreeRanges::release_range(std::uint64_t offset, std::uint64_t n_bytes) {
+    // `ranges_` maps the offset of each free range to its size.
     const auto next = ranges_.lower_bound(offset);
     if (next != ranges_.end() && next->first == offset + n_bytes) {
         n_bytes += next->second;
@@ -104,20 +105,20 @@ std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t type) const {
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Best first. Device memory that the host can access may be scarce, so only small
-/// parameter buffers may use it.
+/// Returns the memory types to try for a buffer, best first. Device memory that the host
+/// can access may be scarce, so only small parameter buffers may use it.
 std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequirements& requirements,
                                                              BufferPurpose purpose) const {
     std::vector<std::uint32_t> suitable_types;
-    for (const VkMemoryPropertyFlags properties_mask : preferred_flags(purpose))
+    for (const VkMemoryPropertyFlags flags : preferred_flags(purpose))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
-            if (!(requirements.memoryTypeBits >> type & 1u) ||
-                (properties_.memoryTypes[type].propertyFlags & properties_mask) != properties_mask)
-                continue;
-            const bool scarce = purpose == BufferPurpose::parameters &&
-                                (properties_mask & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
-                                requirements.size > new_block_bytes(type);
-            if (!scarce) suitable_types.push_back(type);
+            const bool is_allowed = requirements.memoryTypeBits >> type & 1u;
+            const bool has_flags = (properties_.memoryTypes[type].propertyFlags & flags) == flags;
+            if (!is_allowed || !has_flags) continue;
+            const bool is_too_large = purpose == BufferPurpose::parameters &&
+                                      (flags & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
+                                      requirements.size > new_block_bytes(type);
+            if (!is_too_large) suitable_types.push_back(type);
             break;
         }
     return suitable_types;
@@ -172,6 +173,8 @@ VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& r
     return result;
 }
 
+/// Allocates a block of device memory from the driver.
+/// @param exports true: other programs on the device can import the block
 VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t type, std::uint64_t n_bytes, bool exports) {
     VkExportMemoryAllocateInfo exported{VK_STRUCTURE_TYPE_EXPORT_MEMORY_ALLOCATE_INFO};
     exported.handleTypes = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;

@@ -23,22 +23,26 @@ constexpr GpuMaker kGpuMakers[] = {
     {0x1002, "AMD", "kfd", "install Mesa's Vulkan driver (RADV)"},
     {0x8086, "Intel", "", "install Mesa's Vulkan driver (ANV)"}};
 
-/// /dev/nvidia0, /dev/kfd, or the render node of the PCI vendor. Empty if there is none.
+/// Returns the device file of a vendor's GPU: for example /dev/nvidia0, /dev/kfd, or a
+/// render node in /dev/dri. Empty if there is none.
+/// @param device_file start of the name in /dev; a number may follow
 fs::path find_device_file(const fs::path& root, std::uint32_t vendor_id, const std::string& device_file) {
     std::error_code failed;
-    for (const auto& entry : fs::directory_iterator(root / "dev", failed)) {
-        const std::string name = entry.path().filename().string();
-        if (!device_file.empty() && name.starts_with(device_file) &&
-            name.find_first_not_of("0123456789", device_file.size()) == std::string::npos &&
+    const auto is_numbered = [&](const std::string& name) {
+        return name.starts_with(device_file) &&
+               name.find_first_not_of("0123456789", device_file.size()) == std::string::npos;
+    };
+    for (const auto& entry : fs::directory_iterator(root / "dev", failed))
+        if (!device_file.empty() && is_numbered(entry.path().filename().string()) &&
             !entry.is_directory(failed))
             return entry.path();
-    }
+    // Linux lists the PCI vendor of each render node.
     for (const auto& entry : fs::directory_iterator(root / "sys/class/drm", failed)) {
-        const fs::path node = root / "dev/dri" / entry.path().filename();
-        std::uint32_t found = 0;
-        std::ifstream(entry.path() / "device/vendor") >> std::hex >> found;
-        if (entry.path().filename().string().starts_with("renderD") && found == vendor_id &&
-            fs::exists(node, failed))
+        const std::string name = entry.path().filename().string();
+        const fs::path node = root / "dev/dri" / name;
+        std::uint32_t node_vendor_id = 0;
+        std::ifstream(entry.path() / "device/vendor") >> std::hex >> node_vendor_id;
+        if (name.starts_with("renderD") && node_vendor_id == vendor_id && fs::exists(node, failed))
             return node;
     }
     return {};

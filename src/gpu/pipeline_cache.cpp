@@ -22,6 +22,7 @@ struct PipelineCacheHeader {
     std::uint64_t hash = 0;
 };
 
+/// Returns the header of a cache file with this data of the driver.
 PipelineCacheHeader make_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
@@ -45,14 +46,15 @@ std::string read_cache(const std::filesystem::path& path, const VkPhysicalDevice
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
         return {};
+
     const PipelineCacheHeader expected = make_cache_header(bytes);
+    const bool is_intact = header.magic == expected.magic && header.hash == expected.hash;
     std::memcpy(&driver, bytes.data(), sizeof driver);
-    const bool same_driver =
+    const bool is_same_driver =
         driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE &&
         driver.vendorID == properties.vendorID && driver.deviceID == properties.deviceID &&
         std::memcmp(driver.pipelineCacheUUID, properties.pipelineCacheUUID, VK_UUID_SIZE) == 0;
-    return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes
-                                                                                         : std::string();
+    return is_intact && is_same_driver ? bytes : std::string();
 }
 
 }  // namespace
@@ -77,6 +79,8 @@ std::string cache_file_name(const VkPhysicalDeviceProperties& properties) {
     return fmt::format("{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
 }
 
+/// Creates the driver's pipeline cache with the data of an earlier process, so that it
+/// need not compile the same kernels again.
 PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder)
     : device_(device) {
     VkPhysicalDeviceProperties properties;
@@ -96,6 +100,7 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
     path_.clear();
 }
 
+/// Writes the driver's data to the file, if it has grown since it was read.
 void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)

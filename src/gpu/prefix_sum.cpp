@@ -8,6 +8,8 @@
 
 namespace relidar {
 
+/// Creates the kernels: `sums_` computes the sum of each tile, and `write_` the prefix
+/// sums within tiles.
 PrefixSum::PrefixSum(Device& device)
     : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, SubgroupRequirement::full),
       write_(device, "gpu/scan_write", {kTileWorkgroup}, SubgroupRequirement::full) {}
@@ -36,25 +38,25 @@ void PrefixSum::run(Stream& stream, const StridedCounts& counts,
 
 /// Computes the sums of tiles, then their prefix sums (recursively, one level higher),
 /// and then the prefix sums within the tiles. A single tile needs only the last step.
-void PrefixSum::record_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const {
-    if (level_0_params.n == 0) return;
-    const std::size_t n_tiles = count_tiles(level_0_params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
+void PrefixSum::record_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
+    if (params.n == 0) return;
+    const std::size_t n_tiles = count_tiles(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
     if (n_tiles > 1) {
         RELIDAR_ASSERT_LE(level + 1, levels_.size());
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
-        level_0_params.tile_sums = levels_[level].address();
-        relidar::run(stream, sums_, n_threads, level_0_params);
+        params.tile_sums = levels_[level].address();
+        relidar::run(stream, sums_, n_threads, params);
         record_level(stream,
-                     {.counts = level_0_params.tile_sums.cast_tag<shared::ScanCounts>(),
+                     {.counts = params.tile_sums.cast_tag<shared::ScanCounts>(),
                       .tile_sums = {},
-                      .prefix = level_0_params.tile_sums.cast_tag<shared::ScanPrefix>(),
+                      .prefix = params.tile_sums.cast_tag<shared::ScanPrefix>(),
                       .total = {},
                       .n = static_cast<std::uint32_t>(n_tiles),
                       .offset = 0,
                       .stride = 1},
                      level + 1);
     }
-    relidar::run(stream, write_, n_threads, level_0_params);
+    relidar::run(stream, write_, n_threads, params);
 }
 
 }  // namespace relidar

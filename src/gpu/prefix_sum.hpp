@@ -41,7 +41,7 @@ private:
     /// higher level tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
-    void record_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const;
+    void record_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
 };
 
 }  // namespace relidar

@@ -33,9 +33,9 @@ void ReadbackBuffer::record_copy(Stream& stream, const Buffer& source, std::size
         throw Error(ExitCode::bug,
                     fmt::format("cannot read back {}: bytes {} to {} of {}, at most {} at once", r.what,
                                 offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
-    // {source offset, target offset, size}; submit_commands() executes the copy.
-    stream.impl().record_copy(source.impl(), r.host, {offset_bytes, 0, n_bytes});
-    // Number of the next submission, which contains this copy.
+    stream.impl().record_copy(source.impl(), r.host,
+                              {.srcOffset = offset_bytes, .dstOffset = 0, .size = n_bytes});
+    // Number of the next submission, which executes this copy.
     r.ticket = stream.impl().last_ticket + 1;
     r.pending = true;
 }

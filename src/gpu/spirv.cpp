@@ -13,14 +13,16 @@ namespace relidar::gpu {
 
 /// Returns a copy of a module in which each entry point has an additional execution mode.
 SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode) {
-    // The name of the extension ends with a zero byte, which may need another word.
+    // The instruction OpExtension: number of words and opcode, then the name. The name
+    // ends with a zero byte, which may need another word.
     const std::string_view extension_name = mode.extension;
     std::vector<std::uint32_t> extension_words(1 + extension_name.size() / 4 + 1, 0u);
     std::memcpy(extension_words.data() + 1, extension_name.data(), extension_name.size());
     extension_words[0] = static_cast<std::uint32_t>(extension_words.size()) << 16 | kOpExtension;
 
-    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
-    bool extended = false;
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+    std::vector<std::uint32_t> modes;  // execution modes of the entry points so far
+    bool extended = false;             // true after OpExtension was inserted
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         // Extensions follow the capabilities and precede all other instructions.
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
@@ -38,7 +40,8 @@ SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const Execut
     return result;
 }
 
-/// Decorates all members of the parameter block as NonWritable.
+/// Decorates all members of a kernel's parameter block as NonWritable, so that the driver
+/// can load them early. A member is known by its decoration with an offset.
 SpirvWords mark_params_readonly(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.

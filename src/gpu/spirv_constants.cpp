@@ -104,7 +104,8 @@ public:
     bool can_remove(std::uint32_t from, std::uint32_t to, std::uint32_t merge) const {
         if (to == merge) return !with_phi_.contains(merge);
         std::set<std::uint32_t> behind = {to};
-        for (std::vector<std::uint32_t> open = {to}; !open.empty();) {
+        std::vector<std::uint32_t> open = {to};  // blocks whose successors are not visited yet
+        while (!open.empty()) {
             const auto next = next_.find(open.back());
             open.pop_back();
             if (next == next_.end()) continue;  // A block without a successor returns from the function.
@@ -141,11 +142,13 @@ SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvCons
             merge = instruction;
             return;
         }
+        // Word 1 of a conditional branch is the condition. Words 2 and 3 are the targets
+        // for true and false, of which one is kept.
         std::optional<std::uint32_t> condition;
         if (opcode == kOpBranchConditional && !merge.empty()) condition = values.find_value(instruction[1]);
-        // Words 2 and 3 are the targets for true and false. Keeps one of them.
-        if (condition && blocks.can_remove(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
-            append_instruction(result, kOpBranch, {instruction[*condition != 0 ? 2 : 3]});
+        const std::size_t kept_word = condition == 0u ? 3 : 2, removed_word = condition == 0u ? 2 : 3;
+        if (condition && blocks.can_remove(block, instruction[removed_word], merge[1])) {
+            append_instruction(result, kOpBranch, {instruction[kept_word]});
         } else {
             append_instruction(result, merge);
             append_instruction(result, instruction);

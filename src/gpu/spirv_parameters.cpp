@@ -225,21 +225,24 @@ private:
 /// the module unchanged if it loads no parameter that can be copied.
 SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     const SpirvModule module(words);
-    ParameterLoadHoister result(module);
-    SpirvWords code;
-    bool functions = false, any = false;
+    ParameterLoadHoister hoister(module);
+    SpirvWords code;  // the edited functions
+    bool in_functions = false, has_hoisted = false;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        functions = functions || opcode == kOpFunction;
+        in_functions = in_functions || opcode == kOpFunction;
         // make_module() copies the declarations, which precede all functions.
-        if (!functions) return;
-        const auto path_entry =
+        if (!in_functions) return;
+        // Words 1 to 3 of a load are its type, its result, and the pointer.
+        const auto parameter =
             opcode == kOpLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
-        if (path_entry == module.parameter_paths.end() || !result.is_copyable(instruction[1]))
-            return append_instruction(code, instruction);
-        result.append_load(code, instruction[1], path_entry->second, instruction[2]);
-        any = true;
+        if (parameter == module.parameter_paths.end() || !hoister.is_copyable(instruction[1])) {
+            append_instruction(code, instruction);
+            return;
+        }
+        hoister.append_load(code, instruction[1], parameter->second, instruction[2]);
+        has_hoisted = true;
     });
-    return any ? result.make_module(words, code) : SpirvWords(words.begin(), words.end());
+    return has_hoisted ? hoister.make_module(words, code) : SpirvWords(words.begin(), words.end());
 }
 
 }  // namespace relidar::gpu

@@ -13,6 +13,8 @@
 
 namespace relidar {
 
+/// Creates the timeline semaphore, and a command pool for each slot. Creates query pools
+/// for timestamps if somebody needs the times of launches.
 Stream::Impl::Impl(Device& d, bool with_timing)
     : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
@@ -21,7 +23,8 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
     gpu::vk_check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
     gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
-    // Devices with a time limit for launches also need the measured times.
+    // Devices with a time limit for launches also need the times, to estimate later
+    // launches.
     const bool measures = d.info().timestamps && device->launch_limit.has_limit();
     for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
@@ -39,6 +42,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     }
 }
 
+/// Waits until the device has finished all submissions, and destroys the Vulkan objects.
 Stream::Impl::~Impl() {
     // The driver's threads do not exist in a forked process, so a wait would not end.
     if (device->compile_only || device->is_forked()) return;
@@ -126,25 +130,25 @@ void Stream::Impl::add_command(const std::string& name, VulkanCommandRecorder co
     barrier_or_defer();
 }
 
-/// Records the stored commands of all lanes, step by step: step k of every lane, then one
-/// barrier. Each step has a single pair of timestamps, because more timestamps would
-/// serialise its commands.
+/// Records the stored commands of all lanes (sequences that the device may run
+/// concurrently), step by step: step k of every lane, then one barrier. Each step has a
+/// single pair of timestamps, because more timestamps would serialise its commands.
 void Stream::Impl::merge_lanes() {
     std::size_t n_steps = 0;
-    for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
+    for (const CommandSequence& steps : lanes) n_steps = std::max(n_steps, steps.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
-        const auto has_step = [k](const CommandSequence& one) { return k < one.size(); };
+        const auto has_step = [k](const CommandSequence& steps) { return k < steps.size(); };
         const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
         begin_timing(name);
         begin_debug_label(name);
-        for (const CommandSequence& one : lanes)
-            if (has_step(one))
-                for (const VulkanCommandRecorder& command : one[k].commands) command(open_commands());
+        for (const CommandSequence& steps : lanes)
+            if (has_step(steps))
+                for (const VulkanCommandRecorder& command : steps[k].commands) command(open_commands());
         end_debug_label();
         end_timing();
         record_barrier();
     }
-    for (CommandSequence& one : lanes) one.clear();
+    for (CommandSequence& steps : lanes) steps.clear();
 }
 
 void Stream::Impl::barrier_or_defer() {
@@ -177,7 +181,8 @@ void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed
     VkCommandBuffer buffer = open_commands();
     SubmissionSlot& slot = slots[current];
     if (speed && !speed->should_measure(device->launch_limit.piece_s, n_workgroups)) speed = nullptr;
-    timed = slot.queries && (timing || speed) && slot.launches.size() < kMaxLaunches;
+    const bool has_free_query = slot.queries && slot.launches.size() < kMaxLaunches;
+    timed = has_free_query && (timing || speed);
     if (!timed) return;
     slot.launches.push_back({name, speed, n_workgroups, continues});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
@@ -216,11 +221,12 @@ Stream::Impl::StagedValue Stream::Impl::stage_bytes(const void* host_bytes, std:
 
 void Stream::Impl::record_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
-    const StagedValue from = stage_bytes(host_bytes, n_bytes);
-    record_command("write", [from = from.buffer, to = buffer.impl().handle,
-                             region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer commands) {
-        vkCmdCopyBuffer(commands, from, to, 1, &region);
-    });
+    const StagedValue staged = stage_bytes(host_bytes, n_bytes);
+    const VkBufferCopy region{.srcOffset = staged.offset, .dstOffset = 0, .size = n_bytes};
+    record_command("write",
+                   [from = staged.buffer, to = buffer.impl().handle, region](VkCommandBuffer commands) {
+                       vkCmdCopyBuffer(commands, from, to, 1, &region);
+                   });
 }
 
 /// Records a copy to host memory. The slot keeps the target alive until the device has
@@ -277,15 +283,16 @@ Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::u
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
     // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
-    const std::uint32_t columns =
-        std::max(std::min({n_workgroups, kMaxGroups, max_groups}), (n_workgroups - 1) / kMaxGroups + 1);
+    const std::uint32_t min_columns = (n_workgroups - 1) / kMaxGroups + 1;
+    const std::uint32_t max_columns = std::max(std::min({n_workgroups, kMaxGroups, max_groups}), min_columns);
     // Gives all rows the same number of workgroups, so that the launch has few
     // superfluous workgroups.
-    const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
+    const std::uint32_t rows = (n_workgroups - 1) / max_columns + 1;
+    const std::uint32_t columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or must not be split, is one dispatch.
-    const std::uint32_t rows_per_piece =
-        max_groups >= n_workgroups ? rows : std::max(1u, max_groups / even_columns);
-    return {pipeline, push, rows, even_columns, rows_per_piece};
+    const bool is_one_piece = max_groups >= n_workgroups;
+    const std::uint32_t rows_per_piece = is_one_piece ? rows : std::max(1u, max_groups / columns);
+    return {pipeline, push, rows, columns, rows_per_piece};
 }
 
 }  // namespace
@@ -303,13 +310,17 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
                                               device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
+    // `speed` estimates the duration of launches. It is null for kernels without a limit.
     const gpu::LaunchTimeLimit& limit = device->launch_limit;
     const gpu::KernelSpeed* speed = limit.has_limit() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch =
-        split_launch(pipeline, pushed, n_groups, speed ? speed->workgroups_for(limit.piece_s) : n_groups);
+    const std::uint32_t max_groups = speed ? speed->workgroups_for(limit.piece_s) : n_groups;
+    const Dispatch dispatch = split_launch(pipeline, pushed, n_groups, max_groups);
     // Launches in lanes are never divided between submissions, because their commands are
     // stored now and recorded later, in a single submission.
-    if (speed && lanes.empty()) return submit_pieces(kernel.impl(), dispatch);
+    if (speed && lanes.empty()) {
+        submit_pieces(kernel.impl(), dispatch);
+        return;
+    }
     record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
             dispatch.record_piece(commands, layout, row);
@@ -360,21 +371,22 @@ void Stream::Impl::wait_for(std::uint64_t ticket) {
 void Stream::Impl::collect_times(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
-    const VkResult result =
-        vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
-                              stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
-    double launch_ms = 0.0;  // sum of the pieces of a launch
-    for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
-        const auto& [name, speed, n_groups, continues] = slot.launches[i];
+    constexpr VkDeviceSize kStampBytes = sizeof(std::uint64_t);
+    const VkResult result = vkGetQueryPoolResults(
+        device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
+        stamps.size() * kStampBytes, stamps.data(), kStampBytes, VK_QUERY_RESULT_64_BIT);
+    const std::vector<SubmissionSlot::TimedCommands> pieces = std::exchange(slot.launches, {});
+    if (result != VK_SUCCESS) return;
+    double launch_ms = 0.0;  // sum of the pieces of a launch so far
+    for (std::size_t i = 0; i < pieces.size(); ++i) {
         // The device's counter may have fewer than 64 bits and overflow to 0.
         const std::uint64_t ticks = (stamps[2 * i + 1] - stamps[2 * i]) & device->timestamp_mask;
-        const double ms = double(ticks) * device->timestamp_period_ns * 1e-6;
-        launch_ms = continues ? launch_ms + ms : ms;
-        const bool is_complete = i + 1 == slot.launches.size() || !slot.launches[i + 1].continues;
-        if (timing && is_complete) times.add_launch_time(name, launch_ms);
-        if (speed) speed->add_dispatch(n_groups, 1e-3 * ms);
+        const double piece_ms = double(ticks) * device->timestamp_period_ns * 1e-6;
+        launch_ms = pieces[i].continues ? launch_ms + piece_ms : piece_ms;
+        const bool is_last_piece = i + 1 == pieces.size() || !pieces[i + 1].continues;
+        if (timing && is_last_piece) times.add_launch_time(pieces[i].name, launch_ms);
+        if (pieces[i].speed) pieces[i].speed->add_dispatch(pieces[i].n_groups, 1e-3 * piece_ms);
     }
-    slot.launches.clear();
 }
 
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
@@ -406,8 +418,11 @@ void record_launch(Stream& stream, const KernelBase& kernel, std::uint32_t n_thr
 ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
     ++stream.impl().n_concurrent;
 }
+
+// Records the barrier that the launches of the scope have left out.
 ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent(); }
 
+/// Opens `count` lanes: sequences of commands that the device may run concurrently.
 ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
@@ -497,7 +512,9 @@ void KernelTimes::add_launch_time(const std::string& kernel_name, double duratio
     total.ms += duration_ms;
 }
 
+/// Adds the times of launches that followed.
 void KernelTimes::add_times(const KernelTimes& later_times) {
+    // Keeps only the last kMaxTimes times of each kernel.
     for (const auto& [kernel, ms] : later_times.milliseconds) {
         std::vector<double>& last = milliseconds[kernel];
         last.insert(last.end(), ms.begin(), ms.end());

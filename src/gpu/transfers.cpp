@@ -14,6 +14,7 @@ constexpr std::size_t kMinStagingBytes = std::size_t(64) << 10, kMaxStagingBytes
 
 }  // namespace
 
+/// Creates a command buffer and a fence, which all copies share.
 void BufferTransfers::create_commands() {
     VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool.queueFamilyIndex = device_.queue_family;
@@ -44,6 +45,7 @@ Buffer::Impl& BufferTransfers::ensure_staging(std::unique_ptr<Buffer::Impl>& sta
     return *staging;
 }
 
+/// Copies host data to a buffer, in pieces that fit into the staging memory.
 void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
                              std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
@@ -54,11 +56,11 @@ void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
-        // {source offset, target offset, size}
-        copy_now(from.handle, target.handle, {0, offset_bytes + done, n});
+        copy_now(from.handle, target.handle, {.srcOffset = 0, .dstOffset = offset_bytes + done, .size = n});
     }
 }
 
+/// Copies a part of a buffer to the host, in pieces that fit into the staging memory.
 void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
                                std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
@@ -67,7 +69,7 @@ void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size
     const Buffer::Impl& to = ensure_staging(download_, BufferPurpose::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
-        copy_now(source.handle, to.handle, {offset_bytes + done, 0, n});
+        copy_now(source.handle, to.handle, {.srcOffset = offset_bytes + done, .dstOffset = 0, .size = n});
         std::memcpy(static_cast<std::byte*>(data) + done, to.mapped, n);
     }
 }

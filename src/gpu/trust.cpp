@@ -52,17 +52,17 @@ std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
     const std::string text = content.str();
     const std::size_t values = text.find("\nfloat_atomics ");
     if (values == std::string::npos) return std::nullopt;
-    DeviceTestResults trust;
-    int atomics = 0, swaps = 0, ray_query = 0;
-    std::string name;
     // Each line contains a name and a value.
-    std::istringstream(text.substr(values)) >> name >> atomics >> name >> swaps >> name >>
-        trust.subgroup_size >> name >> ray_query;
+    int atomics = 0, swaps = 0, subgroup_size = 0, ray_query = 0;
+    std::string name;
+    std::istringstream lines(text.substr(values));
+    lines >> name >> atomics >> name >> swaps >> name >> subgroup_size >> name >> ray_query;
     if (ray_query < 0 || ray_query > int(CheckVerdict::wrong)) return std::nullopt;
-    trust.float_atomics = atomics != 0;
-    trust.float_swaps = swaps != 0;
-    trust.ray_query = CheckVerdict(ray_query);
-    return text == format_results(driver, trust) ? std::optional(trust) : std::nullopt;
+    const DeviceTestResults results{.float_atomics = atomics != 0,
+                                    .float_swaps = swaps != 0,
+                                    .subgroup_size = subgroup_size,
+                                    .ray_query = CheckVerdict(ray_query)};
+    return text == format_results(driver, results) ? std::optional(results) : std::nullopt;
 }
 
 }  // namespace
@@ -98,25 +98,27 @@ DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions&
         path = options.pipeline_cache / ("check_" + cache_file_name(properties) + ".txt");
     // A check without ray queries does not test them, so its results are incomplete for a
     // device that now traces with ray queries.
-    const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {
-        return trust && (trust->ray_query != CheckVerdict::unknown ||
-                         device.traversal != RayTracingBackend::ray_query);
+    const bool needs_ray_query = device.traversal == RayTracingBackend::ray_query;
+    const auto is_complete = [&](const DeviceTestResults& results) {
+        return !needs_ray_query || results.ray_query != CheckVerdict::unknown;
     };
+    // Uses the results of the file, or else those of this process.
+    UnsavedTestResults& unsaved = unsaved_results();
+    const std::scoped_lock lock(unsaved.mutex);
+    const std::optional<DeviceTestResults> saved = read_results(path, device.info.driver);
+    if (saved && is_complete(*saved)) return *saved;
     const std::string key = cache_file_name(properties) + " " + injected_faults();
-    UnsavedTestResults& unstored = unsaved_results();
-    const std::scoped_lock lock(unstored.mutex);
-    const std::optional<DeviceTestResults> saved_results = read_results(path, device.info.driver);
-    if (is_complete(saved_results)) return *saved_results;
-    const auto checked_before = unstored.by_device.find(key);
-    if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
-        return checked_before->second;
+    const auto earlier = unsaved.by_device.find(key);
+    if (earlier != unsaved.by_device.end() && is_complete(earlier->second)) return earlier->second;
+
     DeviceOptions check_options = options;
     check_options.index = device.info.index;
     check_options.traversal = device.traversal;
-    const DeviceTestResults trust = open_callbacks().check(check_options);
-    if (!path.empty()) write_cache_file(path, format_results(device.info.driver, trust));
-    if (!read_results(path, device.info.driver)) unstored.by_device[key] = trust;
-    return trust;
+    const DeviceTestResults results = open_callbacks().check(check_options);
+    if (!path.empty()) write_cache_file(path, format_results(device.info.driver, results));
+    const bool is_saved = read_results(path, device.info.driver).has_value();
+    if (!is_saved) unsaved.by_device[key] = results;
+    return results;
 }
 
 void report_note(const std::string& text) {
@@ -147,7 +149,8 @@ void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
         info.subgroup_size = results.subgroup_size;
         device.forced_lanes = true;
     }
-    if (results.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query) return;
+    const bool uses_ray_query = device.traversal == RayTracingBackend::ray_query;
+    if (results.ray_query != CheckVerdict::wrong || !uses_ray_query) return;
     note(fmt::format(
         "hardware ray queries of this device find other surfels than a search through all surfels; {}",
         info.software ? "relidar uses software traversal instead"
