@@ -117,38 +117,38 @@ constexpr double kMinTailHeight_m = 0.3;
 
 struct SweptBoxVolume {
     const BoxTrack* box;
-    std::vector<Pose> box_from_world;
-    glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the centres
+    std::vector<Pose> box_from_world;   ///< poses of the box in the full log
+    glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the box's centre, world frame
 };
 
-/// Returns the volume that each moving box occupies during the full log.
+/// Returns the volume of each moving box: the space that it occupies at any of its poses.
 std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
-    std::vector<SweptBoxVolume> swept;
+    std::vector<SweptBoxVolume> volumes;
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_moving()) continue;
-        SweptBoxVolume& s = swept.emplace_back();
-        s.box = &box;
-        for (const Pose& pose : box.world_from_box.pose) {
-            s.box_from_world.push_back(inverse(pose));
-            s.low = glm::min(s.low, pose.translation);
-            s.high = glm::max(s.high, pose.translation);
+        SweptBoxVolume& volume = volumes.emplace_back();
+        volume.box = &box;
+        for (const Pose& world_from_box : box.world_from_box.pose) {
+            volume.box_from_world.push_back(inverse(world_from_box));
+            volume.low = glm::min(volume.low, world_from_box.translation);
+            volume.high = glm::max(volume.high, world_from_box.translation);
         }
     }
-    return swept;
+    return volumes;
 }
 
 /// Returns true if the box contains a point at any time, except near the ground.
-bool is_in_volume(const SweptBoxVolume& swept_volume, const glm::dvec3& world_point_m) {
-    const glm::dvec3 half = 0.5 * swept_volume.box->size_m;
+bool is_in_volume(const SweptBoxVolume& volume, const glm::dvec3& world_point_m) {
+    const glm::dvec3 half = 0.5 * volume.box->size_m;
     // Bounds of the centres, enlarged by half the diagonal, reject most points.
-    const double reach = glm::length(half);
-    if (glm::any(glm::lessThan(world_point_m, swept_volume.low - reach)) ||
-        glm::any(glm::greaterThan(world_point_m, swept_volume.high + reach)))
+    const double half_diagonal = glm::length(half);
+    if (glm::any(glm::lessThan(world_point_m, volume.low - half_diagonal)) ||
+        glm::any(glm::greaterThan(world_point_m, volume.high + half_diagonal)))
         return false;
-    return std::ranges::any_of(swept_volume.box_from_world, [&](const Pose& box_from_world) {
-        const glm::dvec3 p = box_from_world * world_point_m;
-        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
-               p.z >= -half.z + kMinTailHeight_m;
+    return std::ranges::any_of(volume.box_from_world, [&](const Pose& box_from_world) {
+        const glm::dvec3 box_point = box_from_world * world_point_m;
+        const bool is_in_footprint = std::abs(box_point.x) <= half.x && std::abs(box_point.y) <= half.y;
+        return is_in_footprint && box_point.z <= half.z && box_point.z >= -half.z + kMinTailHeight_m;
     });
 }
 
@@ -167,6 +167,21 @@ struct CometTailPointCounts {
     }
 };
 
+/// Returns the moving boxes whose tail contains a point: boxes that contain it at some
+/// time of the log. Returns none if a box contains the point at its own time.
+/// @param t_s time of the point
+std::vector<std::size_t> find_tails(const std::vector<SweptBoxVolume>& volumes, const glm::dvec3& point_m,
+                                    double t_s) {
+    std::vector<std::size_t> tails;
+    for (std::size_t k = 0; k < volumes.size(); ++k)
+        if (is_in_volume(volumes[k], point_m)) tails.push_back(k);
+    const auto contains_now = [&](const SweptBoxVolume& volume) {
+        return volume.box->is_observed(t_s) && volume.box->contains_point(point_m, t_s, kLabelMargin_m);
+    };
+    if (!tails.empty() && std::ranges::any_of(volumes, contains_now)) tails.clear();
+    return tails;
+}
+
 /// Counts returned points at positions that a moving box occupies only at other times of
 /// the log. Boxes at the time of the point are enlarged by 0.3 m. Points in the lowest
 /// 0.3 m of a box belong to the ground. The time of a point is when the LiDAR's head
@@ -175,33 +190,23 @@ struct CometTailPointCounts {
 CometTailPointCounts count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
                                        const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
                                        const SweepTiming& sweep) {
-    // per step of a thread
-    constexpr std::size_t kRaysPerBlock = 2048;
+    constexpr std::size_t kRaysPerBlock = 2048;  // per step of a thread
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_sum(point_ranges_m.size(), kRaysPerBlock, [&](std::size_t begin, std::size_t end) {
-        CometTailPointCounts part;
-        part.n_of_box.resize(swept_volumes.size());
-        std::vector<std::size_t> boxes;  // boxes that contain the point at some time of the log
+        CometTailPointCounts counts;
+        counts.n_of_box.resize(swept_volumes.size());
         for (std::size_t i = begin; i < end; ++i) {
             if (!is_ray_returned(image.drop_prob[i], point_ranges_m[i])) continue;
-            ++part.n_points;
-            const glm::dvec3 in_sensor(image.origin[i] + point_ranges_m[i] * image.direction[i]);
-            // Places the point with the poses at the time when the head faces it.
-            const double t_s = facing_time_s(sequence, in_sensor, sweep);
-            const glm::dvec3 point_m = sequence.world_from_vehicle.mounted_pose_at(t_s, mounted) * in_sensor;
-            boxes.clear();
-            for (std::size_t k = 0; k < swept_volumes.size(); ++k)
-                if (is_in_volume(swept_volumes[k], point_m)) boxes.push_back(k);
-            // Not a tail if any moving box contains the point at its own time.
-            if (boxes.empty() || std::ranges::any_of(swept_volumes, [&](const SweptBoxVolume& actor) {
-                    return actor.box->is_observed(t_s) &&
-                           actor.box->contains_point(point_m, t_s, kLabelMargin_m);
-                }))
-                continue;
-            ++part.n_tail_points;
-            for (const std::size_t k : boxes) ++part.n_of_box[k];
+            ++counts.n_points;
+            const glm::dvec3 sensor_point_m(image.origin[i] + point_ranges_m[i] * image.direction[i]);
+            const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
+            const glm::dvec3 point_m =
+                sequence.world_from_vehicle.mounted_pose_at(t_s, mounted) * sensor_point_m;
+            const std::vector<std::size_t> tails = find_tails(swept_volumes, point_m, t_s);
+            if (!tails.empty()) ++counts.n_tail_points;
+            for (const std::size_t box : tails) ++counts.n_of_box[box];
         }
-        return part;
+        return counts;
     });
 }
 
@@ -213,25 +218,26 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
     const BoxInScan in_scan{sequence, sweep, box};
     MovingBoxPoints result;
     for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
-        // End points of ray i in the box frame; empty without a return or far away.
-        std::optional<glm::dvec3> measured, simulated;
-        const bool returns = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
         const auto to_box = [&](const RangeImage& image, float range_m) {
             return in_scan.to_box(glm::dvec3(image.origin[i] + range_m * image.direction[i]));
         };
-        if (real.range_m[i] > 0.0f) measured = to_box(real, real.range_m[i]);
-        if (returns) simulated = to_box(rendered, point_ranges_m[i]);
-        if (in_scan.contains(measured, kBoxMargin_m)) {
-            result.real_m.push_back(*measured);
-            if (returns) result.range_error_m.push_back(double(point_ranges_m[i]) - double(real.range_m[i]));
+        // End points of ray i in the box frame; empty without a return or far away.
+        std::optional<glm::dvec3> real_m, simulated_m;
+        const bool is_simulated = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
+        if (real.range_m[i] > 0.0f) real_m = to_box(real, real.range_m[i]);
+        if (is_simulated) simulated_m = to_box(rendered, point_ranges_m[i]);
+        if (in_scan.contains(simulated_m, kBoxMargin_m)) result.simulated_m.push_back(*simulated_m);
+        if (in_scan.contains(real_m, kBoxMargin_m)) {
+            result.real_m.push_back(*real_m);
+            const double error_m = double(point_ranges_m[i]) - double(real.range_m[i]);
+            if (is_simulated) result.range_error_m.push_back(error_m);
         }
-        if (in_scan.contains(simulated, kBoxMargin_m)) result.simulated_m.push_back(*simulated);
         // F1 counts the rays that hit the box, with a wider margin.
-        const bool in_real = in_scan.contains(measured, kSilhouetteMargin_m),
-                   in_simulated = in_scan.contains(simulated, kSilhouetteMargin_m);
-        result.n_both += in_real && in_simulated;
-        result.n_missed += in_real && !in_simulated;
-        result.n_false += in_simulated && !in_real;
+        const bool in_real = in_scan.contains(real_m, kSilhouetteMargin_m);
+        const bool in_simulated = in_scan.contains(simulated_m, kSilhouetteMargin_m);
+        if (in_real && in_simulated) ++result.n_both;
+        if (in_real && !in_simulated) ++result.n_missed;
+        if (in_simulated && !in_real) ++result.n_false;
     }
     return result;
 }
@@ -241,26 +247,28 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
     FrameActorScores scores;
     const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
     if (swept.empty()) return scores;
-    const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, sequence, swept, sweep),
-                               real_tails = count_tail_points(real, real.range_m, sequence, swept, sweep);
+    const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, sequence, swept, sweep);
+    const CometTailPointCounts real_tails = count_tail_points(real, real.range_m, sequence, swept, sweep);
     scores.metrics["actors/tail_share"] = tails.share();
     scores.metrics["actors/tail_share_real"] = real_tails.share();
     BoxGroupErrors people, vehicles;
     for (std::size_t k = 0; k < swept.size(); ++k) {
         const BoxTrack& box = *swept[k].box;
-        MovingBoxPoints p;
+        MovingBoxPoints points;  // none if the box is not in this frame
         if (box.is_observed(sweep.time_s))
-            p = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
-        MetricValues row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
-        add_range_errors(row, "range_", p.range_error_m);
-        const auto [both, either] = silhouette_f1(p);
+            points = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
+        MetricValues row{{"points", double(points.simulated_m.size())},
+                         {"points_real", double(points.real_m.size())}};
+        add_range_errors(row, "range_", points.range_error_m);
+        const auto [both, either] = silhouette_f1(points);
         if (either > 0.0) row["f1"] = both / either;
         row["tail"] = double(tails.n_of_box[k]);
         row["tail_real"] = double(real_tails.n_of_box[k]);
         scores.actors.push_back({box.id, box.category, row});
         // The groups contain only labelled boxes with enough real points.
-        if (p.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
-        (is_person_or_cyclist(box.category) ? people : vehicles).add_box(p);
+        if (points.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
+        BoxGroupErrors& group = is_person_or_cyclist(box.category) ? people : vehicles;
+        group.add_box(points);
     }
     people.add_to_row(scores.metrics, "actors/people_");
     vehicles.add_to_row(scores.metrics, "actors/vehicles_");
@@ -268,47 +276,51 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
 }
 
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
-    struct Sums {
+    struct ActorSums {
         std::string category;
-        MetricValues counts, weighted, weight;
+        MetricValues counts;                      // numbers of points
+        MetricValues weighted_sums, weight_sums;  // of the other metrics
     };
-    std::map<std::string, Sums> sums;
+    std::map<std::string, ActorSums> sums_by_track;
     for (const std::vector<ActorScore>& frame : scores_per_frame)
         for (const ActorScore& actor : frame) {
-            Sums& s = sums[actor.track];
-            s.category = actor.category;
+            ActorSums& sums = sums_by_track[actor.track];
+            sums.category = actor.category;
             const double weight = actor.metrics.at("points_real");
             for (const auto& [name, value] : actor.metrics) {
-                if (name.starts_with("points") || name.starts_with("tail")) {
-                    s.counts[name] += value;
-                    continue;
+                const bool is_count = name.starts_with("points") || name.starts_with("tail");
+                if (is_count) {
+                    sums.counts[name] += value;
+                } else {
+                    sums.weighted_sums[name] += weight * value;
+                    sums.weight_sums[name] += weight;
                 }
-                s.weighted[name] += weight * value;
-                s.weight[name] += weight;
             }
         }
     std::vector<ActorScore> actors;
-    for (const auto& [track, s] : sums) {
-        actors.push_back({track, s.category, s.counts});
-        for (const auto& [name, value] : s.weighted)
-            if (s.weight.at(name) > 0.0) actors.back().metrics[name] = value / s.weight.at(name);
+    for (const auto& [track, sums] : sums_by_track) {
+        ActorScore& actor = actors.emplace_back(ActorScore{track, sums.category, sums.counts});
+        for (const auto& [name, sum] : sums.weighted_sums) {
+            const double weight = sums.weight_sums.at(name);
+            if (weight > 0.0) actor.metrics[name] = sum / weight;
+        }
     }
-    const auto badness = [](const ActorScore& actor) {
-        const auto it = actor.metrics.find("range_above_30cm");
-        return it == actor.metrics.end() ? -1.0 : it->second;
+    // The actors with the most large errors come first.
+    const auto share_of_large_errors = [](const ActorScore& actor) {
+        const auto metric = actor.metrics.find("range_above_30cm");
+        return metric == actor.metrics.end() ? -1.0 : metric->second;
     };
-    std::ranges::stable_sort(actors, std::greater{}, badness);
+    std::ranges::stable_sort(actors, std::greater{}, share_of_large_errors);
     return actors;
 }
 
 std::optional<double> median_points_error(const std::vector<ActorScore>& actors) {
     std::vector<double> errors;
     for (const ActorScore& actor : actors) {
-        const double real = actor.metrics.at("points_real");
-        if (real < double(kMinRealPoints) || actor.category == kDiscoveredCategory ||
-            is_person_or_cyclist(actor.category))
-            continue;
-        errors.push_back(std::abs(actor.metrics.at("points") / real - 1.0));
+        const double n_real = actor.metrics.at("points_real");
+        const bool is_labelled = actor.category != kDiscoveredCategory;
+        if (n_real < double(kMinRealPoints) || !is_labelled || is_person_or_cyclist(actor.category)) continue;
+        errors.push_back(std::abs(actor.metrics.at("points") / n_real - 1.0));
     }
     return errors.empty() ? std::nullopt : std::optional(compute_median(std::move(errors)));
 }

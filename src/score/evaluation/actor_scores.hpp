@@ -30,11 +30,14 @@ struct FrameActorScores {
     MetricValues metrics;
 };
 
+/// Compares the simulated with the real points in each moving box of a frame.
+/// @param rendered,real images of the same rays
 /// @param point_ranges_m [n] range of the simulated point on each ray
 FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
                               const RangeImage& real, const Log& sequence, const SweepTiming& sweep);
 
-/// Adds the numbers of points. Averages other metrics, weighted by the real points.
+/// Joins the scores of each actor in several frames: adds the numbers of points, and
+/// averages other metrics, weighted by the real points.
 /// @param scores_per_frame [frames][actors]
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
 

@@ -74,6 +74,8 @@ bool can_score_classes(const ScanRenderer& renderer, const Config& config, const
     return renderer.has_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
+/// Renders a frame with its recorded rays, and returns it with the measured image.
+/// @param offset moves the sensor
 RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Log& log, const Frame& frame,
                            const Pose& offset) {
     RenderedFrame result = make_real_frame(config, log, frame, offset);
@@ -131,21 +133,22 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
         options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
     std::vector<RangeImageComparison> comparisons;
-    for (const RenderedFrame& r : rendered_frames) {
-        std::vector<PixelRegion> regions = make_regions(r.frame.real, r.moving);
-        if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
-        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
-                               ranges_of_points(r.frame.rendered, config)});
+    for (const RenderedFrame& rendered : rendered_frames) {
+        const ScoredFrame& frame = rendered.frame;
+        std::vector<PixelRegion> regions = make_regions(frame.real, rendered.moving);
+        if (!rendered.discovered.empty()) regions.push_back({"discovered_boxes", rendered.discovered});
+        comparisons.push_back({&frame.rendered.image, &frame.real, std::move(regions),
+                               ranges_of_points(frame.rendered, config)});
     }
     std::vector<MetricValues> rows = evaluate_all(comparisons, options);
+    const auto is_of_intensity = [](const auto& metric) {
+        return metric.first.find("intensity") != std::string::npos;
+    };
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered_frames.size(); ++i) {
-        frames.push_back(std::move(rendered_frames[i].frame));
-        frames.back().metrics.merge(rows[i]);
-        if (!has_intensities(frames.back().real))
-            std::erase_if(frames.back().metrics, [](const auto& metric) {
-                return metric.first.find("intensity") != std::string::npos;
-            });
+        ScoredFrame& frame = frames.emplace_back(std::move(rendered_frames[i].frame));
+        frame.metrics.merge(rows[i]);
+        if (!has_intensities(frame.real)) std::erase_if(frame.metrics, is_of_intensity);
     }
     return frames;
 }
@@ -166,15 +169,16 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
     for (std::size_t i = 0; i < real.range_m.size(); ++i) {
         const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
         if (!(range_m > kRangeEdges.front() && range_m <= kRangeEdges.back())) continue;
-        const auto row = std::ranges::lower_bound(kRangeEdges, range_m) - kRangeEdges.begin() - 1;
-        const auto band = is_ray_returned(rendered.drop_prob[i], rendered.range_m[i])
-                              ? std::ranges::upper_bound(kErrorEdges, error_m) - kErrorEdges.begin()
-                              : std::ptrdiff_t(RangeErrorCounts::kErrorBins) - 1;
-        counts.rays[std::size_t(row)][std::size_t(band)] += 1.0;
+        const auto range_band = std::ranges::lower_bound(kRangeEdges, range_m) - kRangeEdges.begin() - 1;
+        std::ptrdiff_t error_band = std::ptrdiff_t(RangeErrorCounts::kErrorBins) - 1;
+        if (is_ray_returned(rendered.drop_prob[i], rendered.range_m[i]))
+            error_band = std::ranges::upper_bound(kErrorEdges, error_m) - kErrorEdges.begin();
+        counts.rays[std::size_t(range_band)][std::size_t(error_band)] += 1.0;
     }
     return counts;
 }
 
+/// Frames to score, and where to report them.
 struct FrameBatch {
     const std::vector<int>& positions;  ///< indices into log.frames
     const Log& log;
@@ -228,26 +232,26 @@ std::optional<int> find_repeat(const Log& log, int frame_index) {
     const PoseTrack track = log.lidar_track(frame.lidar);
     const Twist motion = compute_twist(track.pose_at(frame.time_s), track.pose_at(next->time_s));
     const double step_s = next->time_s - frame.time_s;
-    if (std::hypot(motion[0], motion[1], motion[2]) > kStandingSpeed_mps * step_s ||
-        std::hypot(motion[3], motion[4], motion[5]) > kStandingTurn_radps * step_s)
-        return {};
+    const double moved_m = std::hypot(motion[0], motion[1], motion[2]);
+    const double turned_rad = std::hypot(motion[3], motion[4], motion[5]);
+    if (moved_m > kStandingSpeed_mps * step_s || turned_rad > kStandingTurn_radps * step_s) return {};
     return int(next - log.frames.begin());
 }
 
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log) {
     const auto copy_scan = [&](int position) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) {
-            return f.index == frame.index && f.lidar == frame.lidar;
+        const auto recorded = std::ranges::find_if(log.frames, [&](const Frame& other) {
+            return other.index == frame.index && other.lidar == frame.lidar;
         });
-        if (it == log.frames.end())
+        if (recorded == log.frames.end())
             fail("{} has no frame {}, but {} was trained with this frame; use the same log",
                  run.config.dataset.path, frame.index, run.folder.string());
-        if (std::abs(it->time_s - frame.time_s) > kSameTime_s)
+        if (std::abs(recorded->time_s - frame.time_s) > kSameTime_s)
             fail("{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
-                 run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string());
-        frame.scan = it->scan;
-        frame.start = it->start;
+                 run.config.dataset.path, frame.index, recorded->time_s, frame.time_s, run.folder.string());
+        frame.scan = recorded->scan;
+        frame.start = recorded->start;
     };
     for (const int position : frame_indices) {
         copy_scan(position);
@@ -269,13 +273,15 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const L
     // reports.
     if (on_frame && renderer.has_network_for(make_sensor(config, sequence)))
         renderer.add_channels("surfel_drop_prob");
-    if (std::ranges::any_of(frame_indices, [&](int position) {
-            return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
-        }))
-        renderer.add_channels("class");
-    std::vector<ScoredFrame> scored = score_frames(
-        {frame_indices, sequence, config, progress, on_frame}, "rendering held-out frames",
-        [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+    const auto has_classes = [&](int position) {
+        return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
+    };
+    if (std::ranges::any_of(frame_indices, has_classes)) renderer.add_channels("class");
+    const auto render = [&](int, const Frame& frame) {
+        return render_frame(renderer, config, sequence, frame, {});
+    };
+    std::vector<ScoredFrame> scored = score_frames({frame_indices, sequence, config, progress, on_frame},
+                                                   "rendering held-out frames", render);
     return summarise(std::move(scored), renderer.times());
 }
 

@@ -33,17 +33,19 @@ constexpr int kLpipsEdge = 31;
 void add_image_metrics(MetricValues& row, const std::string& prefix, const RangeImage& rendered,
                        const RangeImage& real, double drop_threshold, double max_range_m,
                        const Lpips* lpips) {
+    const PixelMask rendered_mask = undropped_mask(rendered, drop_threshold);
+    const PixelMask real_mask = undropped_mask(real, kRealDropThreshold);
+    const auto has_edge = [&](int n_pixels) { return real.rows >= n_pixels && real.columns >= n_pixels; };
     const auto add = [&](const std::string& name, const char* unit, std::vector<float> RangeImage::*values,
                          double maximum) {
-        const PixelValues a = clamp_masked(rendered.*values, undropped_mask(rendered, drop_threshold),
-                                           maximum),
-                          b = clamp_masked(real.*values, undropped_mask(real, kRealDropThreshold), maximum);
+        const PixelValues a = clamp_masked(rendered.*values, rendered_mask, maximum);
+        const PixelValues b = clamp_masked(real.*values, real_mask, maximum);
         const double squared = add_errors(row, name, unit, a, b);
         row[name + "psnr_db"] = 10.0 * std::log10(maximum * maximum / std::max(squared, kMinSquaredError));
         const auto [low, high] = std::ranges::minmax(b);
-        if (real.rows >= kSsimWindow && real.columns >= kSsimWindow && high > low)
+        if (has_edge(kSsimWindow) && high > low)
             row[name + "ssim"] = compute_ssim(a, b, real.rows, real.columns, high - low);
-        if (lpips && real.rows >= kLpipsEdge && real.columns >= kLpipsEdge)
+        if (lpips && has_edge(kLpipsEdge))
             row[name + "lpips"] = lpips->compute_distance(a, b, real.rows, real.columns);
     };
     add(prefix + "depth_", "_m", &RangeImage::range_m, max_range_m);
@@ -66,20 +68,21 @@ void add_published(MetricValues& row, const RangeImage& rendered, const RangeIma
 /// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
 void add_drop_metrics(MetricValues& row, const PixelMask& rendered_returns, const PixelMask& real_returns) {
-    std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
+    std::size_t true_drops = 0, false_drops = 0, missed_drops = 0;
     for (std::size_t i = 0; i < real_returns.size(); ++i) {
-        hits += !rendered_returns[i] && !real_returns[i];
-        false_drops += !rendered_returns[i] && real_returns[i];
-        missed_drops += rendered_returns[i] && !real_returns[i];
-        equal += rendered_returns[i] == real_returns[i];
+        const bool rendered_drop = !rendered_returns[i], real_drop = !real_returns[i];
+        if (rendered_drop && real_drop) ++true_drops;
+        if (rendered_drop && !real_drop) ++false_drops;
+        if (!rendered_drop && real_drop) ++missed_drops;
     }
-    const auto ratio = [](std::size_t first, std::size_t second) {
-        return double(first) / double(std::max<std::size_t>(second, 1));
+    const std::size_t n_equal = real_returns.size() - false_drops - missed_drops;
+    const auto ratio = [](std::size_t part, std::size_t total) {
+        return double(part) / double(std::max<std::size_t>(total, 1));
     };
-    row["strict/drop_accuracy"] = ratio(equal, real_returns.size());
-    row["strict/drop_precision"] = ratio(hits, hits + false_drops);
-    row["strict/drop_recall"] = ratio(hits, hits + missed_drops);
-    row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
+    row["strict/drop_accuracy"] = ratio(n_equal, real_returns.size());
+    row["strict/drop_precision"] = ratio(true_drops, true_drops + false_drops);
+    row["strict/drop_recall"] = ratio(true_drops, true_drops + missed_drops);
+    row["strict/drop_f1"] = ratio(2 * true_drops, 2 * true_drops + false_drops + missed_drops);
 }
 
 /// Computes range errors of the pixels with a return in both images. Also computes
@@ -102,7 +105,7 @@ void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage&
     add_masked_errors(row, "strict/intensity_", "", rendered.intensity, real.intensity,
                       intersect_masks(rendered_returns, real_returns), kMaxIntensity);
     add_drop_metrics(row, rendered_returns, real_returns);
-    // without a threshold
+    // Errors of the drop probability, without a threshold.
     PixelValues drop_error(real.drop_prob.size());
     for (std::size_t i = 0; i < drop_error.size(); ++i)
         drop_error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
@@ -159,6 +162,7 @@ MetricValues mean_metrics(const std::vector<MetricValues>& metric_rows) {
 }
 
 MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real) {
+    // Pixels of each class: in both images, in at least one image, in the real image.
     std::array<double, kSurfaceClasses> n_both{}, n_either{}, n_real{};
     double n = 0.0, n_equal = 0.0;
     for (std::size_t i = 0; i < real.size(); ++i) {
@@ -167,19 +171,21 @@ MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<
         n += 1.0;
         n_real[label] += 1.0;
         n_either[label] += 1.0;
+        const bool has_rendered_class = rendered[i] >= 0;
         if (rendered[i] == std::int32_t(label)) {
             n_equal += 1.0;
             n_both[label] += 1.0;
-        } else if (rendered[i] >= 0) n_either[std::size_t(rendered[i])] += 1.0;
+        } else if (has_rendered_class) n_either[std::size_t(rendered[i])] += 1.0;
     }
     if (n == 0.0) return {};
-    double sum = 0.0, n_classes = 0.0;
+    // IoU (intersection over union) of a class, averaged over the classes that occur.
+    double iou_sum = 0.0, n_classes = 0.0;
     for (std::size_t k = 0; k < kSurfaceClasses; ++k)
         if (n_real[k] > 0.0) {
-            sum += n_both[k] / n_either[k];
+            iou_sum += n_both[k] / n_either[k];
             n_classes += 1.0;
         }
-    return {{"classes/accuracy", n_equal / n}, {"classes/mean_iou", sum / n_classes}};
+    return {{"classes/accuracy", n_equal / n}, {"classes/mean_iou", iou_sum / n_classes}};
 }
 
 }  // namespace relidar

@@ -15,8 +15,9 @@ namespace {
 constexpr double kClampLow = 1e-6;
 constexpr double kFineThreshold_m = 0.05;
 
-double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
-
+/// Checks that all arrays of an image have one value per pixel, and that its values are
+/// finite.
+/// @param image_name for error messages: "rendered" or "real"
 void check_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
         fail("cannot compare range images: the {} image has {} x {} pixels, expected at least one pixel",
@@ -26,17 +27,18 @@ void check_image(const RangeImage& image, const char* image_name) {
             fail("cannot compare range images: array {} of the {} image has {} values, expected {} x {}",
                  array, image_name, size, image.rows, image.columns);
     };
-    for (const auto& [array, values] : {std::pair("range_m", &image.range_m),
-                                        {"intensity", &image.intensity},
-                                        {"drop_prob", &image.drop_prob}}) {
-        check_size(array, values->size());
-        const auto bad = std::ranges::find_if(*values, [](float v) { return !std::isfinite(v); });
-        if (bad != values->end())
+    const auto check_values = [&](const char* array, const std::vector<float>& values) {
+        check_size(array, values.size());
+        const auto bad = std::ranges::find_if(values, [](float value) { return !std::isfinite(value); });
+        if (bad != values.end())
             fail(
                 "cannot compare range images: array {} of the {} image is {} at pixel {}, expected a finite "
                 "value",
-                array, image_name, *bad, bad - values->begin());
-    }
+                array, image_name, *bad, bad - values.begin());
+    };
+    check_values("range_m", image.range_m);
+    check_values("intensity", image.intensity);
+    check_values("drop_prob", image.drop_prob);
     check_size("origin", image.origin.size());
     check_size("direction", image.direction.size());
 }
@@ -49,6 +51,8 @@ std::vector<glm::dvec3> masked_points(const RangeImage& image, const PixelMask& 
                              double(image.range_m[i]) * glm::dvec3(image.direction[i]));
     return result;
 }
+
+double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
 double fraction_below(const PixelValues& distances, double threshold) {
     const auto n = std::ranges::count_if(distances, [=](double d) { return d < threshold; });
@@ -122,13 +126,13 @@ double add_errors(MetricValues& row, const std::string& name_prefix, const std::
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum) {
-    PixelValues a, b;
+    PixelValues masked_first, masked_second;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i]) {
-            a.push_back(clamp_value(first[i], maximum));
-            b.push_back(clamp_value(second[i], maximum));
+            masked_first.push_back(clamp_value(first[i], maximum));
+            masked_second.push_back(clamp_value(second[i], maximum));
         }
-    add_errors(row, name_prefix, unit_suffix, a, b);
+    add_errors(row, name_prefix, unit_suffix, masked_first, masked_second);
 }
 
 double CloudDistances::compute_f_score(double threshold_m) const {
@@ -169,11 +173,13 @@ std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& from,
     if (from.empty()) return distance;
     if (to.empty())
         fail("cannot search nearest points: there are {} query points, but no target point", from.size());
-    for (const auto* points : {&from, &to})
-        for (const glm::dvec3& p : *points)
-            if (!std::isfinite(p.x + p.y + p.z))
+    for (const std::vector<glm::dvec3>* points : {&from, &to})
+        for (const glm::dvec3& point : *points) {
+            const bool is_finite = std::isfinite(point.x + point.y + point.z);
+            if (!is_finite)
                 fail("cannot search nearest points: found the point ({}, {}, {}), expected finite metres",
-                     p.x, p.y, p.z);
+                     point.x, point.y, point.z);
+        }
     // In double precision, because the points of a log can be far from the origin.
     const NearestPointFinder<double> targets(to);
     parallel_blocks(from.size(),

@@ -33,11 +33,13 @@ PixelValues clamp_masked(const std::vector<float>& values, const PixelMask& mask
 double mean_value(const PixelValues& values);
 double mean_square(const PixelValues& values);
 
-/// Adds <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit>, unless there are
-/// no pixels.
+/// Adds the root mean square, the mean and the median of absolute errors as
+/// <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit>, unless there are no
+/// pixels.
 /// @return mean squared error, or -1 if there are no pixels
 double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                   const PixelValues& first, const PixelValues& second);
+/// Same for the pixels of a mask, whose values are clamped to [1e-6, maximum].
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum);

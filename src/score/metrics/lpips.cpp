@@ -44,21 +44,23 @@ struct FeatureMap {
     Matrix values;  ///< [channels, rows*columns]
 };
 
-/// Window around each output pixel as a column of a matrix (im2col), 0 outside of the
-/// image.
+/// Copies the window around each output pixel into a column of a matrix (im2col), so that
+/// a convolution is a matrix product. Pixels outside of the image are 0.
 /// @return [in*edge*edge, output_rows*output_columns]
 Matrix im2col(const FeatureMap& input, const ConvLayerShape& layer, int output_rows, int output_columns) {
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
                                   Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
-        const int dy = int(k) / layer.edge % layer.edge - layer.padding,
-                  dx = int(k) % layer.edge - layer.padding;
+        // Row k has the same pixel of all windows: a channel and an offset from the
+        // centre.
         const float* channel = input.values.row(k / (layer.edge * layer.edge)).data();
+        const int row_offset = int(k) / layer.edge % layer.edge - layer.padding;
+        const int column_offset = int(k) % layer.edge - layer.padding;
         for (int row = 0; row < output_rows; ++row) {
-            const int y = row * layer.stride + dy;
+            const int y = row * layer.stride + row_offset;
             if (y < 0 || y >= input.rows) continue;
             for (int column = 0; column < output_columns; ++column) {
-                const int x = column * layer.stride + dx;
+                const int x = column * layer.stride + column_offset;
                 if (x >= 0 && x < input.columns)
                     windows(k, Eigen::Index(row) * output_columns + column) = channel[y * input.columns + x];
             }
@@ -173,7 +175,7 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
 
 double Lpips::compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
                                int columns) const {
-    // Grey to three equal colours, and values from [0, 1] to [-1, 1].
+    // The network expects three colours from -1 to 1. The images are grey, from 0 to 1.
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());

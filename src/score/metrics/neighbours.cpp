@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <optional>
 #include <set>
 
 #include <relidar/log/sequence.hpp>
@@ -23,10 +24,10 @@ constexpr int kColumnSearch = 4;
 /// Returns the nearest training frames of the same LiDAR before and after a frame.
 /// Returns only one if the other does not exist.
 std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
-    const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
-    std::set<int> others;
-    for (const int p : train_frames)
-        if (p != frame_index && lidar_of(p) == lidar_of(frame_index)) others.insert(p);
+    const auto lidar_of = [&](int position) { return sequence.frames[std::size_t(position)].lidar; };
+    std::set<int> others;  // sorted by time
+    for (const int position : train_frames)
+        if (position != frame_index && lidar_of(position) == lidar_of(frame_index)) others.insert(position);
     const auto after = others.lower_bound(frame_index);
     std::vector<int> neighbours;
     if (after != others.begin()) neighbours.push_back(*std::prev(after));
@@ -142,6 +143,22 @@ struct RayTableNeighbours {
     }
 };
 
+/// Returns the position of a point at another time. A point in a moving box moves with
+/// the box, and all other points stand still.
+/// @return nothing if the box is not observed at the time `then_s`
+std::optional<glm::dvec3> follow_box(const WorldReturn& point, const std::vector<const BoxTrack*>& boxes,
+                                     double then_s) {
+    const auto contains_point = [&](const BoxTrack* box) {
+        return box->is_observed(point.time_s) && box->contains_point(point.point_m, point.time_s, 0.0);
+    };
+    const auto match = std::ranges::find_if(boxes, contains_point);
+    if (match == boxes.end()) return point.point_m;
+    const BoxTrack& box = **match;
+    if (!box.is_observed(then_s)) return std::nullopt;
+    return box.world_from_box.pose_at(then_s) *
+           (inverse(box.world_from_box.pose_at(point.time_s)) * point.point_m);
+}
+
 }  // namespace
 
 Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frames, BoxPointMotion motion) {
@@ -154,25 +171,17 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
         const Frame& frame = log.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            WorldReturn w = locate_return(log, frame, ray);
+            WorldReturn point = locate_return(log, frame, ray);
             // Moves the point along its ray to the measured range, which includes the
             // range offset of the beam.
-            w.point_m +=
-                double(frame.scan.range_m[ray] - surface_return(log, frame, ray).range_m) * w.direction;
-            glm::dvec3 world_m = w.point_m;
-            const auto containing_box = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
-                return box->is_observed(w.time_s) && box->contains_point(w.point_m, w.time_s, 0.0);
-            });
-            if (containing_box != moving.end()) {
-                const BoxTrack& box = **containing_box;
-                // Estimated time when `sweep` measures this box, with the same offset
-                // from its frame.
-                const double then_s = sweep.time_s + (w.time_s - frame.time_s);
-                if (!box.is_observed(then_s)) continue;
-                world_m = box.world_from_box.pose_at(then_s) *
-                          (inverse(box.world_from_box.pose_at(w.time_s)) * w.point_m);
-            }
-            append_point(points, world_to_sensor(log, world_m, sweep), frame.scan.intensity[ray]);
+            point.point_m +=
+                double(frame.scan.range_m[ray] - surface_return(log, frame, ray).range_m) * point.direction;
+            // Estimated time when `sweep` measures the point, with the same offset from
+            // its frame.
+            const double then_s = sweep.time_s + (point.time_s - frame.time_s);
+            const std::optional<glm::dvec3> world_m = follow_box(point, moving, then_s);
+            if (world_m)
+                append_point(points, world_to_sensor(log, *world_m, sweep), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;
@@ -194,7 +203,9 @@ Scan assign_points(const RayTable& rays, const Scan& points) {
         if (beams.is_outside(ray_cell, point)) continue;
         const std::size_t ray = beams.ray_index(ray_cell);
         const float range = glm::distance(point, rays.origin[ray]);
-        if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;
+        // A ray keeps its nearest point.
+        const bool has_nearer_point = scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range;
+        if (!(range > 0.0f) || has_nearer_point) continue;
         scan.range_m[ray] = range;
         scan.intensity[ray] = points.intensity[i];
     }

@@ -31,6 +31,7 @@ PixelRegion range_band(const RangeImage& real_image, double min_range_m, double 
 }
 
 /// Returns a mask of the returns of a frame that are in a moving box.
+/// @param offset moves the sensor
 PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& frame, const Pose& offset) {
     const PoseTrack track = mount_track(log.lidar_track(frame.lidar), offset);
     // Evaluates is_moving() only once for each box, because it is slow.
@@ -38,11 +39,11 @@ PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& f
     PixelMask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldRay w = make_world_ray(track, frame.time_s, frame.scan.rays, ray, log.rolling_shutter);
-        const double t_s =
-            frame.time_s + (log.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] =
-            is_in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, 0.0);
+        const WorldRay world_ray =
+            make_world_ray(track, frame.time_s, frame.scan.rays, ray, log.rolling_shutter);
+        const glm::dvec3 point_m = world_ray.origin_m + double(frame.scan.range_m[ray]) * world_ray.direction;
+        const double offset_s = log.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0;
+        moving[ray] = is_in_moving_box(boxes, point_m, frame.time_s + offset_s, 0.0);
     }
     return moving;
 }
@@ -62,19 +63,20 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
                  region.pixels.size(), real_returns.size());
         // Real returns in the region, also if the rendering drops them.
         const PixelMask mask = intersect_masks(region.pixels, real_returns);
-        const auto n = count(mask);
+        const auto n_real = count(mask);
         const std::string name = region.name + "/";
-        row[name + "pixels"] = double(n);
-        if (n == 0) continue;
-        row[name + "share"] = double(n) / double(count(real_returns));
-        // share of the real returns that the rendering also returns
+        row[name + "pixels"] = double(n_real);
+        if (n_real == 0) continue;
+        row[name + "share"] = double(n_real) / double(count(real_returns));
+        // Returns in both images, and how many of them have a large range error.
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
         const auto n_both = count(returned_both);
-        row[name + "returned"] = double(n_both) / double(n);
+        row[name + "returned"] = double(n_both) / double(n_real);
         std::size_t n_large = 0;
-        for (std::size_t i = 0; i < mask.size(); ++i)
-            n_large += returned_both[i] &&
-                       std::abs(double(rendered.range_m[i]) - double(real.range_m[i])) > kLargeError_m;
+        for (std::size_t i = 0; i < mask.size(); ++i) {
+            const double error_m = std::abs(double(rendered.range_m[i]) - double(real.range_m[i]));
+            if (returned_both[i] && error_m > kLargeError_m) ++n_large;
+        }
         if (n_both > 0) row[name + "above_1m"] = double(n_large) / double(n_both);
         if (region.scores_clouds)
             add_cloud_metrics(row, name, rendered, intersect_masks(region.pixels, rendered_returns), real,
@@ -90,17 +92,20 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
 std::vector<bool> mask_edges(const RangeImage& real) {
     const bool circular = is_full_turn(real.rows, real.columns, real.direction);
     PixelMask edges(real.range_m.size());
+    // Marks two neighbouring pixels if the range jumps between them.
     const auto compare_pixels = [&](std::size_t a, std::size_t b) {
         const float a_m = real.range_m[a], b_m = real.range_m[b], jump_m = std::abs(a_m - b_m);
-        if (!(a_m > 0.0f && b_m > 0.0f && jump_m > kEdgeJump_m)) return;
+        const bool have_returns = a_m > 0.0f && b_m > 0.0f;
+        if (!have_returns || !(jump_m > kEdgeJump_m)) return;
         if (jump_m > kEdgeJumpShare * a_m) edges[a] = true;
         if (jump_m > kEdgeJumpShare * b_m) edges[b] = true;
     };
-    const auto columns = std::size_t(real.columns);
+    const auto n_columns = std::size_t(real.columns);
     for (std::size_t i = 0; i < edges.size(); ++i) {
-        if (i + columns < edges.size()) compare_pixels(i, i + columns);
-        if ((i + 1) % columns != 0) compare_pixels(i, i + 1);
-        else if (circular) compare_pixels(i, i + 1 - columns);
+        const bool is_last_column = (i + 1) % n_columns == 0;
+        if (i + n_columns < edges.size()) compare_pixels(i, i + n_columns);
+        if (!is_last_column) compare_pixels(i, i + 1);
+        else if (circular) compare_pixels(i, i + 1 - n_columns);
     }
     return edges;
 }

@@ -43,7 +43,7 @@ double window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
     return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
 }
 
-/// Sums over every 7 consecutive pixels of a row.
+/// Returns the sums over every 7 consecutive pixels of each row.
 /// @return [rows * (columns - 6)]
 std::vector<SsimWindowSums> row_window_sums(const std::vector<double>& first_image,
                                             const std::vector<double>& second_image, int rows, int columns) {
@@ -64,8 +64,9 @@ std::vector<SsimWindowSums> row_window_sums(const std::vector<double>& first_ima
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
-    if (rows < kWindowPixels || columns < kWindowPixels || first_image.size() != n ||
-        second_image.size() != n || !(data_range > 0.0))
+    const bool is_large_enough = rows >= kWindowPixels && columns >= kWindowPixels;
+    const bool is_complete = first_image.size() == n && second_image.size() == n;
+    if (!is_large_enough || !is_complete || !(data_range > 0.0))
         fail(
             "cannot compute the structural similarity: found {} x {} pixels, images of {} and {} values and "
             "a "

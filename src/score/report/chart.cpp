@@ -65,12 +65,13 @@ std::vector<double> linear_ticks(const ChartAxis& axis, int n_ticks) {
 /// there are many. Adds ticks at 2 and 5 times each power if there are few.
 std::vector<double> make_log_ticks(const ChartAxis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
-    const int every = std::max(1, (last - first) / 6);
+    const int step = std::max(1, (last - first) / 6);  // at most about six powers of ten
+    const bool has_few_decades = last - first <= 3;
     std::vector<double> ticks;
-    for (int decade = first; decade <= last; decade += every)
+    for (int decade = first; decade <= last; decade += step)
         for (double factor : {1.0, 2.0, 5.0}) {
             const double tick = factor * std::pow(10.0, decade);
-            if (factor > 1.0 && last - first > 3) continue;
+            if (factor > 1.0 && !has_few_decades) continue;
             if (tick >= axis.low * (1 - 1e-9) && tick <= axis.high * (1 + 1e-9)) ticks.push_back(tick);
         }
     return ticks;
@@ -123,7 +124,7 @@ std::vector<std::size_t> thin_out(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kMaxIntervals);
     std::vector<std::size_t> point_indices;
     for (std::size_t first = 0; first < n; first += width) {
-        std::size_t low = first, high = first;
+        std::size_t low = first, high = first;  // points with the minimum and the maximum
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
             if (!is_drawable(curve, i)) low = high = i;
             else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
@@ -157,13 +158,16 @@ ReportCurve running_mean(const ReportCurve& curve) {
     return result;
 }
 
+/// Returns a curve as SVG: one path with gaps at values that are not finite.
+/// @param style classes of the style sheet
 std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
                        const std::string& style) {
     std::string path, dots;
+    // The path starts with M (move), also after a gap. Other points continue it with L
+    // (line).
     bool connected = false;
     const std::vector<std::size_t> point_indices = thin_out(curve);
     for (std::size_t i : point_indices) {
-        // After a gap, the path starts again with M (move) instead of L (line).
         if (!is_drawable(curve, i)) {
             connected = false;
             continue;
@@ -179,6 +183,8 @@ std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const 
     return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
 }
 
+/// Returns the axes as SVG: grid lines with labels for y, and tick marks with labels for
+/// x.
 std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
     std::string svg;
     for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : linear_ticks(y_axis, 5))
@@ -200,8 +206,11 @@ std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
 
 }  // namespace
 
+// Long curves are drawn with their running mean.
 bool has_running_mean(const ReportCurve& curve) { return curve.y.size() > kMaxSmoothPoints; }
 
+/// Draws curves with common axes as one SVG image.
+/// @throws DataError if a curve has another number of x than of y values
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
     ValueInterval x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
@@ -215,8 +224,8 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
             }
     }
     // SVG's y points down, so the lowest value is at the bottom margin.
-    const ChartAxis x = make_x_axis(x_extent, kLeftMargin, width - kRightMargin),
-                    y = make_y_axis(y_extent, height - kBottomMargin, kTopMargin);
+    const ChartAxis x = make_x_axis(x_extent, kLeftMargin, width - kRightMargin);
+    const ChartAxis y = make_y_axis(y_extent, height - kBottomMargin, kTopMargin);
     std::string names;
     for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
     std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}",
@@ -224,10 +233,10 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         // A long curve is drawn faintly behind its running mean.
-        const bool many = has_running_mean(*curves[i]);
+        const bool has_mean = has_running_mean(*curves[i]);
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
-        svg += draw_curve(*curves[i], x, y, many ? colour + " faint" : colour);
-        if (many) svg += draw_curve(running_mean(*curves[i]), x, y, colour);
+        svg += draw_curve(*curves[i], x, y, has_mean ? colour + " faint" : colour);
+        if (has_mean) svg += draw_curve(running_mean(*curves[i]), x, y, colour);
         svg += "</g>\n";
     }
     return svg + "</svg>\n";

@@ -116,13 +116,15 @@ std::optional<double> find_value(const MetricValues& row, const std::string& met
 std::optional<double> find_best_value(const Report& report, const std::string& metric_name) {
     const int direction = improvement_sign(metric_name);
     std::optional<double> best;
-    int count = 0;
-    for (const auto& [column, row] : report.metrics)
-        if (const auto value = find_value(row, metric_name); value && !std::isnan(*value)) {
-            ++count;
-            if (!best || direction * (*value - *best) > 0.0) best = value;
-        }
-    return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
+    int n_values = 0;
+    for (const auto& [column, row] : report.metrics) {
+        const std::optional<double> value = find_value(row, metric_name);
+        if (!value || std::isnan(*value)) continue;
+        ++n_values;
+        if (!best || direction * (*value - *best) > 0.0) best = value;
+    }
+    const bool is_comparable = report.same_scans && direction != 0 && n_values > 1;
+    return is_comparable ? best : std::nullopt;
 }
 
 /// Returns the cells of a metric, one for each column. The best value is highlighted.
@@ -144,10 +146,11 @@ std::string metrics_html(const Report& report) {
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
     if (names.empty()) return "";
+    constexpr double kValuesWidthPercent = 72.0;  // of all columns with values
     std::string head = "<th>Metric</th>", rows, group;
     for (const auto& [column, row] : report.metrics)
-        head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()),
-                            escape_html(column));
+        head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>",
+                            kValuesWidthPercent / double(report.metrics.size()), escape_html(column));
     for (const std::string& name : names) {
         const auto [name_group, metric] = split_metric(name);
         if (name_group != group)
@@ -157,27 +160,28 @@ std::string metrics_html(const Report& report) {
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
                             cells_html(report, name));
     }
-    const char* marks = report.same_scans ? "Green marks the best value of a row."
-                                          : "The columns show different scans, so they cannot be compared.";
-    return make_table_html(head, rows) +
-           (report.metrics.size() > 1
-                ? note_html(marks + std::string(" A dash means that a value is missing or undefined."))
-                : "");
+    const std::string table = make_table_html(head, rows);
+    if (report.metrics.size() <= 1) return table;
+    const std::string marks = report.same_scans
+                                  ? "Green marks the best value of a row."
+                                  : "The columns show different scans, so they cannot be compared.";
+    return table + note_html(marks + " A dash means that a value is missing or undefined.");
 }
 
+/// Returns a table of the most important metrics with an explanation of each.
 std::string key_metrics_html(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
-        if (std::ranges::none_of(report.metrics,
-                                 [&](const auto& m) { return m.second.contains(key.metric); }))
-            continue;
+        const auto has_metric = [&](const auto& column) { return column.second.contains(key.metric); };
+        if (std::ranges::none_of(report.metrics, has_metric)) continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
                             escape_html(key.hint), cells_html(report, key.metric));
     }
     return rows.empty() ? "" : make_table_html(head, rows);
 }
 
+/// Returns a chart of curves with a legend.
 std::string make_chart_html(const std::string& title, const std::vector<const ReportCurve*>& lines,
                             int width) {
     std::string legend;
@@ -192,23 +196,25 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
 
 /// Returns one chart for each group of curves, in the order of the report.
 std::string curves_html(const Report& report) {
-    std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
-    bool means = false;
+    struct Chart {
+        std::string title;
+        std::vector<const ReportCurve*> curves;
+    };
+    std::vector<Chart> charts;
+    bool has_means = false;
     for (const ReportCurve& curve : report.curves) {
         const std::string group = split_metric(curve.name).first;
-        auto it = std::ranges::find(charts, group, [](const auto& chart) { return chart.first; });
-        if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
-        it->second.push_back(&curve);
-        means = means || report::has_running_mean(curve);
+        auto chart = std::ranges::find(charts, group, &Chart::title);
+        if (chart == charts.end()) chart = charts.insert(charts.end(), {group, {}});
+        chart->curves.push_back(&curve);
+        has_means = has_means || report::has_running_mean(curve);
     }
+    if (charts.empty()) return "";
+    const int width = charts.size() > 1 ? 550 : 1130;  // two charts side by side, or one
     std::string body;
-    for (const auto& [title, members] : charts)
-        body += make_chart_html(title, members, charts.size() > 1 ? 550 : 1130);
-    if (body.empty()) return "";
-    return "<div class=\"charts\">\n" + body + "</div>\n" +
-           (means ? note_html(
-                        "Faint line: all values. Solid line: running mean over one fortieth of the curve.")
-                  : "");
+    for (const Chart& chart : charts) body += make_chart_html(chart.title, chart.curves, width);
+    const char* note = "Faint line: all values. Solid line: running mean over one fortieth of the curve.";
+    return "<div class=\"charts\">\n" + body + "</div>\n" + (has_means ? note_html(note) : "");
 }
 
 /// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
@@ -237,10 +243,9 @@ std::string timing_html(const MetricValues& kernel_times_ms) {
             sum += ms;
         }
     }
-    std::stable_sort(rows.begin(), rows.end(), [](const auto& first, const auto& second) {
-        return (std::isfinite(first.second) ? first.second : -1.0) >
-               (std::isfinite(second.second) ? second.second : -1.0);
-    });
+    // Times that are not finite come last.
+    const auto sort_key = [](const auto& row) { return std::isfinite(row.second) ? row.second : -1.0; };
+    std::ranges::stable_sort(rows, std::greater{}, sort_key);
     const auto total = find_value(kernel_times_ms, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
@@ -252,6 +257,7 @@ std::string timing_html(const MetricValues& kernel_times_ms) {
         body);
 }
 
+/// Returns the images of a figure with captions, as PNG in the page.
 std::string figure_html(const ReportFigure& figure) {
     std::string body;
     for (const auto& [caption, image] : figure.images) {
@@ -263,7 +269,10 @@ std::string figure_html(const ReportFigure& figure) {
     return body;
 }
 
+/// Returns the complete page. Its order: 3D views, images, curves, tables, scores, and
+/// collapsed details.
 std::string page_html(const Report& report) {
+    const bool is_collapsed = true;
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
@@ -285,9 +294,9 @@ std::string page_html(const Report& report) {
     std::string timings;
     for (const auto& [title, row] : report.timings_ms)
         timings += fmt::format("<h3>{}</h3>\n{}", escape_html(title), timing_html(row));
-    html += section_html("All metrics", metrics_html(report), true) +
-            section_html("The run", make_facts_html(report), true) +
-            section_html("Time by kernel", timings, true);
+    html += section_html("All metrics", metrics_html(report), is_collapsed);
+    html += section_html("The run", make_facts_html(report), is_collapsed);
+    html += section_html("Time by kernel", timings, is_collapsed);
     html += "<footer>Written by relidar</footer>\n</main>\n";
     if (!report.views.empty()) html += report::view_script();
     return html + "</body>\n</html>\n";

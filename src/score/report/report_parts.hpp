@@ -28,7 +28,8 @@ inline constexpr int kChartColours = 8;
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 bool has_running_mean(const ReportCurve& curve);
 
-/// The points are base64 text.
+/// Returns a 3D view of one or more clouds as HTML. Its points are base64 text, which the
+/// script of the page draws.
 /// @param n_views  number of views on the page; they share the size limit of the page
 std::string view_html(const ReportView& view, std::size_t n_views);
 std::string view_script();
