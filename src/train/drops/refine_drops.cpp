@@ -31,10 +31,11 @@ bool affects_network(const std::string& setting_key) {
            });
 }
 
+/// Returns hashes of the log and the scene, which a resumed training compares.
 std::vector<ResumeFingerprint> fingerprint_run(const Run& run) {
-    std::vector<ResumeFingerprint> marks = fingerprint_log(run.sequence, run.split);
-    marks.push_back(fingerprint_scene(run.scene));
-    return marks;
+    std::vector<ResumeFingerprint> fingerprints = fingerprint_log(run.sequence, run.split);
+    fingerprints.push_back(fingerprint_scene(run.scene));
+    return fingerprints;
 }
 
 std::vector<ConfigKey> list_network_settings(const Config& config) {
@@ -63,15 +64,14 @@ SimulatedSensor choose_sensor(const Config& config, const Log& sequence, const F
 /// along rotated rays are as accurate as images of held-out frames.
 RayTable rotate_rays(RayTable rays, float column_fraction) {
     const RayTable original = rays;
+    const auto n_columns = std::size_t(original.columns);
     // Without a full turn, the last column has no next column and is not rotated.
     const bool circular = is_full_turn(rays.rows, rays.columns, original.direction);
     for (std::size_t i = 0; i < original.size(); ++i) {
-        const std::size_t row = i / std::size_t(original.columns),
-                          next = (i + 1) % std::size_t(original.columns);
-        const glm::vec3& towards =
-            original.direction[row * std::size_t(original.columns) + next % std::size_t(original.columns)];
-        if (circular || next % std::size_t(original.columns) != 0)
-            rays.direction[i] = glm::normalize(glm::mix(original.direction[i], towards, column_fraction));
+        const std::size_t row = i / n_columns, next_column = (i + 1) % n_columns;
+        if (!circular && next_column == 0) continue;
+        const glm::vec3& next_direction = original.direction[row * n_columns + next_column];
+        rays.direction[i] = glm::normalize(glm::mix(original.direction[i], next_direction, column_fraction));
     }
     return rays;
 }
@@ -82,10 +82,11 @@ RayTable rotate_rays(RayTable rays, float column_fraction) {
 std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const std::vector<float>& drops) {
     std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
     const RangeImageGrid grid = find_grid(config.sensor.grid);
-    for (std::size_t i = 0; i < drops.size(); ++i) {
-        if (drops[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
-        if (const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(i))))
-            cells[std::size_t(*cell)] = -1.0f;
+    for (std::size_t ray = 0; ray < drops.size(); ++ray) {
+        const bool is_known = drops[ray] >= 0.0f, has_return = frame.scan.range_m[ray] > 0.0f;
+        if (is_known || !has_return) continue;
+        const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(ray)));
+        if (cell) cells[std::size_t(*cell)] = -1.0f;
     }
     return cells;
 }
@@ -95,19 +96,42 @@ std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const
 /// of rows and columns, because the images must have the same shape.
 std::vector<int> select_frames(const Config& config, const Log& log, const std::vector<int>& train_frames) {
     if (uses_grid_rays(config)) return train_frames;
-    std::map<std::pair<int, int>, std::vector<int>> by_shape;
+    std::map<std::pair<int, int>, std::vector<int>> frames_by_shape;  // key: rows and columns
     for (const int position : train_frames) {
         const RayTable& rays = log.frames[std::size_t(position)].scan.rays;
-        if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
+        if (rays.rows > 1) frames_by_shape[{rays.rows, rays.columns}].push_back(position);
     }
-    const auto most = std::max_element(
-        by_shape.begin(), by_shape.end(),
-        [](const auto& first, const auto& second) { return first.second.size() < second.second.size(); });
-    return most == by_shape.end() ? std::vector<int>{} : most->second;
+    std::vector<int> most_frames;
+    for (const auto& [shape, frames] : frames_by_shape)
+        if (frames.size() > most_frames.size()) most_frames = frames;
+    return most_frames;
 }
 
-/// Renders the inputs of the network for training frames, and adds their measured drops.
-/// Returns an empty list if the user stopped.
+/// Renders a training frame as input of the network, and adds its measured drops.
+/// @param image_number number of images so far; selects the stripes of a single-pixel
+/// network
+RayDropImage render_image(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
+                          const IgnoredMeasurements& masks, std::size_t image_number) {
+    SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
+    // A network of single pixels needs no neighbours, so stripes of each image suffice.
+    const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
+    const int interval = uses_stripes ? choose_interval(sensor.rays) : 1;
+    const ImageStripes stripes(interval, sensor.rays, image_number);
+    sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
+    const RenderedScan scan = renderer.render(sensor, frame.time_s);
+    RayDropImage image = make_drop_image(scan, channel_names(config.refine), first_position(run.sequence));
+
+    std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
+    if (uses_grid_rays(config)) dropped = drops_to_grid(config, frame, dropped);
+    image.dropped = stripes.stripe_values(dropped);
+    // Excludes rays that the scene always drops, because the output of the network does
+    // not change them.
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+        if (scan.image.drop_prob[i] == 1.0f) image.dropped[i] = -1.0f;
+    return image;
+}
+
+/// Renders the training images of the network. Returns an empty list if the user stopped.
 std::vector<RayDropImage> render_images(Device& device, const Run& run, const Config& config,
                                         const RayDropTrainingSession& session) {
     const std::vector<int> positions =
@@ -119,28 +143,13 @@ std::vector<RayDropImage> render_images(Device& device, const Run& run, const Co
             run.sequence.name);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
-    const std::vector<std::string> channels = channel_names(config.refine);
     if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");
     std::vector<RayDropImage> images;
     for (const int position : positions) {
         if (session.progress)
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
-        // A network of single pixels needs no neighbours, so stripes of each image
-        // suffice.
-        const bool parted = config.refine.network == "pixel" && !sensor.grid;
-        const ImageStripes stripes(parted ? choose_interval(sensor.rays) : 1, sensor.rays, images.size());
-        sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
-        const RenderedScan scan = renderer.render(sensor, frame.time_s);
-        images.push_back(make_drop_image(scan, channels, first_position(run.sequence)));
-        std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
-        if (uses_grid_rays(config)) dropped = drops_to_grid(config, frame, dropped);
-        images.back().dropped = stripes.stripe_values(dropped);
-        for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // Excludes rays that the scene always drops, because the output of the
-            // network does not change them.
-            if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
+        images.push_back(render_image(renderer, run, config, frame, masks, images.size()));
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
@@ -181,18 +190,20 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
         session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
         run.config.train.checkpoint_minutes, session.note,
         [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); });
-    const std::optional<RayDropTrainState> start =
-        session.start ? std::optional(read_drop_state(*session.start)) : std::nullopt;
+    std::optional<RayDropTrainState> start;
+    if (session.start) start = read_drop_state(*session.start);
     bool stopped = false;
-    // Called after each step. Training stops if it returns false.
+    // Called after each step: reports the progress and saves checkpoints. Training stops
+    // if it returns false.
     const auto after_step = [&](const RayDropTrainProgress& progress,
-                                const std::function<RayDropTrainState()>& state) {
+                                const std::function<RayDropTrainState()>& download_state) {
         if (session.step) session.step(progress);
         stopped = session.stop && session.stop();
-        const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
+        const int steps_per_epoch = progress.n_steps / progress.n_epochs;
+        const bool ends_epoch = progress.step % steps_per_epoch == 0;
         if (checkpoints.is_enabled() && (ends_epoch || checkpoints.is_time_due() || stopped))
             checkpoints.save(progress.step, [&](Checkpoint& checkpoint) {
-                state().visit_state(CheckpointWriter(checkpoint));
+                download_state().visit_state(CheckpointWriter(checkpoint));
             });
         return !stopped;
     };

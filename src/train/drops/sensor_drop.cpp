@@ -40,14 +40,23 @@ void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit&
     int begin = 0;
     while (begin < n_bins && is_bin_in_sector(begin)) ++begin;
     if (begin == n_bins) return;
-    for (int k = 1, run = 0; k <= n_bins; ++k) {  // the last bin is `begin`, which is outside all sectors
-        if (is_bin_in_sector((begin + k) % n_bins)) {
-            ++run;
+    int n_in_sector = 0;  // number of bins of the current sector
+    // The last bin is `begin` again, which ends the last sector.
+    for (int bin = begin + 1; bin <= begin + n_bins; ++bin) {
+        if (is_bin_in_sector(bin % n_bins)) {
+            ++n_in_sector;
             continue;
         }
-        if (run > 0 && double(run) >= kMinSectorShare * double(n_bins)) visit_sector(begin + k - run, run);
-        run = 0;
+        const bool is_wide = double(n_in_sector) >= kMinSectorShare * double(n_bins);
+        if (n_in_sector > 0 && is_wide) visit_sector(bin - n_in_sector, n_in_sector);
+        n_in_sector = 0;
     }
+}
+
+/// Returns the index of a bin of a beam. Bins before the first and after the last wrap
+/// around the circle.
+std::size_t wrapped_bin(const RayDropTable& table, std::size_t beam, int bin) {
+    return beam * std::size_t(table.bins) + std::size_t((bin + table.bins) % table.bins);
 }
 
 }  // namespace
@@ -58,13 +67,17 @@ RayDropCounts::RayDropCounts(const Log& sequence)
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
+std::size_t RayDropCounts::bin_index(int channel, int bin) const {
+    return wrapped_bin(index_, std::size_t(channel), bin);
+}
+
 void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     const auto beam = sequence_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
     if (!beam) return;
-    const std::size_t slot = index_.index_of(*beam, frame.scan.rays.direction[ray]);
-    std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
-    if (!(frame.scan.range_m[ray] > 0.0f))
-        std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
+    const std::size_t bin = index_.index_of(*beam, frame.scan.rays.direction[ray]);
+    const bool has_return = frame.scan.range_m[ray] > 0.0f;
+    std::atomic_ref(rays_[bin]).fetch_add(1, std::memory_order_relaxed);
+    if (!has_return) std::atomic_ref(drops_[bin]).fetch_add(1, std::memory_order_relaxed);
 }
 
 /// Computes the rates of persistent drops. From each bin, grows an interval until it has
@@ -72,21 +85,21 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
 RayDropTable RayDropCounts::persistent_rates() const {
     RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
-    const auto share = [](std::uint32_t drops, std::uint32_t rays) { return float(drops) / float(rays); };
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int first = 0; first < index_.bins; ++first) {
-            std::uint32_t rays = 0, drops = 0;
+            std::uint32_t n_rays = 0, n_drops = 0;
             int end = first;
-            for (; end < first + index_.bins && rays < kMinRaysPerRate; ++end) {
-                rays += rays_[bin_index(channel, end)];
-                drops += drops_[bin_index(channel, end)];
+            while (end < first + index_.bins && n_rays < kMinRaysPerRate) {
+                n_rays += rays_[bin_index(channel, end)];
+                n_drops += drops_[bin_index(channel, end)];
+                ++end;
             }
-            if (rays < kMinRaysPerRate) continue;
+            if (n_rays < kMinRaysPerRate) continue;
+            const float interval_rate = float(n_drops) / float(n_rays);
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
-                const float bin_share = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
-                table.probability[i] =
-                    std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
+                const float bin_rate = rays_[i] > 0 ? float(drops_[i]) / float(rays_[i]) : 1.0f;
+                table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval_rate));
             }
         }
     for (int channel = 0; channel < index_.channels; ++channel) drop_unfired(table, channel);
@@ -135,39 +148,46 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_in
     return counts.persistent_rates();
 }
 
+namespace {
+
+/// Returns the difference between the largest and the smallest azimuth offset of the
+/// beams, in bins.
+int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
+    const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
+    const double spread_rad = most.azimuth_offset_rad - least.azimuth_offset_rad;
+    return int(std::ceil(spread_rad / (2.0 * kPi) * n_bins));
+}
+
+}  // namespace
+
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
-    const int bins = observed_drop_rates.bins;
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        const SpinningSensor& sensor = sequence.lidars[l].sensor;
-        std::vector<std::size_t> rows;  // first bin of each beam
+    const int n_bins = observed_drop_rates.bins;
+    const auto is_blind_at = [&](std::size_t beam, int bin) {
+        return observed_drop_rates.probability[wrapped_bin(observed_drop_rates, beam, bin)] >= kMinBlindRate;
+    };
+    for (std::size_t lidar = 0; lidar < sequence.lidars.size(); ++lidar) {
+        const SpinningSensor& sensor = sequence.lidars[lidar].sensor;
+        std::vector<std::size_t> beams;  // indices among the beams of all LiDARs
         for (std::size_t beam = 0; beam < sensor.beams.size(); ++beam)
-            if (const auto number = sequence.find_global_beam(int(l), std::uint16_t(beam)))
-                rows.push_back(std::size_t(*number) * std::size_t(bins));
-        if (rows.empty()) continue;
-        const auto is_blind_at = [&](std::size_t row, int bin) {
-            return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kMinBlindRate;
+            if (const auto global_beam = sequence.find_global_beam(int(lidar), std::uint16_t(beam)))
+                beams.push_back(std::size_t(*global_beam));
+        if (beams.empty()) continue;
+        const auto are_all_blind_at = [&](int bin) {
+            return std::ranges::all_of(beams, [&](std::size_t beam) { return is_blind_at(beam, bin); });
         };
-        const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
-        // difference between the largest and the smallest azimuth offset, in bins
-        const int spread =
-            int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
-        for_each_sector(
-            bins,
-            [&](int bin) {
-                return std::ranges::all_of(rows, [&](std::size_t row) { return is_blind_at(row, bin); });
-            },
-            [&](int first, int count) {
-                for (const std::size_t row : rows) {
-                    // All beams are blind in these `count` bins. Because the beams have
-                    // different azimuth offsets, one beam can be blind in a few more bins
-                    // on each side. Extends the range begin..end by these bins.
-                    int begin = first, end = first + count;
-                    while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
-                    while (end - first - count < spread && is_blind_at(row, end)) ++end;
-                    for (int bin = begin; bin < end; ++bin)
-                        drop_table.probability[row + std::size_t((bin + bins) % bins)] = 1.0f;
-                }
-            });
+        // All beams are blind in the bins of a sector. Beams have different azimuth
+        // offsets, so one beam can be blind in a few more bins on each side.
+        const int max_extra_bins = azimuth_spread_bins(sensor, n_bins);
+        const auto drop_sector = [&](int first, int count) {
+            for (const std::size_t beam : beams) {
+                int begin = first, end = first + count;
+                while (first - begin < max_extra_bins && is_blind_at(beam, begin - 1)) --begin;
+                while (end - first - count < max_extra_bins && is_blind_at(beam, end)) ++end;
+                for (int bin = begin; bin < end; ++bin)
+                    drop_table.probability[wrapped_bin(drop_table, beam, bin)] = 1.0f;
+            }
+        };
+        for_each_sector(n_bins, are_all_blind_at, drop_sector);
     }
 }
 

@@ -36,11 +36,7 @@ private:
     RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
-    /// Bins before the first and after the last wrap around the circle.
-    std::size_t bin_index(int channel, int bin) const {
-        return std::size_t(channel) * std::size_t(index_.bins) +
-               std::size_t((bin + index_.bins) % index_.bins);
-    }
+    std::size_t bin_index(int channel, int bin) const;
     void drop_unfired(RayDropTable& drop_table, int channel) const;
     double local_rate(int channel, int bin) const;
 };

@@ -45,16 +45,17 @@ std::vector<MovingBoxMask> list_masked_boxes(const Log& log, const SweepTiming& 
 /// @param time_offset_s  firing time relative to the reference time of the sweep
 bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRay& ray, double time_offset_s,
                    double range_m) {
-    return std::any_of(masked_boxes.begin(), masked_boxes.end(), [&](const MovingBoxMask& box) {
+    return std::ranges::any_of(masked_boxes, [&](const MovingBoxMask& box) {
         const InstancePose& placed = box.placed;
         // A fast test with a sphere around the box rejects most rays.
         if (!passes_sphere(ray.origin_m, ray.direction, placed.world_from_model.translation, box.reach_m))
             return false;
-        const PosedBox posed_box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
-                                 box.half_size_m};
-        const glm::dvec2 inside = posed_box.intersect_m(ray);
-        // Entry and exit. A ray without a return counts if it crosses the box.
-        return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
+        const Pose world_from_box = placed.motion.pose_at(placed.world_from_model, time_offset_s);
+        const glm::dvec2 enter_leave_m = PosedBox{inverse(world_from_box), box.half_size_m}.intersect_m(ray);
+        const bool crosses_box = enter_leave_m.x <= enter_leave_m.y;
+        const bool returns_from_box = range_m >= enter_leave_m.x && range_m <= enter_leave_m.y;
+        const bool has_return = range_m > 0.0;
+        return crosses_box && (returns_from_box || !has_return);
     });
 }
 
@@ -75,13 +76,13 @@ void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMea
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());
     parallel_blocks(scan.range_m.size(), [&](std::size_t index) {
-        const WorldRay w = make_world_ray(track, frame.time_s, scan.rays, index, sequence.rolling_shutter);
-        const float after_s = sequence.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
-        const bool unknown = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
-                             is_ray_masked(boxes, w, double(after_s), scan.range_m[index]);
-        rays[index] = {glm::vec3(w.origin_m), glm::vec3(w.direction), after_s};
+        const WorldRay ray = make_world_ray(track, frame.time_s, scan.rays, index, sequence.rolling_shutter);
+        const float time_offset_s = sequence.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
+        rays[index] = {glm::vec3(ray.origin_m), glm::vec3(ray.direction), time_offset_s};
+        const bool is_ignored = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
+                                is_ray_masked(boxes, ray, double(time_offset_s), scan.range_m[index]);
         const SurfaceReturn surface = surface_return(sequence, frame, index);
-        targets[index] = {surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f};
+        targets[index] = {surface.range_m, surface.intensity, is_ignored ? 0.0f : 1.0f};
     });
 }
 
@@ -91,16 +92,17 @@ std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames) {
     return most;
 }
 
+/// Returns a batch with every stride-th ray of the frame.
 RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
-    // The batch has every stride-th ray of the image. If the number of columns is a
-    // multiple of the stride, these rays form complete columns of the image.
+    // If the number of columns is a multiple of the stride, these rays form complete
+    // columns of the image.
     const bool is_column_subset = image.columns % stride == 0 && first_ray < stride;
-    return {&device_rays(),
-            first_ray,
-            stride,
-            (n_rays - first_ray + stride - 1) / stride,
-            is_column_subset ? image.columns / stride : 0,
-            &loss_targets()};
+    return {.rays = &device_rays(),
+            .first = first_ray,
+            .stride = stride,
+            .n_rays = (n_rays - first_ray + stride - 1) / stride,
+            .columns = is_column_subset ? image.columns / stride : 0,
+            .targets = &loss_targets()};
 }
 
 SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame) {
@@ -131,9 +133,11 @@ std::vector<float> classify_drops(const Log& log, const Frame& frame, const Igno
     std::vector<DeviceTarget> targets;
     make_frame_arrays(log, frame, rules, rays, targets);
     std::vector<float> dropped;
-    for (std::size_t i = 0; i < targets.size(); ++i) {
-        if (!(targets[i].weight > 0.0f)) dropped.push_back(-1.0f);
-        else dropped.push_back(frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    for (std::size_t ray = 0; ray < targets.size(); ++ray) {
+        const bool is_ignored = !(targets[ray].weight > 0.0f);
+        const bool has_return = frame.scan.range_m[ray] > 0.0f;
+        if (is_ignored) dropped.push_back(-1.0f);
+        else dropped.push_back(has_return ? 0.0f : 1.0f);
     }
     return dropped;
 }

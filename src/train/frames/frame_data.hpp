@@ -76,21 +76,24 @@ struct IgnoredMeasurements {
     RayDropTable observed_drops;
 };
 
-/// Rays that the background must not learn get weight 0: returns from inside a moving
-/// box, and dropped rays that may have hit such a box.
+/// Computes the rays of a frame in the world, and their measurements. Rays that the
+/// background must not learn get weight 0: returns from inside a moving box, and dropped
+/// rays that may have hit such a box.
 void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 
-/// If the scan has other rows and columns than the LiDAR, the rays of the scan.
+/// Returns the sensor with the nominal rays of a frame's LiDAR (without jitter). If the
+/// scan has other rows and columns than the LiDAR, the sensor has the rays of the scan.
 SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame);
 
+/// Returns rules that ignore moving boxes, except the actors that the scene contains.
 IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);
 
-/// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object
-/// without a model in the scene.
+/// Returns which rays of a frame were dropped, [rays]: 0 returned, 1 dropped, -1 if the
+/// ray hit, or may have hit, a moving object without a model in the scene.
 std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules);
 
-/// All positions if `max_count` is 0.
+/// Returns at most `max_count` frames at regular intervals, or all frames if it is 0.
 std::vector<int> select_evenly(const std::vector<int>& frames, int max_count);
 
 }  // namespace relidar

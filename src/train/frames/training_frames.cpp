@@ -18,12 +18,12 @@ Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGri
     const Scan& scan = frame.scan;
     std::vector<glm::vec3> points;
     std::vector<float> intensity;
-    std::vector<std::size_t> rays;
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        if (!(scan.range_m[i] > 0.0f)) continue;
-        points.push_back(scan.return_point(i));
-        intensity.push_back(scan.intensity[i]);
-        rays.push_back(i);
+    std::vector<std::size_t> ray_of_point;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        points.push_back(scan.return_point(ray));
+        intensity.push_back(scan.intensity[ray]);
+        ray_of_point.push_back(ray);
     }
     const ProjectedRangeImage image = project_points(grid, points, intensity);
     Frame result = strip_scan(frame);
@@ -33,9 +33,10 @@ Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGri
     const auto period_ratio = static_cast<float>(sequence.lidar_of(frame).sweep_period_s() / kGridPeriod_s);
     for (std::size_t cell = 0; cell < image.source.size(); ++cell) {
         float& time_s = result.scan.rays.time_offset_s[cell];
-        time_s *= period_ratio;
-        if (image.source[cell] < 0) continue;
-        const std::size_t ray = rays[std::size_t(image.source[cell])];
+        time_s *= period_ratio;  // remains the time of a cell without a return
+        const int point = image.source[cell];
+        if (point < 0) continue;
+        const std::size_t ray = ray_of_point[std::size_t(point)];
         time_s = scan.rays.time_offset_s[ray];
         result.scan.rays.channel[cell] = scan.rays.channel[ray];
     }
@@ -47,6 +48,8 @@ namespace {
 // frames prepared in parallel in host memory
 constexpr std::size_t kPreparedAtOnce = 32;
 
+/// Returns the absolute time at which a ray was fired. Without rolling shutter, all rays
+/// of a frame have the time of the frame.
 double firing_time_s(const Log& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
@@ -79,11 +82,12 @@ TrainingFrameData describe_frame(const Log& log, int index, const std::optional<
     if (table.rows > 1)
         data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
                       is_full_turn(table.rows, table.columns, table.direction)};
+    // The poses from the one before the first ray to the one after the last ray.
     const PoseTrack& track = log.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
     data.first_knot = track.find_segment(firing_time_s(log, frame, *first)).left;
-    const std::size_t last_knot =
-        std::min(track.find_segment(firing_time_s(log, frame, *last)).left + 1, track.pose.size() - 1);
+    const std::size_t knot_before_last = track.find_segment(firing_time_s(log, frame, *last)).left;
+    const std::size_t last_knot = std::min(knot_before_last + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
     data.sensor_position_m =
         glm::vec3(track.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor).translation);
@@ -93,9 +97,10 @@ TrainingFrameData describe_frame(const Log& log, int index, const std::optional<
 /// Counts the rays that training uses, and how many of them have a return.
 void count_rays(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
     data.n_known_rays = data.n_returned = 0.0;
-    for (const DeviceTarget& t : targets) {
-        data.n_known_rays += t.weight > 0.0f;
-        data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
+    for (const DeviceTarget& target : targets) {
+        if (!(target.weight > 0.0f)) continue;  // ignored ray
+        data.n_known_rays += 1.0;
+        if (target.range_m > 0.0f) data.n_returned += 1.0;
     }
 }
 
@@ -115,19 +120,20 @@ TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector
                                FrameUploadOptions use)
     : sequence_(log), use_(std::move(use)) {
     for (const int position : frame_indices) frames_.push_back(describe_frame(log, position, use_.grid));
-    std::uint64_t bytes = 0;
+    std::uint64_t bytes = 0;  // device memory of the frames so far
     for (const TrainingFrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
         if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
     upload_frames(device);
-    const std::uint32_t n = max_frame_rays(std::span(frames_).subspan(n_staying_));
-    if (n == 0) return;
+    // All other frames share arrays that are large enough for each of them.
+    const std::uint32_t n_rays = max_frame_rays(std::span(frames_).subspan(n_staying_));
+    if (n_rays == 0) return;
     shared_ = std::make_shared<FrameArrays>(
-        FrameArrays{{device, n, "training rays"},
-                    {device, n, "training targets"},
-                    {device, use_.moves_rays ? n : 0, "track positions of rays"}});
+        FrameArrays{.rays = {device, n_rays, "training rays"},
+                    .targets = {device, n_rays, "training targets"},
+                    .track_positions = {device, use_.moves_rays ? n_rays : 0, "track positions of rays"}});
     for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
 }
 
@@ -201,9 +207,10 @@ void TrainingFrames::prefetch_frame(std::size_t frame_index) {
 
 namespace {
 
-// Minimum sum of the rates of all steps that can move a logit, before the rates decay. In
-// SH coefficients; the constant coefficient is 3.5 times its part of the logit.
-constexpr double kMinReach = 50.0;
+// Minimum distance that a logit can move during training: the sum of the rates of all
+// steps that can move it, before the rates decay. In SH coefficients; the constant
+// coefficient is 3.5 times its part of the logit.
+constexpr double kMinLogitMotion = 50.0;
 // Maximum rate, so that a single ray does not decide if a surfel returns.
 constexpr double kMaxRate = 2.0;
 
@@ -213,11 +220,10 @@ std::vector<double> count_hitting_steps(const Scene& scene, std::span<const Trai
     std::vector<double> steps(scene.models.size(), 0.0);
     const double steps_per_frame = double(config.iterations) / double(frames.size());
     for (const TrainingFrameData& frame : frames) {
-        const double rays = config.rays_per_iteration > 0 ? config.rays_per_iteration : frame.n_rays;
+        const double n_rays = config.rays_per_iteration > 0 ? config.rays_per_iteration : frame.n_rays;
+        const double ray_share = n_rays < frame.n_rays ? n_rays / frame.n_rays : 1.0;  // of a batch
         for (std::size_t i = 0; i < frame.placed.size(); ++i)
-            if (frame.placed[i].present)
-                steps[scene.instances[i].model] +=
-                    steps_per_frame * (rays < frame.n_rays ? rays / frame.n_rays : 1.0);
+            if (frame.placed[i].present) steps[scene.instances[i].model] += steps_per_frame * ray_share;
     }
     return steps;
 }
@@ -228,12 +234,13 @@ std::vector<float> logit_factors(const Scene& scene, std::span<const TrainingFra
                                  const TrainConfig& config) {
     const std::vector<double> steps = count_hitting_steps(scene, frames, config);
     std::vector<float> factors;
-    for (std::size_t m = 0; m < steps.size(); ++m) {
-        const bool is_actor = scene.models[m].half_size_m.x > 0.0f;
-        const double rate = std::min(kMinReach / std::max(steps[m], 1.0), kMaxRate);
-        factors.push_back(is_actor ? float(std::max(rate / config.sh_rate, 1.0)) : 1.0f);
+    for (std::size_t model = 0; model < steps.size(); ++model) {
+        const bool is_actor = scene.models[model].half_size_m.x > 0.0f;
+        const double needed_rate = std::min(kMinLogitMotion / std::max(steps[model], 1.0), kMaxRate);
+        factors.push_back(is_actor ? float(std::max(needed_rate / config.sh_rate, 1.0)) : 1.0f);
     }
-    if (std::ranges::all_of(factors, [](float factor) { return factor == 1.0f; })) factors.clear();
+    const auto is_one = [](float factor) { return factor == 1.0f; };
+    if (std::ranges::all_of(factors, is_one)) factors.clear();
     return factors;
 }
 

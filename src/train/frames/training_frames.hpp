@@ -43,7 +43,8 @@ public:
     const IgnoredMeasurements& mask_rules() const { return use_.unknown; }
     std::size_t count_resident() const { return n_staying_; }
 
-    /// The arrays of an uploaded frame are valid until the next upload.
+    /// Uploads a frame unless it is on the device, and returns it. Its arrays are valid
+    /// until the next upload.
     TrainingFrameData& ensure_resident(Stream& stream, std::size_t frame);
     /// Announces the next frame. A thread starts to compute its rays if it must be
     /// uploaded.
