@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <relidar/read/dataset.hpp>
 #include <relidar/registration/registration.hpp>
@@ -15,7 +16,7 @@ namespace relidar {
 
 namespace {
 
-/// from which the registration can start
+/// Returns true if the log has poses from which the registration can start.
 bool has_usable_poses(const Log& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
@@ -79,16 +80,19 @@ constexpr double kMostLost = 0.05;
 void report_unregistered(const Log& sequence, const RegistrationResult& registration, const Config& config,
                          const LogPreparationCallbacks& session) {
     if (registration.lost.empty()) return;
-    std::vector<int> frames;
+    std::vector<int> lost_frames;
     for (const Frame& frame : sequence.frames) {
         const bool is_lost = std::ranges::binary_search(registration.lost, sequence.find_pose_index(frame));
-        if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
+        // Several LiDARs can have a frame with the same number.
+        const bool is_listed = !lost_frames.empty() && lost_frames.back() == frame.index;
+        if (is_lost && !is_listed) lost_frames.push_back(frame.index);
     }
-    const std::size_t n = sequence.world_from_vehicle.pose.size();
+    const std::size_t n_scans = sequence.world_from_vehicle.pose.size();
     const std::string text =
-        fmt::format("{} of {} scans could not be registered to their neighbours (frames {})", frames.size(),
-                    n, list_text(frames));
-    if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
+        fmt::format("{} of {} scans could not be registered to their neighbours (frames {})",
+                    lost_frames.size(), n_scans, list_text(lost_frames));
+    const double max_lost = std::max(1.0, kMostLost * double(n_scans));
+    if (double(lost_frames.size()) > max_lost && !config.train.allow_lost_scans)
         fail(
             "cannot estimate the poses of {} from its scans: {}; expected that this happens for at most "
             "{:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses of these scans, "
@@ -97,48 +101,63 @@ void report_unregistered(const Log& sequence, const RegistrationResult& registra
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
-/// Estimates the vehicle poses by registering the scans of the log with each other, and
-/// prints the result.
-/// @return registration; `done` is true if it has new poses
-RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
-                                const LogPreparationCallbacks& session) {
-    RegistrationResult registration;
+/// Registers the scans of the log with each other.
+/// @return nothing if the registration fails and the poses of the log may be used instead
+std::optional<RegistrationResult> run_registration(const Log& sequence, const Split& split,
+                                                   const Config& config,
+                                                   const LogPreparationCallbacks& session) {
     try {
         RegistrationOptions options = registration_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
-        registration = register_scans(sequence, split, options);
+        return register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
         session.report_line(fmt::format("{}; the poses of the log are used instead", error.what()));
-        return {};
+        return std::nullopt;
     }
-    if (registration.stopped)
-        throw Error(ExitCode::interrupted,
-                    "interrupted during the registration of scans, before the training started");
-    if (!registration.done) return registration;
-    const PoseCorrectionStatistics corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
+}
+
+/// Returns a text about the fit of the registered scans, and about the new poses.
+/// @param poses_text describes the new poses
+std::string describe_registration(const RegistrationResult& registration, const std::string& poses_text) {
     std::string loops_text;
     if (registration.n_loop_closures > 0)
         loops_text = fmt::format(
             "; {} loops were detected, where the vehicle returned to an earlier position; they corrected "
             "poses by up to {:.2f} m",
             registration.n_loop_closures, registration.largest_loop_error_m);
-    session.report_line(
-        fmt::format("scans registered: {:.0f} % of the points are on planes that several scans have "
-                    "observed, with a mean distance of {:.3f} m from these planes; {}{}",
-                    100.0 * registration.on_planes, registration.rounds.back().residual_m,
-                    has_usable_poses(sequence, config) ? corrections.describe()
-                                                       : describe_length(registration.world_from_vehicle),
-                    loops_text));
-    if (const std::string warning = corrections.describe_large();
-        has_usable_poses(sequence, config) && !warning.empty()) {
+    return fmt::format(
+        "scans registered: {:.0f} % of the points are on planes that several scans have observed, with a "
+        "mean distance of {:.3f} m from these planes; {}{}",
+        100.0 * registration.on_planes, registration.rounds.back().residual_m, poses_text, loops_text);
+}
+
+/// Estimates the vehicle poses by registering the scans of the log with each other, and
+/// prints the result.
+/// @return registration; `done` is true if it has new poses
+RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
+                                const LogPreparationCallbacks& session) {
+    std::optional<RegistrationResult> result = run_registration(sequence, split, config, session);
+    if (!result) return {};
+    if (result->stopped)
+        throw Error(ExitCode::interrupted,
+                    "interrupted during the registration of scans, before the training started");
+    if (!result->done) return std::move(*result);
+
+    // Corrections of the log's poses are meaningful only if the log has poses.
+    const bool has_poses = has_usable_poses(sequence, config);
+    const PoseCorrectionStatistics corrections(sequence.world_from_vehicle, result->world_from_vehicle);
+    session.report_line(describe_registration(
+        *result, has_poses ? corrections.describe() : describe_length(result->world_from_vehicle)));
+    const std::string warning = corrections.describe_large();
+    if (has_poses && !warning.empty()) {
         session.report_line(warning);
         sequence.notes.push_back(warning);  // the command `info` prints notes
     }
-    report_unregistered(sequence, registration, config, session);
-    return registration;
+    report_unregistered(sequence, *result, config, session);
+    return std::move(*result);
 }
 
 /// Registers the scans and sets the new vehicle poses in the processes of the group.
@@ -155,49 +174,60 @@ void register_vehicle(Log& log, const Split& split, const Config& config,
 /// Estimates a range offset for each beam, so that beams agree on the position of planes.
 void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& config,
                        const LogPreparationCallbacks& session) {
-    const std::size_t n = sequence.count_beams();
-    if (n > 1 && config.calibrates("range")) {
-        const RangeCalibrationResult calibration = calibrate_ranges(sequence, split.train);
-        session.report_line(fmt::format(
-            "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
-            "is {:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
-            n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
-            calibration.adopted ? "relidar uses these range offsets"
-                                : "relidar does not use these range offsets"));
-    }
+    const std::size_t n_beams = sequence.count_beams();
+    if (n_beams <= 1 || !config.calibrates("range")) return;
+    const RangeCalibrationResult calibration = calibrate_ranges(sequence, split.train);
+    session.report_line(fmt::format(
+        "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes is "
+        "{:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
+        n_beams, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3,
+        calibration.rms_after * 1e3,
+        calibration.adopted ? "relidar uses these range offsets"
+                            : "relidar does not use these range offsets"));
 }
 
 /// Estimates how intensities depend on the beam, the range and the angle of incidence,
 /// and prints how much this correction reduces the differences.
 void calibrate_intensities(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
-    const IntensityResponse& r = sequence.intensity_response;
-    const std::string fall = fmt::format(
-        "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle of 60 "
-        "degrees, relative to 10 m and 0 degrees",
-        r.range_factor(40.0) / r.range_factor(10.0), r.incidence_factor(0.5));
-    const std::string start = fmt::format(
+    const std::string text = fmt::format(
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ by {:.3f} "
         "(RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
-    session.report_line(
-        !calibration.shared && !calibration.beams
-            ? start + "; a correction does not reduce this difference, so no correction is used"
-            : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
-                          calibration.beams ? "the correction has one gain and offset per beam" : "",
-                          calibration.beams && calibration.shared ? "; " : "",
-                          calibration.shared ? fall : ""));
+    // `shared`: the correction depends on range and incidence. `beams`: it has parameters
+    // of each beam.
+    if (!calibration.shared && !calibration.beams) {
+        session.report_line(text +
+                            "; a correction does not reduce this difference, so no correction is used");
+        return;
+    }
+    std::vector<std::string> corrections;
+    if (calibration.beams) corrections.emplace_back("the correction has one gain and offset per beam");
+    if (calibration.shared) {
+        const IntensityResponse& response = sequence.intensity_response;
+        constexpr double kCosineOf60Deg = 0.5;
+        corrections.push_back(fmt::format(
+            "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle of 60 "
+            "degrees, relative to 10 m and 0 degrees",
+            response.range_factor(40.0) / response.range_factor(10.0),
+            response.incidence_factor(kCosineOf60Deg)));
+    }
+    session.report_line(fmt::format("{}, {:.3f} after the correction; {}", text, calibration.rms_after,
+                                    fmt::join(corrections, "; ")));
 }
 
+/// Prints the measured noise of each LiDAR's ranges at 10 m and 40 m.
 void report_range_noise(const Log& sequence, const LogPreparationCallbacks& session) {
-    for (const Lidar& lidar : sequence.lidars)
-        if (!lidar.range_noise.sigma_m.empty())
-            session.report_line(
-                fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on "
-                            "surfaces perpendicular to the beam)",
-                            lidar.name.empty() ? "" : " of " + lidar.name,
-                            1e3 * lidar.range_noise.lookup_sigma_m(10.0, 1.0),
-                            1e3 * lidar.range_noise.lookup_sigma_m(40.0, 1.0)));
+    constexpr double kPerpendicular = 1.0;  // cosine of the incidence angle
+    for (const Lidar& lidar : sequence.lidars) {
+        if (lidar.range_noise.sigma_m.empty()) continue;
+        session.report_line(
+            fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on "
+                        "surfaces perpendicular to the beam)",
+                        lidar.name.empty() ? "" : " of " + lidar.name,
+                        1e3 * lidar.range_noise.lookup_sigma_m(10.0, kPerpendicular),
+                        1e3 * lidar.range_noise.lookup_sigma_m(40.0, kPerpendicular)));
+    }
 }
 
 /// @throws Error with exit code 130
@@ -221,6 +251,7 @@ void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& con
         check_interrupted(session);
         if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
+    // Replaces the values by those of the first process.
     const auto broadcast_from_first = [&](auto& values) {
         values = session.group.broadcast(std::move(values));
     };
@@ -240,30 +271,42 @@ void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& con
 std::string describe_box(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
-    return fmt::format(
-        "{} ({:.1f} x {:.1f} m{}, {:.1f} m/s, {:.1f} s)", box.id, box.size_m.x, box.size_m.y,
-        box.size_guess.empty()
-            ? ""
-            : fmt::format(" estimated from the class {}, because the LiDAR observed only one side",
-                          box.size_guess),
-        glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
+    const double speed_mps =
+        glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds;
+    std::string size_note;
+    if (!box.size_guess.empty())
+        size_note = fmt::format(" estimated from the class {}, because the LiDAR observed only one side",
+                                box.size_guess);
+    return fmt::format("{} ({:.1f} x {:.1f} m{}, {:.1f} m/s, {:.1f} s)", box.id, box.size_m.x, box.size_m.y,
+                       size_note, speed_mps, seconds);
+}
+
+/// Returns a text with the frames by which a labelled box was extended.
+std::string describe_extension(const BoxTrack& box) {
+    std::vector<std::string> sides;
+    if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
+    if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
+    return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
+}
+
+/// Returns the progress callback of a long step: it also stops the step if the user has
+/// interrupted it.
+Progress interruptible_progress(const LogPreparationCallbacks& session) {
+    return [&session](std::string_view description, double done) {
+        check_interrupted(session);
+        if (session.progress) session.progress(description, done);
+    };
 }
 
 /// Detects moving objects without a label, and adds their boxes to the log. Also extends
 /// tracks of labelled objects to frames without a label.
 void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
-    const Progress progress = [&](std::string_view description, double done) {
-        check_interrupted(session);
-        if (session.progress) session.progress(description, done);
-    };
-    for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
-        if (box.n_before + box.n_after > 0) {
-            std::vector<std::string> sides;
-            if (box.n_before > 0)
-                sides.push_back(fmt::format("{} frames before the first label", box.n_before));
-            if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
-            extended.push_back(fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and ")));
+    for (BoxTrack& box :
+         discover_tracks(sequence, split.train, interruptible_progress(session), session.group)) {
+        const bool is_labelled = box.n_before + box.n_after > 0;
+        if (is_labelled) {
+            extended.push_back(describe_extension(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
             movers.push_back(describe_box(box));
@@ -284,10 +327,7 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
 void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
     if (session.group.is_first())
-        registration = register_actors(sequence, split.train, [&](std::string_view description, double done) {
-            check_interrupted(session);
-            if (session.progress) session.progress(description, done);
-        });
+        registration = register_actors(sequence, split.train, interruptible_progress(session));
     for (BoxTrack& box : sequence.boxes)
         box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;
