@@ -16,6 +16,7 @@
 namespace relidar {
 namespace {
 
+/// A setting that selects other variants of kernels.
 struct KernelSetting {
     const char* key;
     const char* value;
@@ -33,6 +34,7 @@ constexpr KernelSetting kKernelSettings[] = {{"image.sh_direction", "ray"},
                                              {"trace.chunk", "64"},
                                              {"densify.strategy", "adaptive"}};
 
+/// Returns a scene with a background and an actor, each with one surfel.
 Scene minimal_scene(const Log& street, PrimitiveType primitive) {
     Scene scene;
     scene.surfels.resize(2, primitive);
@@ -41,6 +43,7 @@ Scene minimal_scene(const Log& street, PrimitiveType primitive) {
     return scene;
 }
 
+/// Compiles the kernels of training and of rendering with these settings.
 void compile_training(Device& device, const Log& street, const Config& config) {
     const Scene scene = minimal_scene(street, config.image.primitive);
     Split split;
@@ -80,6 +83,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_training(device, street, make_preset(preset));
     }
     std::vector<KernelSetting> settings(std::begin(kKernelSettings), std::end(kKernelSettings));
+    // The weight of each loss, which enables its kernels.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     settings.push_back({"loss." #setting, "0.1"});
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)

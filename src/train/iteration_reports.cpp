@@ -7,6 +7,7 @@
 
 namespace relidar {
 
+/// Allocates host memory for the losses and counters of one report.
 IterationReports::ReportReadbackSlot::ReportReadbackSlot(Device& device)
     : terms(device, kMaxLossRows * kLossTerms * sizeof(float), "loss terms"),
       pass_cap(device, sizeof(std::uint32_t), "number of truncated rays"),
@@ -22,55 +23,59 @@ IterationReports::IterationReports(Device& device)
 void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& from,
                                    const std::optional<TrainLogLine>& line) {
     if (iterations_.empty()) return;
-    // Each buffer is used again after kReadbackLag iterations.
+    // Each slot is used again after kReadbackLag iterations.
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
+    // The next report starts with zeros.
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
         readback.record_copy(stream, source, n_bytes);
-        // The counters start again at 0.
         stream.fill(source);
     };
     record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
     record_and_clear(slot.pass_cap, from.pass_cap->buffer(), sizeof(std::uint32_t));
     if (from.most_hits) record_and_clear(slot.most_hits, from.most_hits->buffer(), sizeof(std::uint32_t));
     record_and_clear(slot.overfull, from.overfull->buffer(), sizeof(std::uint32_t));
-    closed_.push_back({std::exchange(iterations_, {}), from.most_hits != nullptr, from.hit_capacity,
-                       from.stored_hits_per_ray, line});
+    closed_.push_back({.iterations = std::exchange(iterations_, {}),
+                       .counts_hits = from.most_hits != nullptr,
+                       .hit_capacity = from.hit_capacity,
+                       .stored_hits_per_ray = from.stored_hits_per_ray,
+                       .line = line});
 }
 
 std::optional<IterationReports::IterationGroupReport> IterationReports::take_oldest(Stream& stream,
                                                                                     int max_step) {
     if (closed_.empty() || closed_.front().iterations.back().step > max_step) return std::nullopt;
-    const ClosedIterationGroup report = std::move(closed_.front());
+    const ClosedIterationGroup group = std::move(closed_.front());
     closed_.pop_front();
-    const int first_step = report.iterations.front().step, last_step = report.iterations.back().step;
-    // record_copy() selected the buffer by the last step of the report.
+    const int first_step = group.iterations.front().step, last_step = group.iterations.back().step;
+    // record_copy() selected the slot by the last step of the group.
     ReportReadbackSlot& slot = slots_[std::size_t(last_step) % kReadbackLag];
-    const auto count = [&](ReadbackBuffer& readback) {
+    const auto read_counter = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    add_loss_terms(report, static_cast<const float*>(slot.terms.wait_for_bytes(stream)));
-    if (report.line) store_log_line(*report.line);
+    add_loss_terms(group, static_cast<const float*>(slot.terms.wait_for_bytes(stream)));
+    if (group.line) store_log_line(*group.line);
     return IterationGroupReport{.first_step = first_step,
                                 .last_step = last_step,
-                                .pass_cap = count(slot.pass_cap),
-                                .most_hits = report.counts_hits ? count(slot.most_hits) : 0u,
-                                .overfull = count(slot.overfull),
-                                .hit_capacity = report.hit_capacity,
-                                .stored_hits_per_ray = report.stored_hits_per_ray};
+                                .pass_cap = read_counter(slot.pass_cap),
+                                .most_hits = group.counts_hits ? read_counter(slot.most_hits) : 0u,
+                                .overfull = read_counter(slot.overfull),
+                                .hit_capacity = group.hit_capacity,
+                                .stored_hits_per_ray = group.stored_hits_per_ray};
 }
 
-/// Stops the training at the first loss that is not finite, and names its iteration.
-void IterationReports::add_loss_terms(const ClosedIterationGroup& closed_group, const float* loss_terms) {
-    for (const auto& [step, frame] : closed_group.iterations) {
+/// Adds the losses of a group to the sums of the current log interval. Stops the training
+/// at the first loss that is not finite, and names its iteration.
+/// @param loss_terms [iterations, kLossTerms]
+void IterationReports::add_loss_terms(const ClosedIterationGroup& group, const float* loss_terms) {
+    for (std::size_t i = 0; i < group.iterations.size(); ++i)
         for (std::size_t k = 0; k < kLossTerms; ++k) {
-            const float term = *loss_terms++;
+            const float term = loss_terms[i * kLossTerms + k];
             if (!std::isfinite(term))
                 fail("training failed at iteration {}, frame {}: the {} loss is {}, expected a finite number",
-                     step, frame, kLossTermNames[k], term);
+                     group.iterations[i].step, group.iterations[i].frame, kLossTermNames[k], term);
             sums_[k] += term;
         }
-    }
-    n_summed_ += closed_group.iterations.size();
+    n_summed_ += group.iterations.size();
 }
 
 void IterationReports::store_log_line(TrainLogLine log_line) {

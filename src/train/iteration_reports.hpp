@@ -53,8 +53,8 @@ public:
     /// @param frame_number  frame number of the dataset
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_full() const { return iterations_.size() == kMaxLossRows; }
-    /// Does not wait. Call after add_iteration(), at most once per
-    /// iteration.
+    /// Records a copy of the losses and counters since the last call to the host. Does
+    /// not wait. Call after add_iteration(), at most once per iteration.
     /// @param line  added to the training log when the report is read
     void record_copy(Stream& stream, const DeviceHitCounters& from, const std::optional<TrainLogLine>& line);
 
@@ -107,7 +107,7 @@ private:
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<TrainLogLine> lines_;
 
-    void add_loss_terms(const ClosedIterationGroup& closed_group, const float* loss_terms);
+    void add_loss_terms(const ClosedIterationGroup& group, const float* loss_terms);
     void store_log_line(TrainLogLine log_line);
 };
 

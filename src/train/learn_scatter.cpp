@@ -12,6 +12,24 @@ namespace {
 
 constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
+/// Returns the training frames of a LiDAR, or some of them if there are many.
+std::vector<int> select_lidar_frames(const Run& run, int lidar) {
+    std::vector<int> positions;
+    for (const int position : run.split.train)
+        if (run.sequence.frames[std::size_t(position)].lidar == lidar) positions.push_back(position);
+    return select_evenly(positions, kMostFrames);
+}
+
+/// Returns the measured intensities of a frame. Rays without a return, and rays that may
+/// have hit a moving object, have none.
+std::vector<float> known_intensities(const Log& log, const Frame& frame, const IgnoredMeasurements& masks) {
+    std::vector<float> intensities;
+    const std::vector<float> dropped = classify_drops(log, frame, masks);
+    for (std::size_t ray = 0; ray < dropped.size(); ++ray)
+        intensities.push_back(dropped[ray] == 0.0f ? frame.scan.intensity[ray] : kNoIntensity);
+    return intensities;
+}
+
 }  // namespace
 
 std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
@@ -22,11 +40,7 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
     std::vector<IntensityScatterModel> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
-        std::vector<int> lidar_positions;
-        for (const int position : run.split.train)
-            if (run.sequence.frames[std::size_t(position)].lidar == lidar)
-                lidar_positions.push_back(position);
-        const std::vector<int> positions = select_evenly(lidar_positions, kMostFrames);
+        const std::vector<int> positions = select_lidar_frames(run, lidar);
         std::vector<PairedIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
@@ -36,12 +50,7 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
             const Frame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
                 renderer.render(nominal_sensor(config, run.sequence, frame), frame.time_s);
-            std::vector<float> measured;
-            // 0: returned. Drops and rays that may have hit moving objects are ignored.
-            const std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
-            for (std::size_t i = 0; i < dropped.size(); ++i)
-                measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
-            images.push_back({make_noise_image(scan), std::move(measured)});
+            images.push_back({make_noise_image(scan), known_intensities(run.sequence, frame, masks)});
         }
         result.push_back(fit_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);

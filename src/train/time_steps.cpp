@@ -10,7 +10,24 @@
 namespace relidar {
 namespace {
 
-constexpr int kWarmUp = 5;
+constexpr int kWarmUp = 5;  // iterations before the measurement
+
+/// Returns the time and number of launches of each kernel per step.
+/// @param before,after totals before and after `n_steps` timed steps
+std::map<std::string, TrainingStepTimes::StepKernelTime> mean_kernel_times(
+    const std::map<std::string, KernelTimes::LaunchTotals>& before,
+    const std::map<std::string, KernelTimes::LaunchTotals>& after, int n_steps) {
+    std::map<std::string, TrainingStepTimes::StepKernelTime> result;
+    for (const auto& [kernel, total] : after) {
+        const auto earlier = before.find(kernel);
+        const KernelTimes::LaunchTotals skipped =
+            earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
+        if (total.launches == skipped.launches) continue;
+        result[kernel] = {.launches = (total.launches - skipped.launches) / n_steps,
+                          .ms = (total.ms - skipped.ms) / n_steps};
+    }
+    return result;
+}
 
 }  // namespace
 
@@ -29,26 +46,20 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.finish_steps();
-    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.training_times().totals;
+    const std::map<std::string, KernelTimes::LaunchTotals> warm_up_totals = loop.training_times().totals;
     TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
-    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
+    while (result.n_steps < n_steps && !(stop && stop())) {
         loop.run_iteration(first + kWarmUp + result.n_steps);
+        ++result.n_steps;
+    }
     // The device must be finished before the clock stops.
     loop.finish_steps();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
                      result.n_steps;
-    // Subtracts the launches of the warm-up.
-    for (const auto& [kernel, sum] : loop.training_times().totals) {
-        const auto earlier = before.find(kernel);
-        const KernelTimes::LaunchTotals had =
-            earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
-        if (sum.launches == had.launches) continue;
-        result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps,
-                                  (sum.ms - had.ms) / result.n_steps};
-        result.kernels_ms += result.kernels[kernel].ms;
-    }
+    result.kernels = mean_kernel_times(warm_up_totals, loop.training_times().totals, result.n_steps);
+    for (const auto& [kernel, time] : result.kernels) result.kernels_ms += time.ms;
     result.surfels = loop.surfel_count();
     result.rays = loop.last_batch_rays();
     result.stored_hits_per_ray = loop.max_stored_hits();

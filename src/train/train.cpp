@@ -17,6 +17,7 @@ namespace relidar {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
 double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
@@ -61,13 +62,15 @@ void report_evicted(const TrainingFrames& frames, const Config& config, const Tr
 /// No other training frame constrains the pose of this sweep, so it would drift away from
 /// the poses of held-out sweeps.
 Config with_useful_poses(Config config, const Log& log, const Split& split, const Scene& initial,
-                         const TrainSession& calls) {
-    const auto get_sweep = [&](int frame) { return log.frames[std::size_t(frame)].index; };
-    const auto is_in_first_sweep = [&](int frame) { return get_sweep(frame) == get_sweep(split.train[0]); };
+                         const TrainSession& session) {
     const auto report = [&](const char* note) {
-        if (calls.note) calls.note(note);
+        if (session.note) session.note(note);
     };
-    if (config.train.refines("sensor") && std::ranges::all_of(split.train, is_in_first_sweep)) {
+    // Frames of several LiDARs that belong to the same sweep have the same number.
+    const auto sweep_of = [&](int position) { return log.frames[std::size_t(position)].index; };
+    const bool has_one_sweep = std::ranges::all_of(
+        split.train, [&](int position) { return sweep_of(position) == sweep_of(split.train[0]); });
+    if (config.train.refines("sensor") && has_one_sweep) {
         config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
         report(
             "train.refine_poses=sensor has no effect, because training uses only one sweep, whose pose is "

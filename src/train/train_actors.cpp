@@ -81,16 +81,17 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
     const Frame& frame = run.sequence.frames[std::size_t(index)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
     const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
-    FrameWithSightings result{index, world_from_sensor.pose_at(frame.time_s).translation, 0.0, {}};
+    FrameWithSightings result{.position = index,
+                              .sensor_m = world_from_sensor.pose_at(frame.time_s).translation};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
-        const ActorSighting sight{world_from_sensor.pose_at(placed[i].time_s).translation, placed[i],
-                                  0.5 * box->size_m};
-        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) <
-            result.reach_m + 0.5 * glm::length(box->size_m))
-            result.sights.push_back(sight);
+        const glm::dvec3 sensor_m = world_from_sensor.pose_at(placed[i].time_s).translation;
+        const glm::dvec3 half_size_m = 0.5 * box->size_m;
+        const double distance_m = glm::distance(sensor_m, placed[i].world_from_model.translation);
+        if (distance_m < result.reach_m + 0.5 * glm::length(box->size_m))
+            result.sights.push_back({sensor_m, placed[i], half_size_m});
     }
     return result;
 }
@@ -100,24 +101,27 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
 /// blocks would have more than kMaxSectionSurfels surfels. Each section has at least one
 /// frame.
 std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<PoseTrack>& sensor_tracks) {
-    std::vector<ActorTrainingSection> stretches(1);
+    std::vector<ActorTrainingSection> sections(1);
     for (const int position : run.split.train) {
         FrameWithSightings frame = find_sightings(run, position, sensor_tracks);
         if (frame.sights.empty()) continue;
-        std::set<std::size_t> reached, together = stretches.back().blocks;
+        std::set<std::size_t> blocks_of_frame;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
-            if (frame.can_reach(run.scene.blocks[i])) reached.insert(i);
-        together.insert(reached.begin(), reached.end());
-        std::size_t n = 0;
-        for (const std::size_t i : together) n += run.scene.blocks[i].count;
-        if (n > kMaxSectionSurfels && !stretches.back().frames.empty()) {
-            stretches.emplace_back();
-            together = reached;
+            if (frame.can_reach(run.scene.blocks[i])) blocks_of_frame.insert(i);
+
+        // Blocks of the current section with this frame.
+        std::set<std::size_t> blocks = sections.back().blocks;
+        blocks.insert(blocks_of_frame.begin(), blocks_of_frame.end());
+        std::size_t n_surfels = 0;
+        for (const std::size_t block : blocks) n_surfels += run.scene.blocks[block].count;
+        if (n_surfels > kMaxSectionSurfels && !sections.back().frames.empty()) {
+            sections.emplace_back();
+            blocks = blocks_of_frame;
         }
-        stretches.back().frames.push_back(std::move(frame));
-        stretches.back().blocks = std::move(together);
+        sections.back().frames.push_back(std::move(frame));
+        sections.back().blocks = std::move(blocks);
     }
-    return stretches;
+    return sections;
 }
 
 /// Returns the rays of a scan that pass near an actor, as a list without rows and
@@ -125,23 +129,27 @@ std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<P
 Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                        const std::vector<ActorSighting>& visible_actors) {
     const Scan& all = frame.scan;
-    std::vector<std::size_t> nearby_ray_indices;
-    Scan scan;
-    for (std::size_t i = 0; i < all.range_m.size(); ++i) {
+    const auto is_near_actor = [&](std::size_t i) {
         const WorldRay ray =
             make_world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
-        const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
-        if (std::none_of(visible_actors.begin(), visible_actors.end(),
-                         [&](const ActorSighting& sight) { return sight.hits_box(ray, after_s); }))
-            continue;
+        const double offset_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
+        return std::ranges::any_of(visible_actors,
+                                   [&](const ActorSighting& actor) { return actor.hits_box(ray, offset_s); });
+    };
+    const auto is_usually_dropped = [&](std::size_t i) {
         const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[i]);
-        if (beam && run.scene.sensor_drop.probability_of(*beam, all.rays.direction[i]) > kMaxDropProbability)
-            continue;
-        nearby_ray_indices.push_back(i);
+        return beam &&
+               run.scene.sensor_drop.probability_of(*beam, all.rays.direction[i]) > kMaxDropProbability;
+    };
+    std::vector<std::size_t> selected_rays;
+    Scan scan;
+    for (std::size_t i = 0; i < all.range_m.size(); ++i) {
+        if (!is_near_actor(i) || is_usually_dropped(i)) continue;
+        selected_rays.push_back(i);
         scan.range_m.push_back(all.range_m[i]);
         scan.intensity.push_back(all.intensity[i]);
     }
-    scan.rays = select_rays(all.rays, nearby_ray_indices);
+    scan.rays = select_rays(all.rays, selected_rays);
     return scan;
 }
 
@@ -151,11 +159,14 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
     std::vector<Frame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         const FrameWithSightings& sighted = section.frames[std::size_t(index)];
-        const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
-        const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
-        frames[std::size_t(index)] = {from.index, from.time_s,
-                                      select_actor_rays(run, from, world_from_sensor, sighted.sights),
-                                      from.lidar, from.start};
+        const Frame& full_frame = run.sequence.frames[std::size_t(sighted.position)];
+        const PoseTrack& world_from_sensor = tracks[std::size_t(full_frame.lidar)];
+        frames[std::size_t(index)] = {
+            .index = full_frame.index,
+            .time_s = full_frame.time_s,
+            .scan = select_actor_rays(run, full_frame, world_from_sensor, sighted.sights),
+            .lidar = full_frame.lidar,
+            .start = full_frame.start};
     });
     Log log = strip_frames(run.sequence);
     for (Frame& frame : frames)
@@ -170,18 +181,21 @@ Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWith
     parallel_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
         // A sphere around the surfel with its larger scale.
-        const double reach_m =
-            kReach_sigmas *
-            std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));
-        is_selected[index] = std::any_of(frames.begin(), frames.end(), [&](const FrameWithSightings* frame) {
-            return std::any_of(frame->sights.begin(), frame->sights.end(),
-                               [&](const ActorSighting& s) { return s.can_hit_sphere(mean, reach_m); });
-        });
+        const float log_scale = std::max(surfels.log_scale[index].x, surfels.log_scale[index].y);
+        const double radius_m = kReach_sigmas * std::exp(double(log_scale));
+        const auto can_affect = [&](const ActorSighting& actor) {
+            return actor.can_hit_sphere(mean, radius_m);
+        };
+        for (const FrameWithSightings* frame : frames)
+            if (std::ranges::any_of(frame->sights, can_affect)) {
+                is_selected[index] = 1;
+                break;
+            }
     });
-    std::vector<std::uint32_t> order;
+    std::vector<std::uint32_t> selected;
     for (std::uint32_t i = 0; i < is_selected.size(); ++i)
-        if (is_selected[i]) order.push_back(i);
-    return surfels.reorder(order);
+        if (is_selected[i]) selected.push_back(i);
+    return surfels.reorder(selected);
 }
 
 /// `extent_m` is the mean extent of the scene blocks.
@@ -193,9 +207,11 @@ struct SectionScene {
 /// Returns the actors of the run in front of the background that rays to actors can hit.
 /// Loads one block at a time, because all blocks may not fit into memory.
 SectionScene section_scene(const Run& run, const ActorTrainingSection& section) {
-    std::vector<const FrameWithSightings*> all;
-    for (const FrameWithSightings& frame : section.frames) all.push_back(&frame);
-    Surfels background = select_surfels(run.scene.surfels.slice(0, run.scene.models.front().count), all);
+    std::vector<const FrameWithSightings*> all_frames;
+    for (const FrameWithSightings& frame : section.frames) all_frames.push_back(&frame);
+    // The background that is not in blocks, then the surfels of the blocks.
+    const Surfels unblocked = run.scene.surfels.slice(0, run.scene.models.front().count);
+    Surfels background = select_surfels(unblocked, all_frames);
     double extent_m = section.blocks.empty() ? scene_extent_m(run.scene) : 0.0;
     for (const std::size_t i : section.blocks) {
         const Scene block = wrap_background(load_block(run.scene.blocks[i]));
@@ -211,55 +227,57 @@ SectionScene section_scene(const Run& run, const ActorTrainingSection& section) 
 /// Returns the settings for training only the actors. Uses all rays, and does not refine
 /// poses or change the number of surfels.
 Config actor_config(const Config& config, std::size_t n_frames) {
-    Config c = config;
-    TrainConfig& t = c.train;
-    t.iterations = static_cast<int>(
-        std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
-    t.rays_per_iteration = 0;
-    t.only_touched = true;
-    t.sensor_drop = false;  // select_actor_rays() has removed such rays
-    t.refine_poses = "none";
-    t.sh_degree_start = c.image.sh_degree;
-    c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = 0.0f;  // this loss compares neighbouring pixels of an image
-    return c;
+    constexpr std::size_t kMaxIterations = 1'000'000'000;  // so that the number fits into an int
+    const std::size_t n_iterations = std::size_t(config.blocks.actor_epochs) * n_frames;
+    Config result = config;
+    result.train.iterations = static_cast<int>(std::min(n_iterations, kMaxIterations));
+    result.train.rays_per_iteration = 0;
+    result.train.only_touched = true;
+    result.train.sensor_drop = false;  // select_actor_rays() has removed such rays
+    result.train.refine_poses = "none";
+    result.train.sh_degree_start = result.image.sh_degree;
+    result.densify.strategy = DensifyStrategy::none;
+    result.loss.intensity_ssim = 0.0f;  // this loss compares neighbouring pixels of an image
+    return result;
 }
 
 }  // namespace
 
 TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session) {
-    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2)
-        return TrainingEndReason::finished;
+    const int n_epochs = run.config.blocks.actor_epochs;
+    const bool has_actors = run.scene.instances.size() >= 2;
+    if (n_epochs == 0 || !has_actors) return TrainingEndReason::finished;
     std::vector<PoseTrack> tracks;  // [lidars] one pose for each sweep of the log
-    for (std::size_t l = 0; l < run.sequence.lidars.size(); ++l)
-        tracks.push_back(run.sequence.lidar_track(static_cast<int>(l)));
-    const std::vector<ActorTrainingSection> stretches = divide_log(run, tracks);
-    const std::uint32_t n_before = run.scene.models.front().count;
-    const std::size_t n_actors = run.scene.surfels.size() - n_before;
-    std::size_t n_frames = 0, done = 0;
-    for (const ActorTrainingSection& stretch : stretches) n_frames += stretch.frames.size();
-    for (const ActorTrainingSection& stretch : stretches) {
-        const Log log = section_log(run, stretch, tracks);
+    for (std::size_t lidar = 0; lidar < run.sequence.lidars.size(); ++lidar)
+        tracks.push_back(run.sequence.lidar_track(static_cast<int>(lidar)));
+    const std::vector<ActorTrainingSection> sections = divide_log(run, tracks);
+    const std::uint32_t n_background = run.scene.models.front().count;
+    const std::size_t n_actor_surfels = run.scene.surfels.size() - n_background;
+    std::size_t n_frames = 0;
+    for (const ActorTrainingSection& section : sections) n_frames += section.frames.size();
+
+    int steps_before = 0;  // steps of earlier sections
+    for (const ActorTrainingSection& section : sections) {
+        const Log log = section_log(run, section, tracks);
         if (log.frames.empty()) continue;
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
-        const auto [scene, extent_m] = section_scene(run, stretch);
+        const auto [scene, extent_m] = section_scene(run, section);
         const Config config = actor_config(run.config, log.frames.size());
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.run_iteration(step);
-            if (session.step)
-                session.step(static_cast<int>(done) + step,
-                             run.config.blocks.actor_epochs * static_cast<int>(n_frames));
+            if (session.step) session.step(steps_before + step, n_epochs * static_cast<int>(n_frames));
             if (session.stop && session.stop()) return TrainingEndReason::stopped;
         }
         loop.finish();
-        done += std::size_t(config.train.iterations);
+        steps_before += config.train.iterations;
         Scene trained = loop.download_scene();
         fade_far_swings(trained, config.image.alpha_min);
         // Copies only the trained actors, which are the last surfels of the section.
-        Surfels surfels = run.scene.surfels.slice(0, n_before);
-        surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
+        Surfels surfels = run.scene.surfels.slice(0, n_background);
+        surfels.append_surfels(
+            trained.surfels.slice(trained.surfels.size() - n_actor_surfels, n_actor_surfels));
         run.scene.surfels = std::move(surfels);
     }
     return TrainingEndReason::finished;

@@ -18,6 +18,7 @@
 
 namespace relidar {
 
+/// Starts with the frames in the order of the log. next_frame() shuffles them.
 FrameSampler::FrameSampler(std::size_t count, std::uint64_t seed) : order_(count), random_(seed) {
     std::iota(order_.begin(), order_.end(), std::uint64_t(0));
 }
@@ -67,10 +68,11 @@ LearningRates learning_rates(const TrainConfig& config, double extent_m, int ste
 /// @return [models] factors
 std::vector<float> position_factors(const Scene& scene_layout, double background_extent_m) {
     std::vector<float> factors;
-    for (const SurfelModel& model : scene_layout.models)
-        factors.push_back(model.half_size_m.x > 0.0f
-                              ? static_cast<float>(actor_extent_m(model.half_size_m) / background_extent_m)
-                              : 1.0f);
+    for (const SurfelModel& model : scene_layout.models) {
+        const bool is_actor = model.half_size_m.x > 0.0f;
+        const double ratio = is_actor ? actor_extent_m(model.half_size_m) / background_extent_m : 1.0;
+        factors.push_back(static_cast<float>(ratio));
+    }
     return factors;
 }
 
@@ -140,19 +142,23 @@ IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scen
 /// @throws UsageError if another setting requires the rays of the sensor
 std::optional<RangeImageGrid> training_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
-    const std::pair<bool, const char*> needs_sensor_rays[] = {
-        {config.train.sensor_drop, "train.sensor_drop"}, {config.blocks.length_m > 0.0, "blocks.length_m"}};
-    for (const auto& [is_set, setting] : needs_sensor_rays)
+    const auto reject_if = [&](bool is_set, const char* setting) {
         if (is_set)
             fail<UsageError>(
                 "the setting train.grid={} cannot be combined with {}, which needs the rays of the sensor "
                 "(train.grid=native)",
                 config.train.grid, setting);
+    };
+    reject_if(config.train.sensor_drop, "train.sensor_drop");
+    reject_if(config.blocks.length_m > 0.0, "blocks.length_m");
     return find_grid(config.train.grid);
 }
 
 }  // namespace
 
+/// Allocates everything that training needs: frames on the device, renderer with
+/// gradients, losses, optimizer and densification. The order of the members matters,
+/// because later members use earlier ones.
 TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, const Scene& initial,
                      const Config& config, std::uint32_t n_fixed_surfels, std::optional<double> extent_m)
     : config_(config),
@@ -217,18 +223,22 @@ void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, c
     differentiable_.record_backward();  // computes the gradients (equation 9)
 }
 
+/// Records one iteration and submits it: renders a batch, computes the losses and their
+/// gradients, and updates the surfels. Adds and removes surfels at some steps.
 void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
+    // Results of an iteration on the host that the device has finished by now.
     check_reports(step - kReadbackLag);
     refiner_.apply_until(stream_, step - kReadbackLag);
-    const std::size_t frame_index = sampler_.next_frame();
-    DeviceScene& scene = renderer_.scene();
 
+    DeviceScene& scene = renderer_.scene();
     renderer_.set_sh_degree(active_sh_degree(config_.train, step));
-    const TrainingFrameData& frame =
-        upload_frame(frame_index, is_refit_due(choose_refit(config_, n_fixed_), config_.train, step));
-    if (const std::optional<std::size_t> next_frame_index = sampler_.peek_frame())
-        // Computes the arrays of the next frame on the host while the device works.
-        frames_.prefetch_frame(*next_frame_index);
+    const std::size_t frame_index = sampler_.next_frame();
+    const bool is_refit = is_refit_due(choose_refit(config_, n_fixed_), config_.train, step);
+    const TrainingFrameData& frame = upload_frame(frame_index, is_refit);
+    // Computes the arrays of the next frame on the host while the device works.
+    if (const std::optional<std::size_t> next_frame = sampler_.peek_frame())
+        frames_.prefetch_frame(*next_frame);
+
     const SampledBatch batch = batches_.draw_batch(stream_, frame, sampler_.generator());
     const LossTermRow terms = reports_.loss_row();
     record_batch(batch.rays, batch.targets, terms);
@@ -238,19 +248,14 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
         loss->add_regularisers(
             stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
             terms);
-    const bool is_full_frame = batch.rays.n_rays == frame.n_rays;
-    densifier_.record_statistics(
-        stream_, scene,
-        {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
-    LearningRates rates = learning_rates(config_.train, extent_m_, step);
-    rates.models = &scene.model_table();
-    if (config_.densify.strategy == DensifyStrategy::adaptive)
-        rates.mean_factors = position_factors(scene.layout(), extent_m_);
-    const Array<std::uint32_t, shared::TouchedSurfels>* touched =
-        has_dense_gradients(config_) ? nullptr : &gradients.touched;
-    adam_.record_step(stream_, scene.surfel_parameters(), gradients.surfels, touched, rates, step,
-                      renderer_.model().sh_degree);
+    densifier_.record_statistics(stream_, scene,
+                                 {.gradients = &gradients.surfels,
+                                  .touched = &gradients.touched,
+                                  .frame = static_cast<std::uint32_t>(frame_index),
+                                  .is_full_frame = batch.rays.n_rays == frame.n_rays});
+    record_adam_step(step);
     reports_.add_iteration(step, frame.index);
+
     if (densifier_.is_densify_step(step))
         differentiable_.resize([&](double other_allocation_bytes) {
             densified_.add_counts(
@@ -263,19 +268,36 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     last_step_ = step;
 }
 
+/// Records the update of the surfels by Adam.
+void TrainLoop::record_adam_step(int step) {
+    DeviceScene& scene = renderer_.scene();
+    const DeviceGradients& gradients = differentiable_.gradients();
+    LearningRates rates = learning_rates(config_.train, extent_m_, step);
+    rates.models = &scene.model_table();
+    if (config_.densify.strategy == DensifyStrategy::adaptive)
+        rates.mean_factors = position_factors(scene.layout(), extent_m_);
+    // Skips surfels without a gradient, unless a loss gives every surfel a gradient.
+    const auto* touched = has_dense_gradients(config_) ? nullptr : &gradients.touched;
+    adam_.record_step(stream_, scene.surfel_parameters(), gradients.surfels, touched, rates, step,
+                      renderer_.model().sh_degree);
+}
+
 /// Starts a copy of the losses and counters since the last report to the host, without
 /// waiting. Adds a log line if a log interval ends.
 void TrainLoop::start_readback(int step, bool is_last_of_log_interval) {
     const BackwardPass& backward = differentiable_.backward_pass();
-    const DeviceHitCounters counts{&renderer_.forward_pass().n_truncated_rays(),
-                                   config_.train.deterministic ? backward.max_hit_count() : nullptr,
-                                   backward.hit_capacity(), &renderer_.forward_pass().n_overflowed_rays(),
-                                   renderer_.stored_hits_per_ray()};
-    reports_.record_copy(
-        stream_, counts,
-        is_last_of_log_interval
-            ? std::optional(TrainLogLine{step, {}, surfel_count(), std::exchange(densified_, {})})
-            : std::nullopt);
+    const DeviceHitCounters counters{
+        .pass_cap = &renderer_.forward_pass().n_truncated_rays(),
+        .most_hits = config_.train.deterministic ? backward.max_hit_count() : nullptr,
+        .hit_capacity = backward.hit_capacity(),
+        .overfull = &renderer_.forward_pass().n_overflowed_rays(),
+        .stored_hits_per_ray = renderer_.stored_hits_per_ray()};
+    std::optional<TrainLogLine> line;
+    if (is_last_of_log_interval) {
+        line = TrainLogLine{.step = step, .n_surfels = surfel_count(), .densified = densified_};
+        densified_ = {};
+    }
+    reports_.record_copy(stream_, counters, line);
 }
 
 /// Reads all reports that are available up to `last_step`, checks their losses, and
@@ -302,7 +324,7 @@ void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& 
     if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
     // A report has only one `hit_capacity`, so the steps so far get their own report.
     start_readback(last_step_, false);
-    // twice the reported number, so that later steps can have more hits
+    // Twice the reported number, so that later steps can have more hits.
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
@@ -355,27 +377,26 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     // Minimum number of rays per bin. In a short log, several batches of each frame are
     // used to reach it, or all rays of the frame.
     constexpr std::size_t kRaysPerBin = 20;
-    Config some_rays = config_;
-    some_rays.train.rays_per_iteration = kRaysPerBatch;
+    Config batch_config = config_;
+    batch_config.train.rays_per_iteration = kRaysPerBatch;
     // With the image loss, a batch would be a window of neighbouring columns. It is off,
     // so that each batch has rays of all directions.
-    some_rays.loss.intensity_ssim = 0.0f;
-    BatchSampler batches(device, some_rays, frames_.all());
+    batch_config.loss.intensity_ssim = 0.0f;
+    const std::size_t n_frames = frames_.all().size();
+    BatchSampler batches(device, batch_config, frames_.all());
     RayDropCounts counts(sequence);
+    const std::size_t rays_per_frame = kRaysPerBin * counts.n_bins() / std::max<std::size_t>(1, n_frames);
     renderer_.set_sh_degree(active_sh_degree(config_.train, config_.train.iterations));
-    // number of rays to use from each frame
-    const std::size_t rays_of_frame =
-        kRaysPerBin * counts.n_bins() / std::max<std::size_t>(1, frames_.all().size());
-    for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        // The last iteration moved the surfels, so the first frame (k == 0) refits the
-        // tree.
-        const TrainingFrameData& frame = upload_frame(k, k == 0);
-        if (k + 1 < frames_.all().size()) frames_.prefetch_frame(k + 1);
+    for (std::size_t k = 0; k < n_frames; ++k) {
+        // The last iteration moved the surfels, so the first frame refits the tree.
+        const bool surfels_changed = k == 0;
+        const TrainingFrameData& frame = upload_frame(k, surfels_changed);
+        if (k + 1 < n_frames) frames_.prefetch_frame(k + 1);
         const std::uint32_t first = batches.draw_column(frame, sampler_.generator());
-        const auto passes = static_cast<std::uint32_t>(
-            std::clamp<std::size_t>(rays_of_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
-        for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_drops(counts, sequence, frame, batches.gather(stream_, frame, first, pass));
+        const auto n_batches = static_cast<std::uint32_t>(
+            std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
+        for (std::uint32_t batch = 0; batch < n_batches; ++batch)
+            count_drops(counts, sequence, frame, batches.gather(stream_, frame, first, batch));
     }
     RayDropTable drops = counts.smoothed_rates();
     drop_unobserved(drops, frames_.mask_rules().observed_drops, sequence);
@@ -393,12 +414,14 @@ void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const Trainin
     const RayDropTable& observed = frames_.mask_rules().observed_drops;
     renderer_.record_forward(batch.rays);
     stream_.submit_and_wait();
-    const RenderedRayValues r = to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
+    const RenderedRayValues rendered =
+        to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
-        if (r.hit_logit[j] > r.drop_logit[j] &&
-            (r.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray)))
-            counts.add_ray(sweep, ray);
+        const bool predicts_return = rendered.hit_logit[j] > rendered.drop_logit[j];
+        const bool hits_surface =
+            rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray);
+        if (predicts_return && hits_surface) counts.add_ray(sweep, ray);
     }
 }
 

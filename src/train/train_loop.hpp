@@ -146,6 +146,7 @@ private:
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
     void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms);
+    void record_adam_step(int step);
     void check_reports(int last_step);
     void start_readback(int step, bool is_last_of_log_interval);
     /// Increases the capacity of the hit buffer if more than half of it was used.

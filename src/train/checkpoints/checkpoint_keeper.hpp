@@ -27,7 +27,8 @@ struct ResumeFingerprint {
     std::string key, what, value;
 };
 
-/// The hash that explains a difference best comes first, because only one is reported.
+/// Returns hashes of the log. The hash that explains a difference best comes first,
+/// because only one is reported.
 std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
 ResumeFingerprint fingerprint_scene(const Scene& scene);
 
@@ -39,10 +40,12 @@ std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey
 /// @throws DataError if a setting is missing or a hash differs
 void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix);
 void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix);
+/// Returns the settings that a checkpoint contains, as key and value.
 /// @throws DataError for an unknown key
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
 
-/// The training log, the time of the initialisation and the training time.
+/// Writes the training log, the time of the initialisation and the training time to a
+/// checkpoint.
 /// @param training_time_s  seconds since training started
 void write_log(CheckpointWriter& writer, const TrainResult& result, double training_time_s);
 void read_log(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
@@ -50,8 +53,9 @@ void read_log(const Checkpoint& checkpoint, const Config& config, TrainResult& r
 /// @throws DataError if its arrays or its layout are invalid
 Scene read_scene(const Checkpoint& checkpoint);
 
-/// Estimates the remaining time from the speed after the first line, because drivers
-/// still compile kernels before. In the first line it is infinite.
+/// Adds a line to the training log. Estimates the remaining time from the speed after the
+/// first line, because drivers still compile kernels before. In the first line it is
+/// infinite.
 /// @param elapsed_s  seconds since training started
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s);
@@ -74,7 +78,9 @@ public:
 
     bool is_enabled() const { return !folder_.empty(); }
     int newest() const { return newest_; }
-    /// If the disk or the memory is full, prints a note and training continues.
+    /// Writes a checkpoint. If the disk or the memory is full, prints a note and training
+    /// continues.
+    /// @param add_state adds the training state to the checkpoint
     /// @throws DataError if the state contains NaN or infinity
     void save(int iteration, const std::function<void(Checkpoint&)>& add_state);
     /// Counted from the last save(), or from the start.

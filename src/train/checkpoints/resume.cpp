@@ -55,13 +55,14 @@ private:
     std::uint64_t state_ = 0;
 };
 
+/// Returns a readable text and a hash of the frames' numbers.
 std::string hash_frames(const Log& sequence, const std::vector<int>& frame_indices) {
-    std::vector<int> indices;
-    for (const int position : frame_indices) indices.push_back(sequence.frames[std::size_t(position)].index);
+    std::vector<int> numbers;
+    for (const int position : frame_indices) numbers.push_back(sequence.frames[std::size_t(position)].index);
     RunningHash hash;
-    hash.add_to_hash(indices);
-    return fmt::format("{} frames from {} to {} ({})", indices.size(), indices.empty() ? -1 : indices.front(),
-                       indices.empty() ? -1 : indices.back(), hash.hex_digest());
+    hash.add_to_hash(numbers);
+    const int first = numbers.empty() ? -1 : numbers.front(), last = numbers.empty() ? -1 : numbers.back();
+    return fmt::format("{} frames from {} to {} ({})", numbers.size(), first, last, hash.hex_digest());
 }
 
 /// Returns a hash of the measurements of these frames.
@@ -126,10 +127,9 @@ constexpr std::array kResumeFreeSettings{"dataset.path",
 
 /// Returns true if a setting may differ when training is resumed.
 bool is_resume_free(const std::string& setting_key) {
-    return std::find(kResumeFreeSettings.begin(), kResumeFreeSettings.end(), setting_key) !=
-               kResumeFreeSettings.end() ||
-           std::ranges::any_of(kAfterTrainingPrefixes,
-                               [&](const char* group) { return setting_key.starts_with(group); });
+    const auto is_prefix = [&](const char* prefix) { return setting_key.starts_with(prefix); };
+    return std::ranges::find(kResumeFreeSettings, setting_key) != kResumeFreeSettings.end() ||
+           std::ranges::any_of(kAfterTrainingPrefixes, is_prefix);
 }
 
 /// Training log with one array per column, as stored in a checkpoint.
@@ -152,6 +152,8 @@ struct LogColumns {
     }
 };
 
+/// Returns a line of the training log without a remaining time and without counts of
+/// densification.
 TrainProgress make_progress(int step, const Config& config, double elapsed_s,
                             const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
     return {.iteration = step,
@@ -224,6 +226,7 @@ std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {
     return settings;
 }
 
+/// Starts to compute the texts of all checkpoints in another thread.
 CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iteration,
                                    std::string iteration_noun, double minutes,
                                    const std::function<void(const std::string&)>& report_note,
@@ -246,17 +249,19 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
     // attempt then happens after one interval, not in the next step.
     last_ = Clock::now();
     Checkpoint checkpoint{iteration, texts_.get(), {}};
-    const auto failed = [&](const std::string& why) {
-        const std::string safe =
+    const auto report_failure = [&](const std::string& cause) {
+        const std::string earlier =
             newest_ > 0 ? fmt::format("the last checkpoint was written at {} {}", count_, newest_)
                         : "no earlier checkpoint has been written";
         if (note_)
-            note_(fmt::format("cannot write the checkpoint at {} {} ({}): {}", count_, iteration, safe, why));
+            note_(fmt::format("cannot write the checkpoint at {} {} ({}): {}", count_, iteration, earlier,
+                              cause));
     };
     try {
         add_state(checkpoint);
     } catch (const std::bad_alloc&) {
-        return failed("not enough memory");
+        report_failure("not enough memory");
+        return;
     }
     try {
         check_finite_arrays(checkpoint);
@@ -267,10 +272,12 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
         save_checkpoint(folder_, checkpoint, kMaxCheckpoints);
         newest_ = iteration;
     } catch (const DataError& error) {
-        failed(error.what());
+        report_failure(error.what());
     }
 }
 
+/// Every checkpoint contains the settings and hashes of the log, which check_resume()
+/// compares.
 CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),
@@ -316,50 +323,52 @@ void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& spl
 
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s) {
-    TrainProgress p = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
-    const int left = p.n_iterations - p.iteration,
-              done = log.empty() ? 0 : p.iteration - log.front().iteration;
-    p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
-    if (left > 0 && done > 0) p.eta_s = left * (p.seconds - log.front().seconds) / done;
-    p.densified = line.densified;
-    log.push_back(std::move(p));
+    TrainProgress progress = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
+    progress.densified = line.densified;
+    const int n_left = progress.n_iterations - progress.iteration;
+    const int n_since_first_line = log.empty() ? 0 : progress.iteration - log.front().iteration;
+    if (n_left == 0) progress.eta_s = 0.0;
+    else if (n_since_first_line == 0) progress.eta_s = std::numeric_limits<double>::infinity();
+    else progress.eta_s = n_left * (progress.seconds - log.front().seconds) / n_since_first_line;
+    log.push_back(std::move(progress));
 }
 
 void write_log(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
-    LogColumns log;
-    for (const TrainProgress& p : result.log) {
-        log.iteration.push_back(p.iteration);
-        log.seconds.push_back(p.seconds);
-        log.surfels.push_back(p.n_surfels);
-        for (std::size_t k = 0; k < p.terms.size(); ++k) log.terms[k].push_back(p.terms[k]);
+    LogColumns columns;
+    for (const TrainProgress& line : result.log) {
+        columns.iteration.push_back(line.iteration);
+        columns.seconds.push_back(line.seconds);
+        columns.surfels.push_back(line.n_surfels);
+        for (std::size_t k = 0; k < line.terms.size(); ++k) columns.terms[k].push_back(line.terms[k]);
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
-            log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
+            columns.densified[k].push_back(line.densified.*kDensifyCounts[k].second);
     }
-    log.visit_state(writer);
+    columns.visit_state(writer);
     writer("initialise_s", result.initialise_s);
     writer("train_s", training_time_s);
 }
 
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config) {
-    LogColumns log;
-    log.visit_state(CheckpointReader(checkpoint));
-    const std::size_t n = log.iteration.size();
-    // All columns need one value per line.
-    const auto as_long = [n](const auto& column) { return column.size() == n; };
-    const bool even = as_long(log.seconds) && as_long(log.surfels) &&
-                      std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
-    if (!even)
+    LogColumns columns;
+    columns.visit_state(CheckpointReader(checkpoint));
+    const std::size_t n_lines = columns.iteration.size();
+    const auto is_complete = [n_lines](const auto& column) { return column.size() == n_lines; };
+    if (!is_complete(columns.seconds) || !is_complete(columns.surfels) ||
+        !std::ranges::all_of(columns.terms, is_complete) ||
+        !std::ranges::all_of(columns.densified, is_complete))
         fail(
             "cannot resume from iteration {}: the columns of log.jsonl in the checkpoint have different "
             "lengths; train again",
             checkpoint.iteration);
     std::vector<TrainProgress> lines;
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i = 0; i < n_lines; ++i) {
         std::array<double, kLossTerms> terms{};
-        for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
-        lines.push_back(make_progress(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
+        for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = columns.terms[k][i];
+        TrainProgress line =
+            make_progress(columns.iteration[i], config, columns.seconds[i], terms, columns.surfels[i]);
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
-            lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
+            line.densified.*kDensifyCounts[k].second = columns.densified[k][i];
+        lines.push_back(line);
     }
     return lines;
 }

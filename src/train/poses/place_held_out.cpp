@@ -19,6 +19,7 @@ namespace {
 // Minimum blending weight of a ray that hits a solid surface.
 constexpr float kFewestWeight = 0.5f;
 
+/// Renders the surfaces of the trained background, to which held-out scans are aligned.
 /// Excludes actors, because their poses are only estimates.
 class TrainedBackgroundRenderer {
 public:

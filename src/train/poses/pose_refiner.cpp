@@ -74,11 +74,13 @@ PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingF
 
 void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correction,
                                   TrainingFrameData& frame) {
+    // A knot is a pose of the vehicle and its correction (translation, rotation). The
+    // kernel interpolates between the knots before and after each ray.
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
-        const Twist c = correction.correction_at(k);
+        const Twist twist = correction.correction_at(k);
         knots.push_back({glm::vec3(correction.uncorrected_track().pose[k].translation),
-                         glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
+                         glm::vec3(three_components(twist, 0)), glm::vec3(three_components(twist, 3))});
     }
     stream.impl().record_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
@@ -116,11 +118,11 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
 std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> sums,
                                                            const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
-    for (std::size_t k = 0; k < result.size(); ++k) {
-        result[k].pose = frame.first_knot + k;
+    for (std::size_t knot = 0; knot < result.size(); ++knot) {
+        result[knot].pose = frame.first_knot + knot;
         for (std::size_t row = 0; row < kGroupsPerPose; ++row)
-            for (std::size_t j = 0; j < 6; ++j)
-                result[k].gradient[j] += sums[6 * (row * most_knots_ + k) + j];
+            for (std::size_t i = 0; i < 6; ++i)
+                result[knot].gradient[i] += sums[6 * (row * most_knots_ + knot) + i];
     }
     return result;
 }
@@ -141,6 +143,7 @@ Twist TrackCorrection::stored_correction(std::size_t pose_index) const {
 }
 
 Twist TrackCorrection::correction_at(std::size_t pose_index) const {
+    // The nearest corrected poses before and after, or the ends of the track.
     const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose_index, after = pose_index;
     while (before > 0 && !is_corrected(before)) --before;
@@ -178,42 +181,47 @@ void TrackCorrection::add_gradient(std::size_t pose_index, double weight, const 
 }
 
 void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
-    for (std::size_t k = 0; k < visited_.size(); ++k) {
-        if (!visited_[k]) continue;
-        const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n),
-                     bias2 = 1.0 - std::pow(kBeta2, n);
-        for (std::size_t i = 6 * k; i < 6 * k + 6; ++i) {
-            const bool is_translation = i < 6 * k + 3;
-            const double g =
-                gradient_[i] +
-                2.0 * (is_translation ? step_rates.prior_per_m2 : step_rates.prior_per_rad2) * values_[i];
-            moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
-            moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
-            values_[i] -= (is_translation ? step_rates.rate_m : step_rates.rate_rad) * (moment1_[i] / bias1) /
-                          (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+    for (std::size_t pose = 0; pose < visited_.size(); ++pose) {
+        if (!visited_[pose]) continue;
+        visited_[pose] = false;
+        const double step = double(++n_steps_[pose]);
+        const double bias1 = 1.0 - std::pow(kBeta1, step), bias2 = 1.0 - std::pow(kBeta2, step);
+        for (std::size_t k = 0; k < 6; ++k) {
+            const std::size_t i = 6 * pose + k;
+            const bool is_translation = k < 3;
+            const double rate = is_translation ? step_rates.rate_m : step_rates.rate_rad;
+            const double prior = is_translation ? step_rates.prior_per_m2 : step_rates.prior_per_rad2;
+            // The prior is prior * value^2.
+            const double gradient = gradient_[i] + 2.0 * prior * values_[i];
+            moment1_[i] += (1.0 - kBeta1) * (gradient - moment1_[i]);
+            moment2_[i] += (1.0 - kBeta2) * (gradient * gradient - moment2_[i]);
+            values_[i] -= rate * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
             gradient_[i] = 0.0;
         }
-        visited_[k] = false;
     }
 }
 
 void TrackCorrection::remove_mean_motion() {
     const auto n = double(track_.pose.size());
-    glm::dvec3 centre(0.0), v(0.0), w(0.0);
+    glm::dvec3 centre(0.0), mean_translation(0.0), mean_rotation(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         centre += track_.pose[k].translation / n;
-        v += three_components(stored_correction(k), 0) / n;
-        w += three_components(stored_correction(k), 3) / n;
+        mean_translation += three_components(stored_correction(k), 0) / n;
+        mean_rotation += three_components(stored_correction(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);
+        // A rotation about the centre also translates a pose.
+        const glm::dvec3 translation =
+            mean_translation + glm::cross(mean_rotation, track_.pose[k].translation - centre);
         for (int i = 0; i < 3; ++i) {
-            values_[6 * k + std::size_t(i)] -= carried[i];
-            values_[6 * k + 3 + std::size_t(i)] -= w[i];
+            values_[6 * k + std::size_t(i)] -= translation[i];
+            values_[6 * k + 3 + std::size_t(i)] -= mean_rotation[i];
         }
     }
 }
 
+/// Prepares the corrections that train.refine_poses selects: of the sensor poses, which
+/// need the gradients of rays, and of the actors' boxes, which need those of instances.
 PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
                          const TrainingFrames& frames)
     : config_(config),
@@ -273,17 +281,18 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
     pending_iterations_.frame.push_back(frame_index);
     for (const RefinedActor& actor : actors_) {
         const InstancePose& placed = frame.placed[actor.instance];
-        for (const double side : {-1.0, 1.0})
-            pending_iterations_.actor_time_s.push_back(placed.time_s + side * placed.motion.half_span_s);
+        pending_iterations_.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
+        pending_iterations_.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
     }
+    // Space for the gradients, which wait_for_gradient() copies when they are available.
     pending_iterations_.gradient.resize(pending_iterations_.gradient.size() + floats_of_rays_ +
                                         floats_of_instances_);
 }
 
 std::span<float> PoseRefiner::wait_for_gradient(Stream& stream, std::size_t pending_index) {
-    const std::size_t n = floats_of_rays_ + floats_of_instances_,
-                      slot = pending_iterations_.step[pending_index] % kReadbackLag;
-    const std::span<float> gradient(pending_iterations_.gradient.data() + pending_index * n, n);
+    const std::size_t n_floats = floats_of_rays_ + floats_of_instances_;
+    const std::size_t slot = pending_iterations_.step[pending_index] % kReadbackLag;
+    const std::span<float> gradient(pending_iterations_.gradient.data() + pending_index * n_floats, n_floats);
     // If no copy is pending, an earlier call or a checkpoint has filled the row.
     if (rays_ && of_rays_[slot].is_pending())
         std::memcpy(gradient.data(), of_rays_[slot].wait_for_bytes(stream), floats_of_rays_ * sizeof(float));
@@ -303,30 +312,36 @@ void PoseRefiner::apply_oldest(Stream& stream) {
     const std::span<const float> gradient = wait_for_gradient(stream, 0);
     const int step = static_cast<int>(pending_iterations_.step.front());
     if (rays_) {
-        for (const PoseGradient& g : rays_->sum_gradients(gradient.first(floats_of_rays_),
-                                                          frames_.all()[pending_iterations_.frame.front()]))
-            sensor_->add_gradient(g.pose, 1.0, g.gradient);
+        const TrainingFrameData& frame = frames_.all()[pending_iterations_.frame.front()];
+        for (const PoseGradient& pose : rays_->sum_gradients(gradient.first(floats_of_rays_), frame))
+            sensor_->add_gradient(pose.pose, 1.0, pose.gradient);
         sensor_->run_adam_step(pose_rates(config_, config_.pose_rate_m, step));
         sensor_->remove_mean_motion();
     }
-    for (std::size_t k = 0; k < actors_.size(); ++k) {
-        Twist twist;
-        std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
-                    twist.begin());
-        // The pose of the actor is the mean of its poses at the first and the last time
-        // at which a sweep observes it. Each of these two poses gets half of the
-        // gradient.
-        for (double& g : twist) g *= 0.5;
-        // The actor may be absent from the frame. Its gradient is then zero, and
-        // add_gradient() ignores zero gradients.
-        for (std::size_t end = 0; end < 2; ++end)
-            actors_[k].correction.add_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
-        actors_[k].correction.run_adam_step(pose_rates(config_, kBoxFactor * config_.pose_rate_m, step));
-    }
+    apply_actor_gradients(gradient.subspan(floats_of_rays_), step);
     remove_first(pending_iterations_.step, 1);
     remove_first(pending_iterations_.frame, 1);
     remove_first(pending_iterations_.actor_time_s, 2 * actors_.size());
     remove_first(pending_iterations_.gradient, floats_of_rays_ + floats_of_instances_);
+}
+
+/// Updates the boxes of the actors with the gradients of the oldest pending iteration.
+/// @param instance_gradients [instances, 6]
+void PoseRefiner::apply_actor_gradients(std::span<const float> instance_gradients, int step) {
+    for (std::size_t k = 0; k < actors_.size(); ++k) {
+        RefinedActor& actor = actors_[k];
+        Twist twist;
+        std::copy_n(instance_gradients.begin() + std::ptrdiff_t(6 * actor.instance), 6, twist.begin());
+        // The pose of the actor is the mean of its poses at the first and the last time
+        // at which a sweep observes it. Each of these two poses gets half of the
+        // gradient.
+        for (double& component : twist) component *= 0.5;
+        // The actor may be absent from the frame. Its gradient is then zero, and
+        // add_gradient() ignores zero gradients.
+        for (std::size_t end = 0; end < 2; ++end)
+            actor.correction.add_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
+        actor.correction.run_adam_step(pose_rates(config_, kBoxFactor * config_.pose_rate_m, step));
+    }
 }
 
 void PoseRefiner::apply_until(Stream& stream, int last_step) {

@@ -181,6 +181,7 @@ private:
     /// Returns the gradients of a pending iteration. Waits until they are on the host.
     std::span<float> wait_for_gradient(Stream& stream, std::size_t pending_index);
     void apply_oldest(Stream& stream);
+    void apply_actor_gradients(std::span<const float> instance_gradients, int step);
 };
 
 }  // namespace relidar
