@@ -277,8 +277,8 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
-    // Chooses the children, one level per launch. The host does not know the number of nodes
-    // of a level, so each launch has enough threads for the largest possible level.
+    // Chooses the children, one level per launch. The host does not know the number of
+    // nodes of a level, so each launch has enough threads for the largest possible level.
     std::uint64_t max_level_nodes = n_models;
     while (params.level < max_levels() - 1) {
         run(stream, wide_mark, max_level_nodes, params);
@@ -376,8 +376,8 @@ void Bvh::Impl::reserve_nodes(std::size_t n_surfels, std::size_t n_nodes) {
     arrivals.reserve(device, n_nodes, "wide node arrivals");
 }
 
-/// Copies nodes and their links of an added tree behind the other nodes. Their indices count
-/// from the start of the added tree, so they are shifted.
+/// Copies nodes and their links of an added tree behind the other nodes. Their indices
+/// count from the start of the added tree, so they are shifted.
 void Bvh::Impl::append_nodes(const Impl& added, std::uint32_t first_node, std::uint32_t first_surfel) {
     std::vector<shared::BvhNode> added_nodes = added.nodes.download(added.bound);
     for (shared::BvhNode& node : added_nodes) {
@@ -443,7 +443,8 @@ HostBvhCopy Bvh::download_bvh() const {
 
 void Bvh::measure_cost(Stream& stream) {
     Impl& b = *impl_;
-    // Each workgroup writes one sum. Leaves out appended trees, for which there are no sums.
+    // Each workgroup writes one sum. Leaves out appended trees, for which there are no
+    // sums.
     const auto n_nodes = std::uint32_t(std::min<std::size_t>(b.bound, kWorkgroupSize * b.cost_sums.size()));
     run(stream, b.cost_kernel, n_nodes,
         {.wide = b.wide_bvh(),

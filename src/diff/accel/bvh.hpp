@@ -49,8 +49,8 @@ public:
                      const SurfelRanges& ranges);
     /// Submits the kernel that builds the tree over the instances at their current poses.
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
-    /// Copies the tree of `added`, the last model of `scene`, behind the other trees. Waits
-    /// for the device.
+    /// Copies the tree of `added`, the last model of `scene`, behind the other trees.
+    /// Waits for the device.
     void append_tree(const DeviceScene& scene, const Bvh& added);
     /// Allocates memory for all instances of the scene.
     void append_instances(const DeviceScene& scene);

@@ -108,10 +108,10 @@ const ProxyTriangleMesh kIcosahedronMesh{
 
 constexpr std::uint32_t kBoxBytes = 6 * sizeof(float), kVertexBytes = 3 * sizeof(float);
 
-/// Returns the cull mask of the k-th moving instance. A cull mask has 8 bits. Bit 0 selects
-/// all standing instances. A separate ray query tests each moving instance, because its pose
-/// depends on the time of the ray. So moving instances get different bits, which are reused
-/// after 7 instances.
+/// Returns the cull mask of the k-th moving instance. A cull mask has 8 bits. Bit 0
+/// selects all standing instances. A separate ray query tests each moving instance,
+/// because its pose depends on the time of the ray. So moving instances get different
+/// bits, which are reused after 7 instances.
 std::uint32_t moving_instance_mask(std::size_t k) {
     return RELIDAR_STANDING_MASK << (1 + k % RELIDAR_MOVING_MASKS);
 }
@@ -294,8 +294,8 @@ std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const D
     return stream.stage_bytes(vk_instances.data(), vk_instances.size() * sizeof(vk_instances[0])).address;
 }
 
-/// Writes the triangle indices of `n_surfels` proxies, unless enough exist. All models use
-/// the first of these indices, so `n_surfels` is the size of the largest model.
+/// Writes the triangle indices of `n_surfels` proxies, unless enough exist. All models
+/// use the first of these indices, so `n_surfels` is the size of the largest model.
 void RayQueryAccel::Impl::reserve_indices(std::uint32_t n_surfels) {
     if (proxy != ProxyShape::triangles || n_surfels * mesh.corners.size() <= indices.size()) return;
     // Each surfel has a copy of the mesh. The corners of a copy follow the corners of the
@@ -367,9 +367,9 @@ void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const
     Impl& a = *impl_;
     std::uint32_t n_updated = 0;
     for (const SurfelRange& range : ranges) n_updated += range.count;
-    // `reach` and `radii` are maxima over surfels, which the kernels only increase. They are
-    // reset only if all surfels are updated. Otherwise the other surfels would be missing
-    // from the new maxima.
+    // `reach` and `radii` are maxima over surfels, which the kernels only increase. They
+    // are reset only if all surfels are updated. Otherwise the other surfels would be
+    // missing from the new maxima.
     const bool updates_all = n_updated == scene.size();
     if (updates_all && a.reach.size() > 0) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxies(stream, scene, options, range);

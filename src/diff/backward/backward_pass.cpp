@@ -31,15 +31,15 @@ bool uses_hit_records(const Device& device, GradientReduction reduction, ShDirec
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns the specialisation constants of kernel diff/backward/trace: those of the forward
-/// pass, and how the gradients of hits are added to surfels.
+/// Returns the specialisation constants of kernel diff/backward/trace: those of the
+/// forward pass, and how the gradients of hits are added to surfels.
 TraceConstants backward_constants(const Device& device, const ImageModel& model, ProxyShape proxy,
                                   const TraceOptions& options, const BackwardOptions& backward) {
     TraceConstants constants = trace_constants(device, proxy, options, model);
     const bool writes_records = uses_hit_records(device, backward.reduction, model.sh_direction);
     constants.push_back({GATHER, writes_records ? 1u : 0u});
-    // With coalesced atomics, the threads of a subgroup collect gradients in shared memory
-    // before the atomics. This reduces memory traffic, but needs
+    // With coalesced atomics, the threads of a subgroup collect gradients in shared
+    // memory before the atomics. This reduces memory traffic, but needs
     // VK_KHR_shader_maximal_reconvergence.
     const bool can_coalesce = should_coalesce(device) && lanes_reconverge(device);
     const bool coalesces = !writes_records && backward.coalesced_atomics.value_or(can_coalesce);
@@ -128,7 +128,8 @@ void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve_scratch(device_, n_rays_);
         reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    // Reads the field `n_hits` of each rendered ray. Offset and stride count 32-bit words.
+    // Reads the field `n_hits` of each rendered ray. Offset and stride count 32-bit
+    // words.
     const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                                    .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                                    .stride = sizeof(shared::RenderedRay) / 4};
@@ -144,8 +145,8 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
 }
 
 /// Sorts the hit records by gradient row (the row of a surfel in the array of gradients),
-/// and sums the records of each row. The sort keeps the order of hits, so that the sums are
-/// the same in every run.
+/// and sums the records of each row. The sort keeps the order of hits, so that the sums
+/// are the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto sort_buffers = [&](int index) {
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
@@ -166,8 +167,8 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
                                       .most_hits = most_hits_.address(),
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
-    // A thread sums a block of records. A row that extends over several blocks is summed by
-    // the second kernel.
+    // A thread sums a block of records. A row that extends over several blocks is summed
+    // by the second kernel.
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);

@@ -19,8 +19,8 @@ struct BlockTable {
 };
 
 /// Splits the surfels of each instance into blocks for the sums of gradients. Only the
-/// first instance of a model has the gradient of the view direction, because the direction
-/// belongs to the model's surfels.
+/// first instance of a model has the gradient of the view direction, because the
+/// direction belongs to the model's surfels.
 BlockTable split_into_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
@@ -51,6 +51,8 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
+/// Creates the three kernels of reduce(): sums of surfels over blocks, of blocks over
+/// instances, and of instances over the scene.
 PoseGradientKernels::PoseGradientKernels(Device& device)
     : blocks_(device, "diff/backward/pose_blocks", {kWorkgroup}),
       poses_(device, "diff/backward/poses", {kWorkgroup}),

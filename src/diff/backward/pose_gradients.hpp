@@ -24,8 +24,8 @@ struct DeviceGradients::PoseGradientSums {
 class PoseGradientKernels {
 public:
     explicit PoseGradientKernels(Device& device);
-    /// Computes the gradients of the instances' poses and of the sensor's pose: sums of the
-    /// surfels' gradients, first over blocks of surfels, then over instances.
+    /// Computes the gradients of the instances' poses and of the sensor's pose, as sums
+    /// of the surfels' gradients.
     void reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                 const glm::vec3& view_origin_m, DeviceGradients& gradients);
 

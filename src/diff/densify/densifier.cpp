@@ -121,7 +121,8 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
     return counts;
 }
 
-/// Allocates memory for `capacity` surfels, if `reserved_bytes` of device memory stay free.
+/// Allocates memory for `capacity` surfels, if `reserved_bytes` of device memory stay
+/// free.
 /// @return an empty string, or the reason why there is not enough memory
 std::string Densifier::Impl::try_reserve(DeviceScene& scene, Adam& adam, std::uint32_t capacity,
                                          double reserved_bytes) {
@@ -130,8 +131,8 @@ std::string Densifier::Impl::try_reserve(DeviceScene& scene, Adam& adam, std::ui
     // Floats of parameters and both Adam moments (3 x), and of the surfel record (16).
     const double scene_floats = 3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0;
     const double bytes_per_surfel = double(arrays.bytes_per_surfel()) + 4.0 * scene_floats;
-    // The old and the new SH coefficients, the largest array, exist at the same time during
-    // the copy.
+    // The old and the new SH coefficients, the largest array, exist at the same time
+    // during the copy.
     const double copied_bytes = 4.0 * kShFloats * old_capacity;
     const std::string error = allocation_error(
         device, reserved_bytes + bytes_per_surfel * (capacity - old_capacity) + copied_bytes);
@@ -175,8 +176,8 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, 
     return std::min(n_requested, n_before);
 }
 
-/// Moves the surfels, their Adam moments and statistics to the new order, and computes the
-/// values of new surfels.
+/// Moves the surfels, their Adam moments and statistics to the new order, and computes
+/// the values of new surfels.
 void Densifier::Impl::rearrange_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                         const GrowthPlan& plan) {
     const std::uint32_t n_before = scene.size();

@@ -24,8 +24,8 @@ struct GrowthPlan {
     std::uint32_t survivors = 0;     ///< surfels that are not removed
     std::uint32_t total_weight = 0;  ///< sum of the weights of growing surfels
     std::uint32_t n_new = 0;         ///< number of copies to distribute
-    /// Random number below total_weight. It selects which surfels get the copies, if there
-    /// are fewer copies than growing surfels (systematic sampling).
+    /// Random number below total_weight. It selects which surfels get the copies, if
+    /// there are fewer copies than growing surfels (systematic sampling).
     std::uint32_t phase = 0;
 
     std::uint32_t size() const { return survivors + n_new; }

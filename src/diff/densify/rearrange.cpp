@@ -51,16 +51,16 @@ std::size_t SurfelReorderer::bytes_per_surfel() const {
 }
 
 /// Submits the kernels that compute the new array index of each surfel. A surfel and its
-/// copies are consecutive rows of the new arrays. So the index of a surfel is the number of
-/// rows of all earlier surfels.
+/// copies are consecutive rows of the new arrays. So the index of a surfel is the number
+/// of rows of all earlier surfels.
 void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before) {
     RELIDAR_ASSERT_LE(std::max(n_before, plan.size()), capacity());
     n_before_ = n_before;
     // Sum of the weights of all earlier surfels, stored temporarily in `starts`.
     prefix_sum_.run(stream, {.address = weight.address().cast_tag<shared::ScanCounts>()},
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
-    // Distributes `n_new` copies in proportion to the weights. Writes the number of rows of
-    // each surfel: 0 if it is dropped, otherwise 1 plus its copies.
+    // Distributes `n_new` copies in proportion to the weights. Writes the number of rows
+    // of each surfel: 0 if it is dropped, otherwise 1 plus its copies.
     run(stream, allot_, n_before,
         {.weight = weight.address(),
          .cumulative = starts.address().cast_tag<shared::WeightsBefore>(),

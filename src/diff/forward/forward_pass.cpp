@@ -45,8 +45,8 @@ struct ForwardPass::Impl {
 };
 
 /// Creates the kernels that render rays. There are two methods: kernel diff/forward/trace
-/// renders a ray with a small sorted buffer of hits. On GPUs, rays first write all hits to
-/// lists, and the kernel renders only rays whose lists overflow.
+/// renders a ray with a small sorted buffer of hits. On GPUs, rays first write all hits
+/// to lists, and the kernel renders only rays whose lists overflow.
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
                          const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > kMaxChunk)

@@ -64,8 +64,8 @@ void HitListTracer::allocate_lists(std::size_t n_lists) {
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
 bool HitListTracer::has_overflowed(Stream& stream) {
-    // A stream has at most kMaxPending unfinished submissions. So the submission that copied
-    // the count is finished if that many submissions followed.
+    // A stream has at most kMaxPending unfinished submissions. So the submission that
+    // copied the count is finished if that many submissions followed.
     const bool is_finished = stream.impl().last_ticket + 1 >= counted_until_ + Stream::Impl::kMaxPending;
     if (!overflows_.is_pending() || !is_finished) return false;
     std::uint32_t count = 0;
@@ -83,8 +83,8 @@ void HitListTracer::grow_lists(Stream& stream) {
 }
 
 /// Returns memory for one hit list per thread, or empty lists if it is not available.
-/// @param kept hits that the forward pass stores for the backward pass. If a list fits into
-/// this memory, it is used instead of separate memory
+/// @param kept hits that the forward pass stores for the backward pass. If a list fits
+/// into this memory, it is used instead of separate memory
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
                                               const StoredRayHits* kept) {
     const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
@@ -118,8 +118,8 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
             .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
-/// Starts to copy the number of overflows to the host, unless the capacity cannot grow or an
-/// earlier copy was not read yet. has_overflowed() reads it.
+/// Starts to copy the number of overflows to the host, unless the capacity cannot grow or
+/// an earlier copy was not read yet. has_overflowed() reads it.
 void HitListTracer::record_readback(Stream& stream) {
     if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
     overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));

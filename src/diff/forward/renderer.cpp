@@ -94,7 +94,8 @@ void Renderer::wait_for_device() noexcept {
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     if (r.appended) {
-        // append_model() has allocated memory to refit the trees, but not to rebuild them.
+        // append_model() has allocated memory to refit the trees, but not to rebuild
+        // them.
         r.appended = false;
         r.stream.submit_and_wait();
         r.accel.reset();
@@ -107,8 +108,9 @@ void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm
     r.placed = true;
 }
 
-/// Records new poses of unchanged surfels. Rigid models need only new poses. Models with a
-/// gait (walking persons) change their shape, so they need new surfel values and a refit.
+/// Records new poses of unchanged surfels. Rigid models need only new poses. Models with
+/// a gait (walking persons) change their shape, so they need new surfel values and a
+/// refit.
 void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     if (!r.placed) {

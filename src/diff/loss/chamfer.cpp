@@ -164,8 +164,9 @@ void ChamferLoss::Impl::compute_points(Stream& stream, const RenderedBatch& rend
 }
 
 /// Adds the loss to `terms`, and its derivatives to the upstream gradients of the rays. A
-/// simulated point gets a derivative from its nearest measured point, and from each measured
-/// point whose nearest point it is. The first kernel sums the latter, the second adds both.
+/// simulated point gets a derivative from its nearest measured point, and from each
+/// measured point whose nearest point it is. The first kernel sums the latter, the second
+/// adds both.
 void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered_batch,
                                    const TargetBatch& batch, const LossTermRow& terms) const {
     const shared::ChamferParams params{

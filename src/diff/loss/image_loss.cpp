@@ -30,8 +30,8 @@ std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights
 }
 
 /// Records the losses of depth, intensity, drops and opacity of each ray, and the
-/// structural similarity (SSIM) of the intensity image if its weight is positive. Sums over
-/// rays become means: most terms are divided by the number of returns.
+/// structural similarity (SSIM) of the intensity image if its weight is positive. Sums
+/// over rays become means: most terms are divided by the number of returns.
 void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
                                const LossTermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;

@@ -21,8 +21,8 @@ static_assert(are_terms_sorted(),
 
 }  // namespace
 
-/// Creates the losses with a positive weight. A loss can compute several terms, for example
-/// the image loss those of depth, intensity and drops.
+/// Creates the losses with a positive weight. A loss can compute several terms, for
+/// example the image loss those of depth, intensity and drops.
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays) {
     struct WeightedLossFactory {

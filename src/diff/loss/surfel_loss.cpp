@@ -24,8 +24,8 @@ std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weight
 }
 
 /// Records the loss of surfels that are outside the box of their actor or large compared
-/// with it, as a mean over the surfels of all models with a box. Adds its gradients to the
-/// surfels' gradients.
+/// with it, as a mean over the surfels of all models with a box. Adds its gradients to
+/// the surfels' gradients.
 void ActorBoxLoss::add_regularisers(Stream& stream, const DeviceScene& scene,
                                     const SurfelGradients& gradients, const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;

@@ -9,7 +9,8 @@
 namespace relidar::network {
 namespace {
 
-/// Describes an image slice as one matrix [channels of a head, pixels] per image and head.
+/// Describes an image slice as one matrix [channels of a head, pixels] per image and
+/// head.
 HeadMatrices head_matrices(const Slice& slice, std::uint32_t n_heads) {
     const auto n_pixels = std::uint32_t(slice.grid.n_image_pixels());
     const std::uint32_t head_channels = slice.channels / n_heads;
@@ -50,6 +51,7 @@ float score_scale(const HeadMatrices& query) { return 1.0f / std::sqrt(float(que
 
 }  // namespace
 
+/// Creates the kernels that multiply matrices and compute the softmax of their rows.
 Attention::Attention(Device& device, std::uint32_t heads)
     : device_(device),
       heads_(heads),

@@ -20,8 +20,8 @@ constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
 /// Returns the number of parts into which the images are split for the gradient of the
-/// weights. Each part needs a sum per weight. Layers with many weights get fewer parts, so
-/// that all sums need at most kMostPartial floats.
+/// weights. Each part needs a sum per weight. Layers with many weights get fewer parts,
+/// so that all sums need at most kMostPartial floats.
 std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
@@ -85,8 +85,8 @@ Convolution::Convolution(Device& device, std::uint32_t taps)
       conv_weights_(make_weights_kernel(device, taps, lanes_)),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-/// Runs the convolution kernel. Each subgroup computes RELIDAR_CONV_OUT output channels of
-/// a segment: a piece of an image row with `pixels_` pixels per lane.
+/// Runs the convolution kernel. Each subgroup computes RELIDAR_CONV_OUT output channels
+/// of a segment: a piece of an image row with `pixels_` pixels per lane.
 void Convolution::run_conv_kernel(Stream& stream, const shared::ConvParams& params) const {
     const std::uint32_t n_segments =
         params.n_images * params.rows * div_ceil(params.columns, lanes_ * pixels_);

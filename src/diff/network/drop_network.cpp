@@ -29,8 +29,8 @@ struct NetworkPreset {
     NetworkRegularisation in_training = {};
 };
 
-/// Returns the architecture that the setting refine.network selects. `pixel` does not look
-/// at neighbouring pixels.
+/// Returns the architecture that the setting refine.network selects. `pixel` does not
+/// look at neighbouring pixels.
 const NetworkPreset& find_preset(const std::string& name) {
     static const NetworkPreset small{.name = "small", .width = 8, .factors = {1, 2, 4, 4}};
     static const NetworkPreset pixel{.name = "pixel", .width = 16, .factors = {1}, .taps = 1};

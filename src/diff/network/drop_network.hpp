@@ -122,12 +122,12 @@ public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
     /// Submits the kernel that computes the loss and the arrays that are not null.
-    /// @param n_known number of pixels with a known target; divides the derivative, because
-    /// the loss is a mean
+    /// @param n_known number of pixels with a known target; divides the derivative,
+    /// because the loss is a mean
     void record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                      std::size_t n_known);
-    /// Returns the mean loss and accuracy of the last record_loss(), which the device must
-    /// have finished.
+    /// Returns the mean loss and accuracy of the last record_loss(), which the device
+    /// must have finished.
     RayDropScore read_loss(std::size_t n_known_pixels) const;
 
 private:

@@ -90,8 +90,8 @@ struct RayDropInference::Impl {
         return *match;
     }
 
-    /// Returns a network that can get arrays for another image size: one without a size, a
-    /// new one, or the least recently used one.
+    /// Returns a network that can get arrays for another image size: one without a size,
+    /// a new one, or the least recently used one.
     std::list<SizedRayDropNetwork>::iterator claim_network(Stream& stream) {
         const auto unsized = std::ranges::find(shaped, network::ImageBatchSize{}, &SizedRayDropNetwork::grid);
         if (unsized != shaped.end()) return unsized;

@@ -20,9 +20,9 @@ std::uint32_t count_channel_sums(ImageBatchSize grid) {
 
 }  // namespace
 
-/// Creates the kernels: `sums_` sums pixels over parts of the images and `sum_parts_` adds
-/// the parts. `finish_` computes the scale and shift of each channel, and `norm_` applies
-/// them.
+/// Creates the kernels: `sums_` sums pixels over parts of the images and `sum_parts_`
+/// adds the parts. `finish_` computes the scale and shift of each channel, and `norm_`
+/// applies them.
 Norm::Norm(Device& device)
     : device_(device),
       sums_(device, "diff/network/channel_sums", {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
@@ -116,8 +116,8 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
     apply_scale(s, in, n, out, 0.0f);
 }
 
-/// Computes the gradients of beta and gamma, and then of the input. The order matters: the
-/// mean and variance of the batch depend on every pixel. So the gradient of a pixel
+/// Computes the gradients of beta and gamma, and then of the input. The order matters:
+/// the mean and variance of the batch depend on every pixel. So the gradient of a pixel
 /// contains sums over the batch, which equal the gradients of beta and gamma.
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {

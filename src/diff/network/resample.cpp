@@ -33,6 +33,7 @@ ImageBatchSize half_size(ImageBatchSize grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
+/// Creates a kernel for each direction: smaller and larger images, and their derivatives.
 Resampling::Resampling(Device& device)
     : pool_(device, "diff/network/pool"),
       pool_vjp_(device, "diff/network/pool_vjp"),

@@ -130,8 +130,7 @@ void Unet::run_attention(Stream& stream, Mode mode) {
     attention_->attend(stream, qkv_, attention_state_, attended_);
     stream.copy(bottom.values.buffer(), mixed_.values.buffer(), bottom.values.size() * sizeof(float));
     const bool add = true;  // residual connection
-    conv1_.run_convolution(stream, attended_, conv_weights(plan_.project.weights),
-                           conv_bias(*plan_.project.bias), mixed_, add);
+    run_biased_conv(stream, plan_.project, attended_, mixed_, add);
 }
 
 /// Halves the images of the level above, and runs both encoder blocks. Writes the result
@@ -163,13 +162,11 @@ void Unet::decode_level(Stream& stream, std::size_t level, Mode mode) {
 /// Computes the logits of the input images: encoder from the full image size to the
 /// smallest, attention, and decoder back to the full size.
 void Unet::run_all_layers(Stream& stream, Mode mode) {
-    conv1_.run_convolution(stream, inputs_, conv_weights(plan_.first_conv.weights),
-                           conv_bias(*plan_.first_conv.bias), skip(0));
+    run_biased_conv(stream, plan_.first_conv, inputs_, skip(0));
     for (std::size_t level = 1; level <= smallest_level(); ++level) encode_level(stream, level, mode);
     if (attention_) run_attention(stream, mode);
     for (std::size_t level = n_decoder_levels(); level-- > 0;) decode_level(stream, level, mode);
-    conv1_.run_convolution(stream, levels_[0].up, conv_weights(plan_.last_conv.weights),
-                           conv_bias(*plan_.last_conv.bias), logit_);
+    run_biased_conv(stream, plan_.last_conv, levels_[0].up, logit_);
 }
 
 void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate) {

@@ -125,10 +125,13 @@ private:
     Convolution::Weights conv_weights(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvWeights>(offset);
     }
-    Convolution::Bias conv_bias(std::size_t offset) const {
-        return parameters_.address_as<float, shared::ConvBias>(offset);
-    }
     Convolution& conv_kernels(const ConvOffsets& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
+    /// Runs a 1x1 convolution with a bias.
+    void run_biased_conv(Stream& stream, const ConvOffsets& layer, const Slice& in, const Slice& out,
+                         bool add = false) {
+        conv1_.run_convolution(stream, in, conv_weights(layer.weights),
+                               parameters_.address_as<float, shared::ConvBias>(*layer.bias), out, add);
+    }
     std::size_t smallest_level() const { return widths_.size() - 1; }
     std::size_t n_decoder_levels() const { return plan_.up.size() / 2; }
     // Indices of the two blocks of a level in UnetLayout::down and up. Level 0 has no
@@ -137,7 +140,8 @@ private:
         return {2 * level - 2, 2 * level - 1};
     }
     static std::array<std::size_t, 2> decoder_blocks(std::size_t level) { return {2 * level, 2 * level + 1}; }
-    /// Channels of `joined` that the encoder writes and the decoder reads (skip connection).
+    /// Channels of `joined` that the encoder writes and the decoder reads (skip
+    /// connection).
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);

@@ -114,8 +114,8 @@ void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uin
     network.running.assign(layout.n_running, 0.0f);
     draw_conv_weights(network.parameters, layout.first_conv, random);
     for (const BlockOffsets& block : layout.down) init_block(network, block, random);
-    // `layout.project`, the output of the attention, stays 0. So the attention adds nothing
-    // at first.
+    // `layout.project`, the output of the attention, stays 0. So the attention adds
+    // nothing at first.
     if (layout.query) init_block(network, *layout.query, random);
     for (const BlockOffsets& block : layout.up) init_block(network, block, random);
     if (!network.residual) draw_conv_weights(network.parameters, layout.last_conv, random);

@@ -35,8 +35,8 @@ float moment_correction(double beta, int step_number) {
     return float(1.0 / (1.0 - std::pow(beta, step_number)));
 }
 
-/// Returns kernel parameters with the constants of Adam for one step. The addresses and the
-/// layout of the rows are not set.
+/// Returns kernel parameters with the constants of Adam for one step. The addresses and
+/// the layout of the rows are not set.
 shared::AdamParams make_adam_params(const AdamOptions& options, int step_number) {
     shared::AdamParams params{};
     params.beta1 = float(options.beta1);
@@ -47,8 +47,8 @@ shared::AdamParams make_adam_params(const AdamOptions& options, int step_number)
     return params;
 }
 
-/// Sets the parts of a surfel's row in a parameter group. The row of spherical harmonics has
-/// a block of coefficients per channel. Every other row is one block.
+/// Sets the parts of a surfel's row in a parameter group. The row of spherical harmonics
+/// has a block of coefficients per channel. Every other row is one block.
 /// @param sh_degree highest degree of harmonics that is updated. It grows during training
 void set_row_layout(shared::AdamParams& params, const SurfelParameterGroup& group, int sh_degree) {
     params.stride = group.count_floats();
@@ -132,8 +132,8 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
-    // Surfels without a gradient are skipped either by a list of the other surfels, or by a
-    // flag that each thread reads.
+    // Surfels without a gradient are skipped either by a list of the other surfels, or by
+    // a flag that each thread reads.
     const bool uses_list = a.list && touched_flags;
     if (uses_list) a.list->compact(stream, touched_flags->address(first), n_rows);
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent

@@ -79,8 +79,8 @@ struct DifferentiableRenderer::Impl {
     }
 };
 
-/// Creates the renderer, the kernels of the backward pass, and the arrays of gradients for
-/// the scene and for batches of options.n_rays rays.
+/// Creates the renderer, the kernels of the backward pass, and the arrays of gradients
+/// for the scene and for batches of options.n_rays rays.
 DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
                                                const RendererOptions& options,
                                                const GradientOptions& gradients)

@@ -20,8 +20,8 @@ constexpr int kRingSurfels = 300, kTestRays = 256;
 
 constexpr float kFullTurnRad = 6.2831853f;
 
-/// Returns random surfels in a ring around the origin, with ranges of 3 to 30 m. Most rays
-/// hit several of them.
+/// Returns random surfels in a ring around the origin, with ranges of 3 to 30 m. Most
+/// rays hit several of them.
 Surfels make_ring() {
     std::mt19937 random(1);
     const auto uniform = [&](float low, float high) {
@@ -68,8 +68,8 @@ RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options,
     return renderer.render_rays(make_test_rays());
 }
 
-/// Returns the largest subgroup size that gives correct results. Is called if the driver's
-/// default size gives wrong results.
+/// Returns the largest subgroup size that gives correct results. Is called if the
+/// driver's default size gives wrong results.
 /// @param error text of the wrong result with the default size
 int fallback_subgroup(const DeviceOptions& options, const Device& device, const std::string& error) {
     const std::vector<int> sizes = subgroup_sizes(device);
