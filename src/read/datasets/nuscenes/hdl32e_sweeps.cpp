@@ -1,15 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "read/datasets/nuscenes/hdl32e_sweeps.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <fstream>
 #include <set>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -35,24 +31,21 @@ constexpr std::size_t kMostColumnsOfSweep = 8192;
 /// @param points  points in the frame of the LiDAR at the time of each point
 /// @param column_of_point  [points] column of each point
 void remove_dropped(LidarPoints& points, std::vector<int>& column_of_point) {
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
-        points.position_m[n] = points.position_m[i];
-        points.intensity[n] = points.intensity[i];
-        points.ring[n] = points.ring[i];
-        points.time_offset_s[n] = points.time_offset_s[i];
-        if (!points.classes.empty()) points.classes[n] = points.classes[i];
-        column_of_point[n++] = column_of_point[i];
-    }
-    points.position_m.resize(n);
-    points.intensity.resize(n);
-    points.ring.resize(n);
-    points.time_offset_s.resize(n);
-    column_of_point.resize(n);
-    if (!points.classes.empty()) points.classes.resize(n);
+    std::vector<bool> is_dropped;
+    for (const glm::vec3& p : points.position_m) is_dropped.push_back(double(glm::length(p)) < kNoReturn_m);
+    const auto remove_from = [&](auto& values) {
+        std::size_t point = 0;
+        std::erase_if(values, [&](const auto&) { return is_dropped[point++]; });
+    };
+    remove_from(points.position_m);
+    remove_from(points.intensity);
+    remove_from(points.ring);
+    remove_from(points.time_offset_s);
+    remove_from(points.classes);
+    remove_from(column_of_point);
 }
 
+/// Reads the category index of each point, one byte per point.
 std::string read_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)
@@ -63,8 +56,30 @@ std::string read_categories(const fs::path& file, std::size_t n_points) {
     return categories;
 }
 
+/// A point in a file. x points to the right, y forward, z up. Ring 0 is the lowest beam.
+struct StoredPoint {
+    float x, y, z, intensity, ring;
+};
+static_assert(sizeof(StoredPoint) == kPointBytes);
+
+/// Reads point i of a file and checks its values.
+StoredPoint read_point(const std::string& bytes, std::size_t i, const std::string& file) {
+    StoredPoint p;
+    std::memcpy(&p, bytes.data() + i * kPointBytes, kPointBytes);
+    const double range_m = std::hypot(double(p.x), double(p.y), double(p.z));
+    if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(p.intensity))
+        fail(
+            "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at most "
+            "{}",
+            file, i, p.x, p.y, p.z, p.intensity, kFarthestOfSweep_m);
+    if (!(p.ring >= 0.0f && p.ring < float(kBeams)) || p.ring != std::floor(p.ring))
+        fail("{}: point {} has ring {}, expected 0 to {}", file, i, p.ring, kBeams - 1);
+    return p;
+}
+
 /// Reads a file with one revolution. The firing time of a point follows from its column,
 /// because the file contains no times.
+/// @param world_from_sensor  poses with which the dataset has moved the points
 read::FiredSweep read_sweep(const SweepFiles& sweep_files,
                             const std::array<SurfaceClass, 256>& class_of_category,
                             const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
@@ -81,37 +96,30 @@ read::FiredSweep read_sweep(const SweepFiles& sweep_files,
     const std::string categories =
         sweep_files.categories.empty() ? "" : read_categories(sweep_files.categories, n);
     read::FiredSweep read;
-    std::vector<int> numbers;
+    LidarPoints& points = read.points;
+    std::vector<int> column_of_point;
     for (std::size_t i = 0; i < n; ++i) {
-        float v[5];  // x to the right, y forward, z up, intensity, ring
-        std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
-        const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
-        if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
-            fail(
-                "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at most "
-                "{}",
-                file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m);
-        if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
-            fail("{}: point {} has ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1);
-        if (range_m == 0.0) continue;
+        const StoredPoint p = read_point(bytes, i, file.string());
+        if (p.x == 0.0f && p.y == 0.0f && p.z == 0.0f) continue;
         const std::size_t column = i / kBeams;
-        read.points.position_m.emplace_back(v[1], -v[0], v[2]);
-        read.points.intensity.push_back(v[3] / 255.0f);
-        // Files number the beams from the lowest one, relidar from the highest one.
-        read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
-        read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
+        points.position_m.emplace_back(p.y, -p.x, p.z);
+        points.intensity.push_back(p.intensity / 255.0f);
+        // relidar numbers the beams from the highest one. The time is before the end.
+        points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(p.ring)));
+        points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         if (!categories.empty())
-            read.points.classes.push_back(class_of_category[static_cast<unsigned char>(categories[i])]);
-        numbers.push_back(int(column));
+            points.classes.push_back(class_of_category[static_cast<unsigned char>(categories[i])]);
+        column_of_point.push_back(int(column));
     }
-    undo_deskew(read.points, world_from_sensor, sweep_time_s);
-    remove_dropped(read.points, numbers);
-    if (read.points.size() == 0)
+    undo_deskew(points, world_from_sensor, sweep_time_s);
+    remove_dropped(points, column_of_point);
+    if (points.size() == 0)
         fail(
             "{} has no points at a distance of {} m or more, expected at least one; nearer points are read "
             "as rays without a return",
             file.string(), kNoReturn_m);
-    read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    // The head rotates clockwise by one column from firing to firing.
+    read.sweep = arrange_firings(points, column_of_point, sensor, -2.0 * kPi / double(columns));
     return read;
 }
 
@@ -135,23 +143,23 @@ Lidar make_hdl32e(const Pose& ego_from_lidar) {
         // Nominal elevations of the HDL-32E: +10.67 to -30.67 degrees.
         sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
     // x (forward) in relidar is y in nuScenes, where x points to the right.
-    const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
-    return {"", sensor, ego_from_lidar * theirs_from_ours};
+    const Pose nuscenes_from_relidar{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
+    return {"", sensor, ego_from_lidar * nuscenes_from_relidar};
 }
 
 void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
-    std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
+    std::vector<PoseTrack> lidar_tracks;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
-        ways.push_back(mount_track(vehicle_track, lidar.vehicle_from_sensor));
+        lidar_tracks.push_back(mount_track(vehicle_track, lidar.vehicle_from_sensor));
     std::vector<read::FiredSweep> sweeps(sweep_files.size());
-    progress_for(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
-        const Frame& frame = sequence.frames[at];
-        broken.guard(at, [&] {
-            sweeps[at] = read_sweep(sweep_files[at], class_of_category, sequence.lidar_of(frame).sensor,
-                                    ways[std::size_t(frame.lidar)], frame.time_s);
+    progress_for(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t i) {
+        const Frame& frame = sequence.frames[i];
+        broken.guard(i, [&] {  // skips a broken sweep, or throws its error
+            sweeps[i] = read_sweep(sweep_files[i], class_of_category, sequence.lidar_of(frame).sensor,
+                                   lidar_tracks[std::size_t(frame.lidar)], frame.time_s);
         });
     });
     read::set_fired_scans(sequence, sweeps, options.progress);

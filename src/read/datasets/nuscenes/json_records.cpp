@@ -6,7 +6,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 
@@ -86,8 +85,8 @@ void for_each_record(const std::filesystem::path& file, const std::function<void
     std::ifstream in(file, std::ios::binary);
     simdjson::dom::parser parser;
     simdjson::error_code failed = simdjson::SUCCESS;
-    // Reads up to each closing bracket. If this bracket is not the end of the record, the
-    // text does not parse yet. So only one record is in memory.
+    // Appends the file up to the next closing brace, until the text parses as an object.
+    // A brace inside the object is not its end, so the text does not parse there yet.
     std::string text, part;
     std::size_t n_records = 0;
     while (text.size() < kMaxRecordBytes && std::getline(in, part, '}') && !in.eof()) {
@@ -99,6 +98,7 @@ void for_each_record(const std::filesystem::path& file, const std::function<void
         text.clear();
     }
     if (!text.empty()) fail("{}, record {}: {}", name, n_records, simdjson::error_message(failed));
+    // `part` is the text after the last object.
     if (!trim(part).ends_with(']') || part.find('{') != part.npos)
         fail("{} is truncated, expected an array of objects", name);
 }

@@ -109,25 +109,27 @@ std::vector<SceneLocation> list_dataset_scenes(const fs::path& dataset_folder) {
 SceneLocation choose_scene(const std::vector<SceneLocation>& scenes, const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
     const std::optional<int> number = parse_stem(requested_name);
-    const std::string named = number ? fmt::format("scene-{:04}", *number) : requested_name;
-    std::string names;
-    std::vector<const SceneLocation*> begin_so;
+    const std::string full_name = number ? fmt::format("scene-{:04}", *number) : requested_name;
+    std::string known_names;  // for the error message; a dataset has up to 850 scenes
+    std::vector<const SceneLocation*> matches;
     for (const SceneLocation& scene : scenes) {
-        if (scene.name == named) return scene;
+        if (scene.name == full_name) return scene;
         if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
-            begin_so.push_back(&scene);
-        if (names.size() < 400) names += (names.empty() ? "" : ", ") + quote(scene.name);
+            matches.push_back(&scene);
+        if (known_names.size() < 400) known_names += (known_names.empty() ? "" : ", ") + quote(scene.name);
     }
-    if (begin_so.size() == 1) return *begin_so[0];
+    if (matches.size() == 1) return *matches[0];
     fail<UsageError>("dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
                      quote(requested_name),
-                     begin_so.empty()
+                     matches.empty()
                          ? "is not a scene of this dataset"
-                         : fmt::format("is the beginning of the names of {} scenes", begin_so.size()),
-                     scenes.size(), names);
+                         : fmt::format("is the beginning of the names of {} scenes", matches.size()),
+                     scenes.size(), known_names);
 }
 
-/// Interpolates boxes between labelled keyframes.
+/// Returns the boxes at the times of all frames. Interpolates, because only keyframes
+/// have labels. Also sets boxes up to max_extrapolation_s before the first and after the
+/// last label of an object.
 std::vector<BoxTrack> tracks_at_frames(const std::vector<BoxLabel>& labels,
                                        const std::vector<double>& frame_times_s, double max_extrapolation_s) {
     std::vector<BoxTrack> boxes;
@@ -149,8 +151,9 @@ struct FrameSweepRecord {
     const SweepRecord* record = nullptr;
 };
 
-/// Returns the place of a map of nuScenes on the earth. Its coordinates are metres east
-/// and north of a corner of the map, on a sphere.
+/// Returns the place of a map of nuScenes on the earth, or nothing for other maps. Map
+/// coordinates are metres east and north of a corner of the map, on a sphere (azimuthal
+/// equidistant projection, aeqd).
 std::optional<Georeference> find_map_place(const std::string& location) {
     struct MapCorner {
         const char* name;

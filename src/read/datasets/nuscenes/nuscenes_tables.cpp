@@ -5,15 +5,11 @@
 #include "read/datasets/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <map>
 #include <string_view>
 #include <unordered_map>
 #include <unordered_set>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
@@ -46,9 +42,8 @@ struct LidarMount {
     Pose ego_from_lidar;
 };
 
-/// Returns the channel and the pose of each LiDAR, by the token (id) of its calibration,
-/// to which the sweeps refer. Channels are in the table sensor, poses in the table
-/// calibrated_sensor.
+/// Returns the channel (table sensor) and the pose (table calibrated_sensor) of each
+/// LiDAR, by the token (id) of its calibration, to which the sweeps refer.
 TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
     TokenMap<std::string> channels;
     for_each_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
@@ -97,8 +92,7 @@ SweepsByChannel list_lidar_files(const fs::path& table_folder,
 }
 
 /// Sorts the files of a LiDAR by time. Starts at its first keyframe and follows the key
-/// "next" of each record, so that earlier files, which can belong to another scene, are
-/// left out.
+/// "next" of each record. Leaves out earlier files, which can belong to another scene.
 /// @param files  files by token (id)
 /// @return empty without a keyframe
 std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMap<SweepRecord>& files) {
