@@ -11,7 +11,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -69,6 +68,7 @@ constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-y
                                                  {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                                  {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
+/// Returns the LiDAR poses in the East-North-Up frame, with one meaning of the angles.
 PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const read::StampedLog& log,
                            const EulerAngleConvention& angle_convention) {
     const double sign = angle_convention.sign;
@@ -77,7 +77,8 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
         const std::vector<double>& v = row.values;
         const double *position = v.data(), *angle = v.data() + kFirstAngle;
         const double roll_rad = angle[0], pitch_rad = angle[1], yaw_rad = angle[2];
-        // make_rotation(): R_z R_y R_x. Conjugate, negated angles: R_x R_y R_z.
+        // make_rotation() returns R_z(yaw) R_y(pitch) R_x(roll). The conjugate of the
+        // rotation by the negated angles is R_x(roll) R_y(pitch) R_z(yaw).
         const glm::dquat enu_from_lidar =
             angle_convention.yaw_first
                 ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
@@ -93,37 +94,41 @@ double score_motion(const read::DrivingDirection& driving, const ForwardDirectio
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Uses another angle convention than the documented one if the vehicle then drives more
-/// exactly forward or moves less up and down.
+/// Reads the LiDAR poses. Uses another meaning of the angles than the documented one only
+/// if the vehicle then clearly drives more exactly forward, or equally well forward and
+/// clearly less up and down.
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
-    const EulerAngleConvention* best_order = nullptr;
-    PoseTrack best;
-    read::DrivingDirection of_best;
+    // The first convention is the documented one.
+    const EulerAngleConvention* best_order = &kAngleOrders[0];
+    PoseTrack best_track = make_lidar_track(rows, log, *best_order);
+    read::DrivingDirection best = read::driving_direction(best_track);
     for (const EulerAngleConvention& order : kAngleOrders) {
         PoseTrack track = make_lidar_track(rows, log, order);
         const read::DrivingDirection driving = read::driving_direction(track);
-        const double gain =
-            score_motion(driving, forward_direction) - score_motion(of_best, forward_direction);
-        const bool is_leveler =
-            driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
-        if (best_order && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
+        const double gain = score_motion(driving, forward_direction) - score_motion(best, forward_direction);
+        const bool is_more_level =
+            driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * best.rise_spread;
+        const bool is_better = gain > kClearlyForward || (gain >= -kClearlyForward && is_more_level);
+        if (!is_better) continue;
         best_order = &order;
-        best = std::move(track);
-        of_best = driving;
+        best_track = std::move(track);
+        best = driving;
     }
     if (best_order != &kAngleOrders[0])
         notes.push_back(
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
                         best_order->name));
-    if (of_best.n_steps > 0) read::note_driving(notes, score_motion(of_best, forward_direction));
-    return best;
+    if (best.n_steps > 0) read::note_driving(notes, score_motion(best, forward_direction));
+    return best_track;
 }
 
 }  // namespace
 
+/// Loads a Boreas sequence: LiDAR poses and scans. Boreas' LiDAR frame has another
+/// forward direction than relidar's, so poses and points are rotated about z.
 Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
     const fs::path folder = fs::canonical(log_folder);
@@ -132,11 +137,11 @@ Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
-    read::StampedLog log{kMicrosecond,
-                         read::list_stamped_files(folder / "lidar"),
-                         {},
-                         folder / "applanix/lidar_poses.csv",
-                         kMostGap_s};
+    read::StampedLog log{.unit_s = kMicrosecond,
+                         .scans = read::list_stamped_files(folder / "lidar"),
+                         .world_from_vehicle = {},
+                         .poses_file = folder / "applanix/lidar_poses.csv",
+                         .most_gap_s = kMostGap_s};
     read::check_pose_source(log.poses_file, options);
     ForwardDirection forward = read_forward(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {

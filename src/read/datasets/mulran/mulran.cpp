@@ -46,32 +46,32 @@ std::size_t column_of(std::size_t point, MulranPointOrder point_order) {
     return point_order == MulranPointOrder::by_column ? point / kBeams : point % kColumns;
 }
 
-/// Standard deviation of the elevations within a beam. It is small if the order is right,
-/// and infinite without points.
+/// Returns the standard deviation of the elevations within a beam, over all beams. It is
+/// small if the points are stored in `point_order`, and infinite without points.
 double elevation_spread_rad(const read::PointTable& table, MulranPointOrder point_order) {
     using enum read::PointAttribute;
     const read::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
                                &zs = *table.find_field(z);
-    struct Sums {
-        double n = 0.0, e = 0.0, ee = 0.0;
+    struct ElevationSums {
+        double n = 0.0, sum = 0.0, squares = 0.0;
     };
-    std::vector<Sums> of_beam(kBeams);
+    std::vector<ElevationSums> beams(kBeams);
     for (std::size_t i = 0; i < table.n; ++i) {
         const glm::dvec3 p(xs[i], ys[i], zs[i]);
         if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
-        const double e = std::atan2(p.z, std::hypot(p.x, p.y));
-        Sums& sums = of_beam[beam_of(i, point_order)];
-        sums.n += 1.0;
-        sums.e += e;
-        sums.ee += e * e;
+        const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
+        ElevationSums& beam = beams[beam_of(i, point_order)];
+        beam.n += 1.0;
+        beam.sum += elevation;
+        beam.squares += elevation * elevation;
     }
-    double n = 0.0, squares = 0.0;
-    for (const Sums& sums : of_beam)
-        if (sums.n > 0.0) {
-            n += sums.n;
-            squares += sums.ee - sums.e * sums.e / sums.n;
+    double n = 0.0, squared_deviations = 0.0;  // from the mean of each beam
+    for (const ElevationSums& beam : beams)
+        if (beam.n > 0.0) {
+            n += beam.n;
+            squared_deviations += beam.squares - beam.sum * beam.sum / beam.n;
         }
-    return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
+    return n > 0.0 ? std::sqrt(std::max(squared_deviations, 0.0) / n) : INFINITY;
 }
 
 void require_all_rays(const read::PointTable& table, const std::string& place) {
@@ -117,10 +117,12 @@ void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const
     table.add_value_field("time", read::ScalarType::f8, std::move(time), place);
 }
 
-/// Adds a note if the vehicle does not drive along x: then the axes are probably wrong.
+/// Reads the vehicle poses: a time stamp and a 3x4 matrix per line. Adds a note if the
+/// vehicle does not drive along x: then the axes are probably wrong.
 PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
     PoseTrack track;
-    for (const read::PoseRow& row : read::read_stamped_rows(pose_file, 12))
+    constexpr std::size_t kMatrixNumbers = 12;
+    for (const read::PoseRow& row : read::read_stamped_rows(pose_file, kMatrixNumbers))
         track.append(log.seconds_of(row.stamp), make_pose(row.values, row.where));
     const glm::dvec3 driven = read::driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kMinForwardMotion)
@@ -140,7 +142,8 @@ Pose lidar_mount() {
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
-/// The files have neither times nor rings. The order of the points gives both.
+/// Returns how to read the scan files, with notes. The files have neither times nor
+/// rings, so the format has a function that computes both from the order of the points.
 read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
@@ -160,6 +163,7 @@ read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& s
 
 }  // namespace
 
+/// Loads a MulRan sequence: vehicle poses and the scans of an OS1-64.
 Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
     const fs::path folder = fs::canonical(log_folder);
@@ -178,9 +182,12 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
             "{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of "
             "them",
             folder.string());
-    read::StampedLog log{kNanosecond, read::list_stamped_files(scans_folder),
-                         {},          folder / "global_pose.csv",
-                         kMostGap_s,  0.5 * kRevolution_s};
+    read::StampedLog log{.unit_s = kNanosecond,
+                         .scans = read::list_stamped_files(scans_folder),
+                         .world_from_vehicle = {},
+                         .poses_file = folder / "global_pose.csv",
+                         .most_gap_s = kMostGap_s,
+                         .reach_s = 0.5 * kRevolution_s};  // the stamp is the middle of a sweep
     read::check_pose_source(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
@@ -191,6 +198,7 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
     const std::vector<fs::path> files = read::add_frames(sequence, log, options);
     read::read_frame_scans(sequence, files, make_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
+        // Corrects the rays with all 100 poses per second, not only those at the frames.
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
         // `track` has a pose at every requested time, because scans without a pose were
         // skipped.

@@ -11,7 +11,6 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -36,14 +35,16 @@ struct OncePose {
     std::array<double, 7> numbers;
 };
 
+/// Content of the JSON file of a log.
 struct OnceFile {
-    std::vector<read::StampedScanFile> scans;
+    std::vector<read::StampedScanFile> scans;  ///< scans that exist
     std::vector<OncePose> poses;
     std::size_t n_missing = 0;  ///< frames without a file
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
-/// Does not know whether w is the first or the last number. make_lidar_track() decides.
+/// Reads the quaternion and the position of a frame. make_lidar_track() decides whether w
+/// is the first or the last number of the quaternion.
 OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
     const OncePose pose{stamp_ms, pose_field.numbers<7>()};
     const auto& n = pose.numbers;
@@ -54,13 +55,16 @@ OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
     return pose;
 }
 
-/// Lists the scans that exist. Only labelled frames have boxes, which are just counted.
+/// Reads the JSON file of a log: times, poses and box labels of its frames. Boxes have no
+/// track ids and cannot be used, so they are only counted for a note.
+/// @param needs_poses  if true, each frame must have a pose
 OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
     const std::string where = json_file.string();
     const nlohmann::json json = parse_json(read_text_file(json_file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
     OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
+        // The id of a frame is its time, and the name of its scan file.
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
         const std::string name = id.short_text(20);
         const auto stamp = read::parse_stamp(name);
@@ -101,11 +105,12 @@ PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::Sta
 PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& log, Notes& notes) {
     const PoseTrack w_last = make_dataset_track(dataset_content.poses, log, false),
                     w_first = make_dataset_track(dataset_content.poses, log, true);
-    const double last = -read::driving_direction(w_last).mean.y,
-                 first = -read::driving_direction(w_first).mean.y;
-    const bool is_w_first = first > last;
-    const double best = std::max(first, last);
-    if (best != 0.0) read::note_driving(notes, best);
+    // y points back in ONCE, so -y is the share of forward motion, at most 1.
+    const double forward_if_last = -read::driving_direction(w_last).mean.y,
+                 forward_if_first = -read::driving_direction(w_first).mean.y;
+    const bool is_w_first = forward_if_first > forward_if_last;
+    const double best = std::max(forward_if_first, forward_if_last);
+    if (best != 0.0) read::note_driving(notes, best);  // 0: the vehicle stands still
     if (is_w_first)
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because only then "
@@ -115,6 +120,8 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
 
 }  // namespace
 
+/// Loads a ONCE sequence: poses and scans. ONCE's LiDAR frame has x left and y back, so
+/// points and poses are rotated by 90 degrees.
 Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
@@ -137,7 +144,8 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
              content.n_missing);
     if (content.n_missing > 0)
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
-    read::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
+    read::StampedLog log{
+        .unit_s = kMillisecond, .scans = content.scans, .world_from_vehicle = {}, .poses_file = json};
     if (options.poses_file.empty()) log.world_from_vehicle = make_lidar_track(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
