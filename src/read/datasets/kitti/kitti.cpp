@@ -22,7 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-/// Line i contains the time of frame i.
+/// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
 std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
     std::vector<double> time_s;
     for (const auto& [text, where] : read_frame_lines(file, numbers)) {
@@ -33,18 +33,19 @@ std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& n
     return time_s;
 }
 
-/// Returns poses.txt in the folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
-/// Sequences 11 to 21 have no published poses.
+/// Returns the file with the camera poses of an odometry sequence: poses.txt in its
+/// folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
+/// @throws DataError without both; sequences 11 to 21 have no published poses
 fs::path find_pose_file(const fs::path& sequence_folder) {
-    const fs::path here = sequence_folder / "poses.txt",
-                   beside = sequence_folder.parent_path().parent_path() / "poses" /
-                            (sequence_folder.filename().string() + ".txt");
-    if (does_path_exist(here)) return here;
-    if (does_path_exist(beside)) return beside;
+    const fs::path semantic_kitti = sequence_folder / "poses.txt",
+                   kitti = sequence_folder.parent_path().parent_path() / "poses" /
+                           (sequence_folder.filename().string() + ".txt");
+    if (does_path_exist(semantic_kitti)) return semantic_kitti;
+    if (does_path_exist(kitti)) return kitti;
     fail(
         "neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE for poses of the "
         "LiDAR, or dataset.poses=none to estimate the poses from the scans",
-        here.string(), beside.string());
+        semantic_kitti.string(), kitti.string());
 }
 
 std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers) {
@@ -55,8 +56,13 @@ std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std
     return poses;
 }
 
+// Digits of the scan numbers in file names.
+constexpr int kRawDigits = 10, kOdometryDigits = 6;
+
 }  // namespace
 
+/// Loads a drive of KITTI raw: times, poses from GPS/IMU (OXTS), boxes and scans, which
+/// are not motion-compensated.
 Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     require_folder(folder, "a KITTI raw drive (velodyne_points/)");
     const fs::path drive = fs::canonical(folder), points = drive / "velodyne_points";
@@ -84,10 +90,12 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     centre_log(sequence);
     if (options.poses_file.empty()) sequence.georeference = read_oxts_place(drive);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
-    read_hdl64_sweeps(sequence, points / "data", 10, options);
+    read_hdl64_sweeps(sequence, points / "data", kRawDigits, options);
     return sequence;
 }
 
+/// Loads a sequence of KITTI odometry: times, poses of the camera, and scans, which are
+/// motion-compensated. Labels of points exist if it is from SemanticKITTI.
 Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(log_folder);
@@ -106,7 +114,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     replace_poses(sequence, options.poses_file);
     centre_log(sequence);
-    read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
+    read_hdl64_sweeps(sequence, folder / "velodyne", kOdometryDigits, options, folder / "labels");
     return sequence;
 }
 

@@ -91,7 +91,7 @@ glm::dmat4 read_transform(const pugi::xml_node& object, const std::string& where
         if (!(std::abs(value) <= kMaxValue))
             fail("{}: number {} of the matrix transform is {}, expected a number from {:.0e} to {:.0e}",
                  where, i + 1, value, -kMaxValue, kMaxValue);
-        m[i % 4][i / 4] = value;
+        m[i % 4][i / 4] = value;  // the file has rows, a glm matrix has columns
     }
     return m;
 }
@@ -119,19 +119,25 @@ std::string make_track_id(const pugi::xml_node& object, const MovableClass& mova
 
 using LabelsByFrame = std::map<int, BoxLabel>;
 
+/// Adds the labels of one object element to the tracks. An element is a moving object in
+/// one frame (timestamp), or a standing object in a range of frames (timestamp -1). Skips
+/// classes that cannot move.
+/// @param frames  loaded frames, sorted by number; only they get labels
+/// @param where  file and name of the element, for error messages
 void add_object_labels(const pugi::xml_node& object, const std::vector<Frame>& frames,
                        std::map<std::string, LabelsByFrame>& labels_by_track_id, const std::string& where) {
     const MovableClass* movable_class = find_movable(object, where);
     if (!movable_class || object.child("transform").empty()) return;
-    // A standing object has the timestamp -1 and a range of frames.
-    const int at = read_int(object, "timestamp", -1, where);
-    const int first = at < 0 ? read_int(object, "start_frame", {}, where) : at;
-    const int last = at < 0 ? read_int(object, "end_frame", {}, where) : at;
-    BoxLabel label{make_track_id(object, *movable_class, at >= 0, where), movable_class->name, {}, 0.0, {}};
+    const int timestamp = read_int(object, "timestamp", -1, where);
+    const bool is_moving = timestamp >= 0;
+    const int first = is_moving ? timestamp : read_int(object, "start_frame", {}, where);
+    const int last = is_moving ? timestamp : read_int(object, "end_frame", {}, where);
+    BoxLabel label;
+    label.id = make_track_id(object, *movable_class, is_moving, where);
+    label.category = movable_class->name;
     set_box(label, read_transform(object, where), where);
-    auto frame = std::lower_bound(frames.begin(), frames.end(), first,
-                                  [](const Frame& f, int number) { return f.index < number; });
-    for (; frame != frames.end() && frame->index <= last; ++frame) {
+    for (auto frame = std::ranges::lower_bound(frames, first, {}, &Frame::index);
+         frame != frames.end() && frame->index <= last; ++frame) {
         LabelsByFrame& track = labels_by_track_id[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
             fail(
@@ -190,7 +196,9 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     return names;
 }
 
-/// Selects the drive of dataset.sequence, which may also name a part of the benchmark.
+/// Selects the drive that the setting dataset.sequence names, or the first drive. The
+/// setting may also name a part of the benchmark of the LiDAR-RT paper (ks1, kd1, ...),
+/// which is a range of frames of a drive.
 DriveRequest choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
     const DriveFrames part = find_drive(options, kKitti360Benchmark);
@@ -228,65 +236,72 @@ std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::
 std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
     constexpr double kMaxStandingMotion_m = 0.2;
-    const auto after = poses_by_frame.lower_bound(frame_number);
-    if (after == poses_by_frame.end()) return std::nullopt;
-    if (after->first == frame_number) return after->second;
-    if (after == poses_by_frame.begin()) return std::nullopt;
-    const auto before = std::prev(after);
-    const int apart = after->first - before->first;
-    if (apart > kMaxFrameGap &&
-        glm::distance(before->second.translation, after->second.translation) > kMaxStandingMotion_m)
-        return std::nullopt;
-    return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
+    const auto next = poses_by_frame.lower_bound(frame_number);
+    if (next == poses_by_frame.end()) return std::nullopt;
+    if (next->first == frame_number) return next->second;
+    if (next == poses_by_frame.begin()) return std::nullopt;
+    const auto& [before, pose_before] = *std::prev(next);
+    const auto& [after, pose_after] = *next;
+    const bool is_standing =
+        glm::distance(pose_before.translation, pose_after.translation) <= kMaxStandingMotion_m;
+    if (after - before > kMaxFrameGap && !is_standing) return std::nullopt;
+    return interpolate(pose_before, pose_after, double(frame_number - before) / (after - before));
 }
 
 /// Adds all frames with a pose to the log. Adds notes for the user about interpolated and
 /// missing poses.
 void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std::vector<double>& times_s,
                       const std::map<int, Pose>& poses_by_frame) {
-    std::vector<int> between, without;
+    std::vector<int> interpolated, without_pose;
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const std::optional<Pose> pose = pose_of_frame(poses_by_frame, numbers[i]);
-        if (!pose) without.push_back(numbers[i]);
-        else if (!poses_by_frame.contains(numbers[i])) between.push_back(numbers[i]);
         if (pose) add_frame(sequence, numbers[i], times_s[i], *pose);
+        if (!pose) without_pose.push_back(numbers[i]);
+        else if (!poses_by_frame.contains(numbers[i])) interpolated.push_back(numbers[i]);
     }
     if (sequence.frames.empty())
         fail("{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
              numbers.front(), numbers.back(), poses_by_frame.begin()->first, poses_by_frame.rbegin()->first);
-    if (!between.empty())
+    if (!interpolated.empty())
         sequence.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
-            list_text(between)));
-    if (!without.empty())
+            list_text(interpolated)));
+    if (!without_pose.empty())
         sequence.notes.push_back(
-            fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
+            fmt::format("frames that are skipped, because they have no pose: {}", list_text(without_pose)));
+}
+
+/// Returns the file with the boxes of a drive, or an empty path if the dataset has none.
+/// Prefers the folder train_full to the smaller folder train.
+fs::path find_box_file(const fs::path& dataset_folder, const std::string& drive_name) {
+    for (const char* set : {"train_full", "train"}) {
+        const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive_name + ".xml");
+        if (does_path_exist(file)) return file;
+    }
+    return {};
 }
 
 /// Adds the frames, poses and boxes of a drive. Boxes are in the world of the dataset, so
-/// they are omitted if only the user has poses.
+/// they are omitted if the user gives poses and the dataset has none.
 void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveRequest& drive,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(
         dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", numbers, sequence);
-    if (user_pose_file.empty() || does_path_exist(dataset_folder / "data_poses" / drive.name)) {
-        add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.name));
-        fs::path labels;  // prefers the folder train_full to the smaller folder train
-        for (const char* set : {"train_full", "train"}) {
-            const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive.name + ".xml");
-            if (labels.empty() && does_path_exist(file)) labels = file;
-        }
-        if (labels.empty())
-            sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
-        else sequence.boxes = read_360_boxes(labels, sequence.frames);
-    } else {
+    const bool has_poses = does_path_exist(dataset_folder / "data_poses" / drive.name);
+    if (!user_pose_file.empty() && !has_poses) {
         for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], {});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
+        return;
     }
+    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.name));
+    const fs::path box_file = find_box_file(dataset_folder, drive.name);
+    if (box_file.empty()) sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
+    else sequence.boxes = read_360_boxes(box_file, sequence.frames);
 }
 
 }  // namespace
 
+/// Loads a drive of KITTI-360: times, poses, boxes and scans.
 Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
