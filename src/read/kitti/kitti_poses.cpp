@@ -7,13 +7,10 @@
 #include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
 
-#include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 #include "base/files.hpp"
@@ -22,6 +19,7 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
+/// Parses a line of `count` finite numbers.
 std::vector<double> parse_finite(const std::string& line, std::size_t count, const std::string& place) {
     const auto numbers = parse_numbers(line);
     if (!numbers) fail("{}: found a word that is not a number, expected {} numbers", place, count);
@@ -40,10 +38,13 @@ fs::path oxts_path(const fs::path& drive, int frame_number) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the 30 numbers of a GPS/IMU file. The first are latitude, longitude and height.
+/// Reads the 30 numbers of a GPS/IMU file (OXTS). The first are latitude, longitude (both
+/// in degrees), height in metres, and roll, pitch and yaw in radians.
 std::vector<double> read_oxts(const fs::path& oxts_file) {
+    constexpr std::size_t kOxtsNumbers = 30;
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
-    const std::vector<double> v = parse_finite(lines.empty() ? "" : lines[0], 30, oxts_file.string());
+    const std::vector<double> v =
+        parse_finite(lines.empty() ? "" : lines[0], kOxtsNumbers, oxts_file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
         fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
              v[0], v[1]);
@@ -57,11 +58,12 @@ constexpr double kEarthRadius_m = 6378137.0;
 /// @param mercator_scale  set from the latitude of the first file that is read
 Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<double> v = read_oxts(oxts_file);
-    const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
+    const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0, height_m = v[2];
+    const double roll = v[3], pitch = v[4], yaw = v[5];
     if (!mercator_scale) mercator_scale = std::cos(lat);
-    return {make_rotation(v[5], v[4], v[3]),
+    return {make_rotation(yaw, pitch, roll),
             {*mercator_scale * kEarthRadius_m * lon,
-             *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
+             *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), height_m}};
 }
 
 /// Returns the first frame with a GPS/IMU file (OXTS). It defines the origin and scale of
@@ -79,18 +81,17 @@ int find_first_oxts(const fs::path& drive) {
         folder.string());
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive. Searches the folder of the
-/// drive, two folders above it, and their calibration folders.
+/// Returns the path of calib_imu_to_velo.txt for a drive. Users unpack KITTI's
+/// calibration archive in different places. Searches the drive, the two folders above it,
+/// and usual folders of calibration files in them.
 fs::path find_imu_file(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
-    // date in a name such as 2011_09_26_drive_0005_sync
-    const std::string date = drive.filename().string().substr(0, 10);
-    for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
-        for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
-                                      fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
-            if (does_path_exist(base / inner / name)) return base / inner / name;
-        }
-    }
+    // the first ten characters of a name such as 2011_09_26_drive_0005_sync
+    const std::string date = drive.filename().string().substr(0, 10), archive = date + "_calib";
+    const fs::path subfolders[] = {"", "calib", "calibration", date, archive, fs::path(archive) / date};
+    for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()})
+        for (const fs::path& subfolder : subfolders)
+            if (does_path_exist(base / subfolder / name)) return base / subfolder / name;
     fail(
         "{}: no such file, and it was not found in the folder of the drive or in a folder calib, calibration "
         "or {}_calib either; copy KITTI's calibration file of that day to this path, or use "
@@ -103,9 +104,8 @@ fs::path find_imu_file(const fs::path& drive) {
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
     for (const std::string& line : split_lines(read_text_file(file))) {
-        const std::string where = file.string();
-        if (line.rfind("R:", 0) == 0) r = parse_finite(line.substr(2), 9, where + " key R");
-        if (line.rfind("T:", 0) == 0) t = parse_finite(line.substr(2), 3, where + " key T");
+        if (line.starts_with("R:")) r = parse_finite(line.substr(2), 9, file.string() + " key R");
+        if (line.starts_with("T:")) t = parse_finite(line.substr(2), 3, file.string() + " key T");
     }
     if (r.empty() || t.empty())
         fail(
@@ -119,13 +119,13 @@ Pose read_calibration(const fs::path& file) {
 
 Pose read_transform(const fs::path& file, const std::string& key) {
     for (const std::string& line : split_lines(read_text_file(file)))
-        if (line.rfind(key + ":", 0) == 0)
+        if (line.starts_with(key + ":"))
             return parse_pose(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
     fail("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key);
 }
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
-    // read_imu_pose() sets the scale of all poses from the first file of the drive.
+    // The first file of the drive sets the Mercator scale of all poses.
     std::optional<double> scale;
     const glm::dvec3 origin = read_imu_pose(oxts_path(drive, find_first_oxts(drive)), scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));
@@ -143,6 +143,7 @@ Georeference read_oxts_place(const fs::path& drive) {
     const std::vector<double> v = read_oxts(file);
     std::optional<double> scale;
     const glm::dvec3 origin_m = read_imu_pose(file, scale).translation;
+    // Mercator projection, scaled at this latitude and shifted to the world's origin.
     return {{v[0], v[1], v[2]},
             {},
             fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m, v[0], -origin_m.x,
@@ -151,15 +152,15 @@ Georeference read_oxts_place(const fs::path& drive) {
 
 std::vector<FrameLine> read_frame_lines(const fs::path& file, const std::vector<int>& frame_numbers) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
-    std::vector<FrameLine> of_frames;
+    std::vector<FrameLine> frame_lines;
     for (const int frame : frame_numbers) {
-        const std::size_t line = std::size_t(frame);
-        if (line >= lines.size())
+        const std::size_t index = std::size_t(frame);
+        if (index >= lines.size())
             fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
-                 line + 1);
-        of_frames.push_back({lines[line], fmt::format("{} line {}", file.string(), line + 1)});
+                 index + 1);
+        frame_lines.push_back({lines[index], fmt::format("{} line {}", file.string(), index + 1)});
     }
-    return of_frames;
+    return frame_lines;
 }
 
 std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
@@ -171,22 +172,20 @@ std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int
 
 void replace_poses(Log& sequence, const fs::path& pose_file, const read::ScanPairReader& read_scan_pairs) {
     if (pose_file.empty()) return;
-    PoseTrack user_track{sequence.world_from_vehicle.time_s,
-                         std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
+    const std::vector<double>& times_s = sequence.world_from_vehicle.time_s;
     if (pose_file == kNoPoses) {
         sequence.notes.push_back(kNoPosesNote);
-    } else {
-        // LiDARs share the pose of a sweep, as in add_frame().
-        std::vector<read::LogFrame> heads;
-        for (const Frame& frame : sequence.frames)
-            if (heads.empty() || heads.back().time_s != frame.time_s)
-                heads.push_back({frame.index, frame.time_s, frame.lidar, {}});
-        auto poses = read::load_poses(pose_file, heads, read_scan_pairs, sequence.notes);
-        if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
-        user_track.pose = std::move(*poses);
-        user_track = shift_track(std::move(user_track), -sequence.world_offset_m);
+        set_trajectory(sequence, {times_s, std::vector<Pose>(times_s.size())});
+        return;
     }
-    set_trajectory(sequence, std::move(user_track));
+    // LiDARs that sweep simultaneously share a pose, as in add_frame().
+    std::vector<read::LogFrame> sweeps;
+    for (const Frame& frame : sequence.frames)
+        if (sweeps.empty() || sweeps.back().time_s != frame.time_s)
+            sweeps.push_back({frame.index, frame.time_s, frame.lidar, {}});
+    const auto poses = read::load_poses(pose_file, sweeps, read_scan_pairs, sequence.notes);
+    if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
+    set_trajectory(sequence, shift_track({times_s, *poses}, -sequence.world_offset_m));
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {
@@ -194,13 +193,13 @@ std::map<int, Pose> read_numbered_poses(const fs::path& file) {
     std::map<int, Pose> by_frame;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         const std::string where = fmt::format("{} line {}", file.string(), l + 1);
-        const std::string_view line = trim(lines[l]);
-        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        const std::optional<int> frame = parse_stem(std::string(line.substr(0, end)));
+        const std::string line(trim(lines[l]));
+        const std::string number = line.substr(0, line.find_first_of(" \t")),
+                          matrix = line.substr(number.size());
+        const std::optional<int> frame = parse_stem(number);
         if (!frame || (!by_frame.empty() && *frame <= by_frame.rbegin()->first))
-            fail("{}: found the frame '{}', expected increasing frame numbers", where,
-                 quote(line.substr(0, end)));
-        by_frame.emplace(*frame, parse_pose(std::string(line.substr(end)), where));
+            fail("{}: found the frame '{}', expected increasing frame numbers", where, quote(number));
+        by_frame.emplace(*frame, parse_pose(matrix, where));
     }
     if (by_frame.empty())
         fail("{}: the file is empty, expected a frame number and 12 numbers per line", file.string());

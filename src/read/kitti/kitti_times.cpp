@@ -14,7 +14,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/log_time.hpp>
 #include "base/files.hpp"
 #include "base/median.hpp"
@@ -23,17 +22,18 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn". 64 bits reach up to the year 2261.
+/// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn" to nanoseconds since 1970. 64 bits reach up to
+/// the year 2261.
 std::int64_t parse_time_ns(const std::string& line, const std::string& where) {
-    int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
-    const int n =
-        std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
-    const auto second =
-        n == 5 && used > 0 ? parse_number(trim(line.substr(std::size_t(used)))) : std::nullopt;
-    const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
-                      month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
-                      minute >= 0 && minute < 60;
-    if (!sane)
+    int year = 0, month = 0, day = 0, hour = 0, minute = 0;
+    int n_read = 0;  // characters before the seconds; sscanf() sets it if all five numbers match
+    std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &n_read);
+    std::optional<double> second;
+    if (n_read > 0) second = parse_number(trim(line.substr(std::size_t(n_read))));
+    const bool is_date = year >= 1970 && year < 2200 && month >= 1 && month <= 12 && day >= 1 && day <= 31;
+    const bool is_time = hour >= 0 && hour < 24 && minute >= 0 && minute < 60 && second && *second >= 0.0 &&
+                         *second < 61.0;  // 60: a leap second
+    if (!is_date || !is_time)
         fail("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the years 1970 and 2199", where,
              quote(line));
     const std::chrono::sys_days date(std::chrono::year(year) / month / day);
@@ -49,13 +49,13 @@ std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
              file.string());
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
-    bool any = false;
+    bool has_time = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim(lines[l]).empty()) continue;
         time_ns[l] = parse_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
-        any = true;
+        has_time = true;
     }
-    if (!any) fail("{}: the file is empty, expected one time per frame", file.string());
+    if (!has_time) fail("{}: the file is empty, expected one time per frame", file.string());
     return time_ns;
 }
 
@@ -64,8 +64,8 @@ std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
 std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers, Log& log) {
     const std::vector<std::optional<std::int64_t>> time_ns = read_stamps_ns(time_file);
     // read_stamps_ns() returns at least one time.
-    const std::int64_t first_ns =
-        **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
+    const auto first = std::ranges::find_if(time_ns, [](const auto& time) { return time.has_value(); });
+    const std::int64_t first_ns = first->value();
     set_log_start(log, first_ns,
                   "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
@@ -103,19 +103,19 @@ double read_sweep_s(const fs::path& drive) {
     const fs::path file = drive / "velodyne_points/timestamps_end.txt";
     const auto start = read_stamps_ns(drive / "velodyne_points/timestamps_start.txt"),
                end = read_stamps_ns(file);
-    std::vector<double> lasts_s;
+    std::vector<double> durations_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i)
-        if (start[i] && end[i]) lasts_s.push_back(double(*end[i] - *start[i]) * 1e-9);
-    return find_period_s(std::move(lasts_s), file,
+        if (start[i] && end[i]) durations_s.push_back(double(*end[i] - *start[i]) * 1e-9);
+    return find_period_s(std::move(durations_s), file,
                          "sweep with a time both in this file and in timestamps_start.txt");
 }
 
 double read_time_step_s(const fs::path& time_file) {
     const auto time_ns = read_stamps_ns(time_file);
-    std::vector<double> lasts_s;
+    std::vector<double> durations_s;
     for (std::size_t i = 1; i < time_ns.size(); ++i)
-        if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
-    return find_period_s(std::move(lasts_s), time_file, "two consecutive lines with times");
+        if (time_ns[i - 1] && time_ns[i]) durations_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
+    return find_period_s(std::move(durations_s), time_file, "two consecutive lines with times");
 }
 
 }  // namespace relidar::kitti

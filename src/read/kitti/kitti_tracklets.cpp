@@ -30,6 +30,7 @@ double read_tracklet_number(const pugi::xml_node& node, const char* name, const 
     return *value;
 }
 
+/// Reads a pose of a box. The file has the centre of its bottom, the result its centre.
 Pose read_box_pose(const pugi::xml_node& pose_item, double box_height_m, const std::string& where) {
     const auto get = [&](const char* field) { return read_tracklet_number(pose_item, field, where); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
@@ -37,8 +38,9 @@ Pose read_box_pose(const pugi::xml_node& pose_item, double box_height_m, const s
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * box_height_m)};
 }
 
-/// Reads the track of one object. Its poses belong to consecutive frames, beginning
-/// with first_frame. Skips frames that are not in `numbers` (sorted).
+/// Reads the track of one object (tracklet), without its id. The file has sensor-frame
+/// poses for consecutive frames from first_frame on. Skips frames that are not loaded.
+/// @param numbers  [poses of world_from_sensor] numbers of the loaded frames, sorted
 BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<int>& numbers,
                        const PoseTrack& world_from_sensor, const std::string& where) {
     BoxTrack track;
@@ -46,15 +48,15 @@ BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<in
     track.size_m = {read_tracklet_number(tracklet_item, "l", where),
                     read_tracklet_number(tracklet_item, "w", where),
                     read_tracklet_number(tracklet_item, "h", where)};
-    int frame = int(read_tracklet_number(tracklet_item, "first_frame", where));
+    int next_frame = int(read_tracklet_number(tracklet_item, "first_frame", where));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
-        const auto matching_frame = std::lower_bound(numbers.begin(), numbers.end(), frame);
-        const Pose in_sensor = read_box_pose(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
-        ++frame;
-        if (matching_frame == numbers.end() || *matching_frame != frame - 1) continue;
-        const std::size_t at = std::size_t(matching_frame - numbers.begin());
-        // world from box = world from sensor * sensor from box
-        track.world_from_box.append(world_from_sensor.time_s[at], world_from_sensor.pose[at] * in_sensor);
+        const int frame = next_frame++;
+        const Pose sensor_from_box =
+            read_box_pose(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
+        const auto entry = std::ranges::lower_bound(numbers, frame);
+        if (entry == numbers.end() || *entry != frame) continue;
+        const std::size_t i = std::size_t(entry - numbers.begin());
+        track.world_from_box.append(world_from_sensor.time_s[i], world_from_sensor.pose[i] * sensor_from_box);
     }
     return track;
 }

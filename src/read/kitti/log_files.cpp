@@ -20,8 +20,10 @@ namespace {
 // A larger range means that the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
-/// The lower 16 bits of a label are the class, the upper bits the instance.
+/// Reads the class of each point from a file of SemanticKITTI. It has 32 bits per point:
+/// the lower 16 bits are the class, the upper bits the instance.
 std::vector<SurfaceClass> read_classes(const fs::path& label_file, std::size_t n_points) {
+    constexpr std::uint32_t kClassBits = 0xFFFF;
     const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)
         fail("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
@@ -30,7 +32,7 @@ std::vector<SurfaceClass> read_classes(const fs::path& label_file, std::size_t n
     for (std::size_t i = 0; i < n_points; ++i) {
         std::uint32_t label;
         std::memcpy(&label, bytes.data() + 4 * i, sizeof label);
-        classes.push_back(from_semantic_kitti(int(label & 0xFFFFu)));
+        classes.push_back(from_semantic_kitti(int(label & kClassBits)));
     }
     return classes;
 }
@@ -44,76 +46,70 @@ std::string describe_mistake(const fs::path& folder, const std::string& expected
         return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
                "file calib.txt, or the KITTI raw drive from which the sequence was made";
     // A folder above this one may be the dataset.
-    for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
-         up = up.parent_path()) {
-        if (fs::exists(up / expected_subfolder, failed))
+    for (fs::path above = fs::canonical(folder, failed).parent_path(); !failed && above.has_relative_path();
+         above = above.parent_path())
+        if (fs::exists(above / expected_subfolder, failed))
             return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
-                               up.string());
-    }
-    // Subfolders may be datasets. The message suggests the first of them by name.
-    std::string first;
-    std::size_t n = 0;
-    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
-         entry.increment(failed)) {
-        if (!fs::exists(entry->path() / expected_subfolder, failed)) continue;
-        const std::string name = entry->path().filename().string();
-        if (n++ == 0 || name < first) first = name;
-    }
-    return n == 0 ? ""
-                  : fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
-                                n, n == 1 ? "" : "s", (folder / first).string());
+                               above.string());
+    // Subfolders may be datasets.
+    std::vector<std::string> datasets;
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
+        if (fs::exists(entry->path() / expected_subfolder, failed))
+            datasets.push_back(entry->path().filename().string());
+    if (datasets.empty()) return "";
+    return fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
+                       datasets.size(), datasets.size() == 1 ? "" : "s",
+                       (folder / *std::ranges::min_element(datasets)).string());
 }
 
 void note_missing_scans(Log& log, const fs::path& folder, const std::vector<int>& numbers,
                         bool allow_missing) {
     constexpr std::size_t kMaxShownNumbers = 5;
-    // number of missing scans; `numbers` is sorted
-    const std::size_t n = std::size_t(numbers.back() - numbers.front() + 1) - numbers.size();
-    if (n == 0) return;
+    const int first = numbers.front(), last = numbers.back();  // `numbers` is sorted
+    const std::size_t n_missing = std::size_t(last - first + 1) - numbers.size();
+    if (n_missing == 0) return;
     std::vector<int> shown;
-    for (std::size_t i = 1; i < numbers.size(); ++i) {
-        for (int frame = numbers[i - 1] + 1; frame < numbers[i] && shown.size() < kMaxShownNumbers; ++frame)
-            shown.push_back(frame);
-    }
+    for (int number = first; number < last && shown.size() < kMaxShownNumbers; ++number)
+        if (!std::ranges::binary_search(numbers, number)) shown.push_back(number);
     const std::string gaps =
-        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, numbers.front(),
-                    numbers.back(), fmt::join(shown, ", "), n > kMaxShownNumbers ? ", ..." : "");
+        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n_missing, first, last,
+                    fmt::join(shown, ", "), n_missing > kMaxShownNumbers ? ", ..." : "");
     if (!allow_missing) fail("{}: {}, expected one file for each scan number", folder.string(), gaps);
     log.notes.push_back(gaps);
 }
 
 std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_number) {
     require_folder(folder, "KITTI raw scans with names like 0000000000.bin");
-    std::vector<int> all, frames;
-    bool text_scans = false;
+    std::vector<int> all, requested;
+    bool has_text_files = false;
     for (const fs::path& file : list_folder(folder)) {
         const auto number = parse_stem(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
-        text_scans = text_scans || file.extension() == ".txt";
+        if (file.extension() == ".txt") has_text_files = true;
     }
-    if (all.empty() && text_scans)
+    if (all.empty() && has_text_files)
         fail("{}: found text files of an unsynced drive (_extract), expected the synced drive (_sync)",
              folder.string());
     if (all.empty()) fail("{}: no scans were found, expected files like 0000000000.bin", folder.string());
     std::sort(all.begin(), all.end());
-    std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
-                 [&](int f) { return f >= begin_number && (end_number < 0 || f < end_number); });
-    if (frames.empty())
-        fail_empty_range({begin_number, end_number}, folder.string(), all.front(), all.back());
-    return frames;
+    const FrameRange range{begin_number, end_number};
+    std::ranges::copy_if(all, std::back_inserter(requested), [&](int n) { return range.contains(n); });
+    if (requested.empty()) fail_empty_range(range, folder.string(), all.front(), all.back());
+    return requested;
 }
 
 ScanPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
     const std::string bytes = read_file(file);
-    static_assert(sizeof(glm::vec4) == 16);
-    if (bytes.empty()) fail("{}: the file is empty, expected at least one point of 16 bytes", file.string());
-    if (bytes.size() % 16 != 0) {
-        fail("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and {} more bytes",
-             file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16);
-    }
+    constexpr std::size_t kPointBytes = sizeof(glm::vec4);  // x, y, z, reflectance
+    if (bytes.empty())
+        fail("{}: the file is empty, expected at least one point of {} bytes", file.string(), kPointBytes);
+    if (bytes.size() % kPointBytes != 0)
+        fail("{}: the file is truncated: it has {} bytes, which are {} points of {} bytes and {} more bytes",
+             file.string(), bytes.size(), bytes.size() / kPointBytes, kPointBytes,
+             bytes.size() % kPointBytes);
     ScanPoints scan;
     std::vector<glm::vec4>& points = scan.points;
-    points.resize(bytes.size() / 16);
+    points.resize(bytes.size() / kPointBytes);
     std::memcpy(points.data(), bytes.data(), bytes.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
