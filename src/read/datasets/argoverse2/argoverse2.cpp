@@ -145,9 +145,9 @@ std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Po
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-/// Returns the points of one LiDAR and their firings. A firing (all lasers at one azimuth)
-/// follows from the time and the laser of a point. Keeps firings without points, for
-/// example where the vehicle blocks all beams.
+/// Returns the points of one LiDAR and their firings. A firing (all lasers at one
+/// azimuth) follows from the time and the laser of a point. Keeps firings without points,
+/// for example where the vehicle blocks all beams.
 /// @param laser_group  lasers of this LiDAR; 0: numbers 0 to 31, 1: numbers 32 to 63
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
@@ -360,6 +360,8 @@ std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file,
 
 }  // namespace
 
+/// Loads an Argoverse 2 log: poses and boxes of the sweeps, both LiDARs, and their scans
+/// without the motion compensation of the dataset.
 Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);

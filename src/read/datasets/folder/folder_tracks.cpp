@@ -116,8 +116,7 @@ void require_row_times(const PoseRows& pose_rows, const std::string& name) {
             name);
 }
 
-/// Checks that a row is later than the row before it, and that its quaternion has length
-/// 1, if it has one.
+/// Checks that a row is later than the row before it, and that a quaternion has length 1.
 void check_pose_row(const std::vector<double>& row, const PoseRows& earlier, const std::string& where) {
     if (!earlier.rows.empty() && !(row[0] > earlier.rows.back()[0]))
         fail("{}: found the time {} s after {} s, expected increasing times", where, row[0],
@@ -304,8 +303,8 @@ double label_time_s(const JsonField& label, const std::vector<LogFrame>& all_fra
     return frame->time_s;
 }
 
-/// Reads the pose world_from_box of a label: the position of the box centre in metres, and
-/// the rotation as an angle about z or as a quaternion w x y z.
+/// Reads the pose world_from_box of a label: the position of the box centre in metres,
+/// and the rotation as an angle about z or as a quaternion w x y z.
 Pose read_label_pose(const JsonField& label) {
     const auto p = label.at("position").numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
@@ -335,16 +334,15 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all
     fail("{}: the file has no pose, expected lines of 12 or 8 numbers", file_name);
 }
 
-/// Reads poses with times, which need not be the times of the frames, and interpolates
-/// them at the frames.
+/// Reads poses with other times than the frames, and interpolates them at the frames.
 std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const std::string& file_name,
                                    const std::vector<LogFrame>& frames, const ScanPairReader& read_scan_pairs,
                                    Notes& notes) {
     const PoseRows rows = parse_pose_rows(lines, file_name);
     if (rows.rows.empty()) fail_without_poses(file_name);
     const std::vector<PoseReading> readings = list_conventions(rows);
-    // Only relidar writes the column name time_s. The meaning of the numbers is then
-    // certain.
+    // Only relidar writes the column name time_s. Its numbers have the documented
+    // meaning.
     const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
     const std::size_t chosen = is_certain ? 0 : choose_poses(readings, read_scan_pairs, file_name, notes);
     const PoseTrack& track = readings[chosen].world_from_vehicle;

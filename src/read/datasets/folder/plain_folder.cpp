@@ -132,7 +132,6 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
     const read::SequenceHeader head = read::read_header(folder, options.max_range_m);
-
     Log sequence;
     sequence.name = head.name;
     sequence.source = log_folder.string();
@@ -141,7 +140,6 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const read::HeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-
     const std::vector<LogFrame> frames = select_frames(head, options, sequence.notes);
     const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
@@ -155,7 +153,6 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);
     else centre_log(sequence);
-
     const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
                                   .motion_compensated = head.motion_compensated,
                                   .is_described = true};

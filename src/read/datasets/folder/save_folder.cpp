@@ -3,7 +3,6 @@
 #include <relidar/read/dataset.hpp>
 
 #include <algorithm>
-#include <cmath>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -35,8 +34,8 @@ Json make_json(const glm::dquat& quaternion) {
 /// part of sequence.json.
 std::string sensor_file_name(std::size_t lidar_index) { return fmt::format("sensor_{}.json", lidar_index); }
 
-/// Returns the entry of a LiDAR in sequence.json: its pose on the vehicle, and its beams or
-/// the name of the file with its scanning pattern.
+/// Returns the entry of a LiDAR in sequence.json: its pose on the vehicle, and its beams
+/// or the name of the file with its scanning pattern.
 Json make_json(const Lidar& lidar, std::size_t lidar_index) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {
@@ -53,9 +52,8 @@ std::string scan_file_name(const Log& sequence, const Frame& frame) {
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
-/// Returns the text of sequence.json, which describes the log: LiDARs, frames and
-/// conventions. Omits notes with an id, because loading the folder finds these faults
-/// again.
+/// Returns the text of sequence.json: LiDARs, frames and conventions of the log. Omits
+/// notes with an id, because loading the folder finds these faults again.
 std::string sequence_json(const Log& sequence) {
     Notes notes = sequence.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
@@ -96,7 +94,7 @@ std::string poses_text(const Log& sequence) {
     return text;
 }
 
-/// Returns the text of boxes.json: one entry for each box and time, in the world of the
+/// Returns the text of boxes.json: an entry per box and time, in the world of the
 /// dataset.
 std::string boxes_json(const Log& sequence) {
     Json json = {{"boxes", Json::array()}};
@@ -147,7 +145,6 @@ void save_folder(const Log& log, const fs::path& target_folder, const LogFolderO
     const fs::path normalized_target = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
     require_target(normalized_target, options.overwrite);
     const StagedFolder staged(normalized_target);
-
     fs::create_directory(staged.path() / "scans");
     progress_for(log.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
         const Frame& frame = log.frames[index];

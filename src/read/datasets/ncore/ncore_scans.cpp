@@ -46,8 +46,8 @@ std::vector<bool> read_valid(const Component& lidar, const std::string& frame, s
     return valid;
 }
 
-/// Returns the number of columns of a full turn, if the columns of the model are in nearly
-/// equal steps. A model can have fewer columns than a turn.
+/// Returns the number of columns of a full turn, if the columns of the model are in
+/// nearly equal steps. A model can have fewer columns than a turn.
 std::optional<int> count_columns(const SpinningModel& model) {
     const double sign = model.is_clockwise ? -1.0 : 1.0, first = model.azimuth_rad.front();
     const std::size_t n = model.azimuth_rad.size();
@@ -68,9 +68,9 @@ std::optional<int> count_columns(const SpinningModel& model) {
     return columns;
 }
 
-/// Limits the field of view of a sensor to the azimuths of the model, unless the model has
-/// a full turn. The offsets of the rows shift their image columns, so the field of view
-/// contains the columns of all rows.
+/// Limits the field of view of a sensor to the azimuths of the model, unless the model
+/// has a full turn. The offsets of the rows shift their image columns, so the field of
+/// view contains the columns of all rows.
 void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
     const double sign = model.is_clockwise ? -1.0 : 1.0, even_step = 2.0 * kPi / sensor.columns;
     const auto [low, high] = std::ranges::minmax_element(
@@ -340,8 +340,7 @@ void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
     std::vector<int>& ray_of_element = ray_of_element_[lidar];
     ray_of_element.assign(model.elevation_rad.size() * n_columns, -1);
     for (std::size_t ray = 0; ray < image.size(); ++ray) {
-        // Finds the column of the model from the azimuth of the ray without the offset of
-        // its beam.
+        // The column of the model follows from the azimuth without the beam's offset.
         const std::size_t beam = image.channel[ray];
         const glm::dvec3 d(image.direction[ray]);
         const double turned =
@@ -368,6 +367,7 @@ RayBundle NcoreScans::read_bundle(std::size_t frame) const {
     return ncore::read_rays(lidars_[scan.lidar], scan.frame, scan.time_us);
 }
 
+/// Returns all returns of a frame as points in the sensor frame.
 LidarPoints NcoreScans::read_points(std::size_t frame) const {
     const RayBundle bundle = read_bundle(frame);
     LidarPoints points;
@@ -435,8 +435,8 @@ void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lid
     }
 }
 
-/// Copies the returns of a stored ray to a ray of the image, which starts at the origin of
-/// its beam and ends at the first return. The other returns get the distances of their
+/// Copies the returns of a stored ray to a ray of the image, which starts at the origin
+/// of its beam and ends at the first return. The other returns get the distances of their
 /// points from this origin.
 void NcoreScans::place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
                                const BeamRays& beam) {

@@ -111,6 +111,7 @@ PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence)
 
 std::int64_t read_time_us(const JsonField& field) { return field.integer_in(0, kLatestTime_us); }
 
+/// Opens all stores of a sequence. Adds notes about components that are not read.
 NcoreSequence::NcoreSequence(const fs::path& path) {
     for (const fs::path& store : find_stores(path)) stores_.emplace_back(store);
     std::vector<std::string> unread;

@@ -51,9 +51,8 @@ std::int64_t read_time_us(const JsonField& field);
 /// Coordinate frames that are joined by fixed or moving poses.
 class PoseGraph {
 public:
-    /// Reads the edges of all pose components. An edge joins two coordinate frames by fixed
-    /// or moving poses. Ignores an edge, with a note, if other edges already join its
-    /// frames.
+    /// Reads the edges of all pose components. An edge joins two coordinate frames.
+    /// Ignores an edge, with a note, if other edges already join its frames.
     PoseGraph(const NcoreSequence& sequence, Notes& notes);
 
     struct Edge {

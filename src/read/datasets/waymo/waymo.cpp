@@ -395,8 +395,8 @@ Scan read_laser_scan(const Log& sequence, const Frame& frame, const SegmentFrame
 }
 
 /// Reads the scans of all frames in parallel. A broken scan is an error, or is skipped if
-/// the user allows it. The LiDARs of a sweep have consecutive frames in the log, and their
-/// images are in one record, which is parsed only once.
+/// the user allows it. The LiDARs of a sweep have consecutive frames in the log, and
+/// their images are in one record, which is parsed only once.
 void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     const std::vector<RayTable> model_rays = make_model_rays(sequence.lidars);
@@ -420,6 +420,8 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
 
 }  // namespace
 
+/// Loads a segment of Waymo Open: poses, LiDARs, boxes and scans. A frame number is the
+/// index of a record in the file.
 Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     const RequestedSegment segment = choose_segment(path, options);
     const TfRecordReader records(segment.file);

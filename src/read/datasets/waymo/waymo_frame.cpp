@@ -6,7 +6,6 @@
 #include "read/datasets/waymo/waymo_frame.hpp"
 
 #include <algorithm>
-#include <cmath>
 
 #include <fmt/format.h>
 #include <zlib.h>
@@ -37,8 +36,7 @@ constexpr std::uint32_t float_tag(std::uint32_t field_number) {
     return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
 }
 
-// The largest image, TOP with six channels, has 4 MB. A damaged stream must not use up
-// the memory.
+// The largest image has 4 MB. A damaged stream must not use up the memory.
 constexpr std::size_t kMaxInflatedBytes = std::size_t(32) << 20;
 
 std::string_view read_bytes(pbf_reader& reader) {

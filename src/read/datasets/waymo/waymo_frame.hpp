@@ -58,8 +58,7 @@ struct InflatedImage {
     }
 };
 enum class PixelType { real, integer };
-/// Decompresses and parses an image: a zlib stream with a protobuf matrix of rows x
-/// columns x channels.
+/// Decompresses and parses an image: a protobuf matrix in a zlib stream.
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
 InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
