@@ -10,6 +10,7 @@
 
 #include <fmt/format.h>
 
+#include "base/text_hash.hpp"
 #include "gpu/context.hpp"
 
 namespace relidar::gpu {
@@ -26,11 +27,9 @@ struct PipelineCacheHeader {
 PipelineCacheHeader make_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
-    // The hash (FNV-1a) detects damaged files. A damaged file could crash the driver,
-    // because drivers check only the header of their data.
-    header.hash = 0xcbf29ce484222325u;
-    for (const char byte : cache_data)
-        header.hash = (header.hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
+    // The hash detects damaged files. A damaged file could crash the driver, because
+    // drivers check only the header of their data.
+    header.hash = hash_text(cache_data);
     return header;
 }
 

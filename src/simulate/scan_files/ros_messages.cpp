@@ -5,6 +5,7 @@
 #include <cctype>
 #include <sstream>
 
+#include "base/text_hash.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 
 namespace relidar::scan_files {
@@ -219,10 +220,7 @@ std::uint8_t autoware_label(std::string category) {
 void add_uuid(codecs::CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
-    for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
-        for (const char c : name) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
-        append_raw(bytes, hash);
-    }
+    for (const std::uint64_t hash : hash_text_twice(name)) append_raw(bytes, hash);
     for (int i = 0; i < 16; ++i) {
         auto byte = static_cast<std::uint8_t>(bytes[std::size_t(i)]);
         if (i == kVersionByte) byte = 0x80 | (byte & 0x0f);

@@ -11,6 +11,7 @@
 
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
+#include "base/text_hash.hpp"
 #include "simulate/scan_files/layouts/layout.hpp"
 
 namespace relidar::layouts {
@@ -155,10 +156,7 @@ void write_rig_points(const fs::path& path, const LabelledFrame& frame,
 
 std::string make_token(const std::string& text, std::size_t n_digits) {
     std::string token;
-    for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
-        for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
-        token += fmt::format("{:016x}", hash);
-    }
+    for (const std::uint64_t hash : hash_text_twice(text)) token += fmt::format("{:016x}", hash);
     return token.substr(0, n_digits);
 }
 
