@@ -20,6 +20,17 @@ constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
 constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
+// Field numbers in Arrow's tables Int, FloatingPoint, Field, DictionaryEncoding, Schema,
+// Footer, Message, DictionaryBatch and RecordBatch.
+constexpr int kIntBits = 0, kIntIsSigned = 1, kFloatPrecision = 0;
+constexpr int kFieldName = 0, kFieldTypeCode = 2, kFieldType = 3, kFieldDictionary = 4;
+constexpr int kEncodingId = 0, kEncodingIndexType = 1;
+constexpr int kSchemaEndianness = 0, kSchemaFields = 1;
+constexpr int kFooterSchema = 1, kFooterDictionaries = 2, kFooterBatches = 3;
+constexpr int kMessageHeaderCode = 1, kMessageHeader = 2;
+constexpr int kDictionaryBatchId = 0, kDictionaryBatchData = 1;
+constexpr int kBatchLength = 0, kBatchNodes = 1, kBatchBuffers = 2, kBatchCompression = 3;
+
 [[noreturn]] void fail_arrow(const char* description) {
     fail("the Arrow metadata of the file are malformed: the {} is invalid; expected an Arrow IPC file",
          description);
@@ -122,40 +133,41 @@ private:
 };
 
 ArrowField::Type parse_int_type(const FlatbufferTable& type_table) {
-    const auto bits = type_table.read_scalar<std::int32_t>(0, 0);
+    const auto bits = type_table.read_scalar<std::int32_t>(kIntBits, 0);
     if (bits != 8 && bits != 16 && bits != 32 && bits != 64) fail_arrow("width of integers");
-    return {ArrowValueKind::integer, bits, type_table.read_scalar<std::uint8_t>(1, 0) != 0};
+    return {ArrowValueKind::integer, bits, type_table.read_scalar<std::uint8_t>(kIntIsSigned, 0) != 0};
 }
 
 ArrowField::Type parse_float_type(const FlatbufferTable& type_table) {
-    const auto precision = type_table.read_scalar<std::int16_t>(0, 0);
+    const auto precision = type_table.read_scalar<std::int16_t>(kFloatPrecision, 0);
     if (precision < 0 || precision > 2) fail_arrow("precision");
+    // 0, 1 and 2 are half, single and double precision: 16, 32 and 64 bits.
     return {ArrowValueKind::floating, 16 << precision, true};
 }
 
-/// Field numbers: Field {0 name, 2 type_type, 3 type, 4 dictionary}, DictionaryEncoding
-/// {0 id, 1 indexType}.
+/// Parses the description of a column: its name, the type of its values, and, if its rows
+/// are indices into a dictionary, the dictionary and the type of these indices.
 ArrowField parse_field(const FlatbufferTable& field_table) {
     ArrowField field;
-    field.name = field_table.read_name_field(0);
-    const auto type = field_table.read_scalar<std::uint8_t>(2, 0);
-    if (type == kTypeInt) field.type = parse_int_type(field_table.read_table(3, "type"));
-    else if (type == kTypeFloat) field.type = parse_float_type(field_table.read_table(3, "type"));
+    field.name = field_table.read_name_field(kFieldName);
+    const auto type = field_table.read_scalar<std::uint8_t>(kFieldTypeCode, 0);
+    if (type == kTypeInt) field.type = parse_int_type(field_table.read_table(kFieldType, "type"));
+    else if (type == kTypeFloat) field.type = parse_float_type(field_table.read_table(kFieldType, "type"));
     else if (type != kTypeUtf8)
         fail("column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 text",
              field.name, type);
-    if (const std::optional<FlatbufferTable> encoding = field_table.find_table(4)) {
-        const std::optional<FlatbufferTable> index = encoding->find_table(1);
-        field.dictionary = {
-            encoding->read_scalar<std::int64_t>(0, 0),
-            // Without an index type, the indices are signed 32-bit integers.
-            index ? parse_int_type(*index) : ArrowField::Type{ArrowValueKind::integer, 32, true}};
+    if (const std::optional<FlatbufferTable> encoding = field_table.find_table(kFieldDictionary)) {
+        // Without an index type, the indices are signed 32-bit integers.
+        ArrowField::Type index_type{.kind = ArrowValueKind::integer, .bits = 32, .is_signed = true};
+        if (const std::optional<FlatbufferTable> stored_type = encoding->find_table(kEncodingIndexType))
+            index_type = parse_int_type(*stored_type);
+        field.dictionary = {.id = encoding->read_scalar<std::int64_t>(kEncodingId, 0), .index = index_type};
     }
     return field;
 }
 
 ArrowCompression parse_codec(const FlatbufferTable& batch_table) {
-    const std::optional<FlatbufferTable> compression = batch_table.find_table(3);
+    const std::optional<FlatbufferTable> compression = batch_table.find_table(kBatchCompression);
     if (!compression) return ArrowCompression::none;
     const auto codec = compression->read_scalar<std::int8_t>(0, kCodecLz4);
     if (codec != kCodecLz4 && codec != kCodecZstd)
@@ -165,34 +177,39 @@ ArrowCompression parse_codec(const FlatbufferTable& batch_table) {
 
 }  // namespace
 
-/// Field numbers: Schema {0 endianness, 1 fields}, Footer {1 schema, 2 dictionaries, 3
-/// recordBatches}.
+/// Parses the footer of an Arrow file: the columns of the table, and the file positions
+/// of the batches with dictionaries and with rows.
 Footer parse_footer(std::string_view footer_bytes) {
     AlignedFlatbuffer copy(footer_bytes);
-    const FlatbufferTable footer = FlatbufferTable::root_table(copy), schema = footer.read_table(1, "schema");
-    if (schema.read_scalar<std::int16_t>(0, 0) != 0)
+    const FlatbufferTable footer = FlatbufferTable::root_table(copy);
+    const FlatbufferTable schema = footer.read_table(kFooterSchema, "schema");
+    if (schema.read_scalar<std::int16_t>(kSchemaEndianness, 0) != 0)
         throw DataError("the numbers are big-endian, expected little-endian");
     Footer parsed;
-    for (const FlatbufferTable& field : schema.read_tables(1)) parsed.fields.push_back(parse_field(field));
-    parsed.dictionaries = footer.read_structs<ArrowFileBlock>(2);
-    parsed.batches = footer.read_structs<ArrowFileBlock>(3);
+    for (const FlatbufferTable& field : schema.read_tables(kSchemaFields))
+        parsed.fields.push_back(parse_field(field));
+    parsed.dictionaries = footer.read_structs<ArrowFileBlock>(kFooterDictionaries);
+    parsed.batches = footer.read_structs<ArrowFileBlock>(kFooterBatches);
     return parsed;
 }
 
-/// Field numbers: Message {1 header_type, 2 header}, DictionaryBatch {0 id, 1 data},
-/// RecordBatch {0 length, 1 nodes, 2 buffers}.
+/// Parses the message before the data of a batch: its number of rows, and for each column
+/// the positions of its buffers in the data. The rows of a dictionary batch are the
+/// values of a dictionary; its message contains the message of a record batch.
 RecordBatch parse_batch(std::string_view message_bytes) {
     AlignedFlatbuffer copy(message_bytes);
     const FlatbufferTable message = FlatbufferTable::root_table(copy);
-    const auto type = message.read_scalar<std::uint8_t>(1, 0);
+    const auto type = message.read_scalar<std::uint8_t>(kMessageHeaderCode, 0);
     if (type != kHeaderDictionary && type != kHeaderRecords) fail_arrow("kind of message");
-    const FlatbufferTable header = message.read_table(2, "header");
+    FlatbufferTable records = message.read_table(kMessageHeader, "header");
     RecordBatch batch;
-    if (type == kHeaderDictionary) batch.dictionary = header.read_scalar<std::int64_t>(0, 0);
-    const FlatbufferTable records = type == kHeaderDictionary ? header.read_table(1, "dictionary") : header;
-    batch.length = records.read_scalar<std::int64_t>(0, 0);
-    batch.nodes = records.read_structs<ArrowFieldNode>(1);
-    batch.buffers = records.read_structs<ArrowBufferRange>(2);
+    if (type == kHeaderDictionary) {
+        batch.dictionary = records.read_scalar<std::int64_t>(kDictionaryBatchId, 0);
+        records = records.read_table(kDictionaryBatchData, "dictionary");
+    }
+    batch.length = records.read_scalar<std::int64_t>(kBatchLength, 0);
+    batch.nodes = records.read_structs<ArrowFieldNode>(kBatchNodes);
+    batch.buffers = records.read_structs<ArrowBufferRange>(kBatchBuffers);
     batch.codec = parse_codec(records);
     return batch;
 }

@@ -45,41 +45,45 @@ std::string_view find_footer(std::string_view bytes) {
         fail("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file", bytes.size());
     if (!bytes.ends_with(kArrowMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
-    const std::int64_t end = std::int64_t(bytes.size() - kTrailerBytes),
-                       n = number_at<std::int32_t>(bytes, bytes.size() - kTrailerBytes);
-    return checked_range(bytes, end - n, n, "a footer");
+    const std::size_t footer_end = bytes.size() - kTrailerBytes;
+    const std::int64_t footer_bytes = number_at<std::int32_t>(bytes, footer_end);
+    return checked_range(bytes, std::int64_t(footer_end) - footer_bytes, footer_bytes, "a footer");
 }
 
-/// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
-/// and the length of the flatbuffer that follows.
+/// Reads the record batch (some rows of all columns) at a position of the file: a message
+/// and a body with the buffers of the columns. The message begins with 0xFFFFFFFF and the
+/// length of the flatbuffer that follows.
 Batch read_batch(std::string_view bytes, const codecs::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefixBytes = 8;
     const std::string_view message = checked_range(bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefixBytes || number_at<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
              block.offset);
-    const auto n = number_at<std::int32_t>(message, 4);
-    return {codecs::parse_batch(checked_range(message, kPrefixBytes, n, "a message")),
-            checked_range(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
+    const auto flatbuffer_bytes = number_at<std::int32_t>(message, 4);
+    const std::int64_t body_offset = block.offset + block.metadata_bytes;
+    return {
+        .layout = codecs::parse_batch(checked_range(message, kPrefixBytes, flatbuffer_bytes, "a message")),
+        .body = checked_range(bytes, body_offset, block.body_bytes, "a record batch")};
 }
 
-/// Decompresses a buffer of a record batch. Throws an error if the result has fewer than
-/// n_expected_bytes bytes, or more than n_expected_bytes plus padding.
+/// Decompresses a buffer of a record batch. Its first 8 bytes are the uncompressed size;
+/// -1 means that this buffer is not compressed. Throws an error if the result has fewer
+/// than n_expected_bytes bytes, or more than n_expected_bytes plus padding.
 std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t n_expected_bytes) {
     const codecs::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
     std::string_view stored = checked_range(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
-    bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
-    std::int64_t n = std::int64_t(stored.size());
-    if (compressed) {
-        n = number_at<std::int64_t>(stored, 0);
-        stored.remove_prefix(8);
-        compressed = n != -1;
-        if (!compressed) n = std::int64_t(stored.size());
+    std::int64_t unpacked_bytes = -1;
+    if (batch.layout.codec != ArrowCompression::none && !stored.empty()) {
+        unpacked_bytes = number_at<std::int64_t>(stored, 0);
+        stored.remove_prefix(sizeof unpacked_bytes);
     }
-    if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kMaxPaddingBytes))
-        fail("found a buffer of {} bytes, expected {} bytes", n, n_expected_bytes);
-    if (!compressed) return std::string(stored.substr(0, n_expected_bytes));
-    std::string bytes(std::size_t(n), '\0');
+    const bool is_compressed = unpacked_bytes != -1;
+    if (!is_compressed) unpacked_bytes = std::int64_t(stored.size());
+    if (unpacked_bytes < std::int64_t(n_expected_bytes) ||
+        unpacked_bytes > std::int64_t(n_expected_bytes + kMaxPaddingBytes))
+        fail("found a buffer of {} bytes, expected {} bytes", unpacked_bytes, n_expected_bytes);
+    if (!is_compressed) return std::string(stored.substr(0, n_expected_bytes));
+    std::string bytes(std::size_t(unpacked_bytes), '\0');
     if (batch.layout.codec == ArrowCompression::lz4_frame) decompress_lz4(stored, bytes);
     else decompress_zstd(stored, bytes);
     return bytes;
@@ -111,22 +115,29 @@ void append_converted(std::vector<T>& values, const Batch& batch, const Feather:
         values.push_back(convert_stored_value(number_at<Stored>(bytes, i * sizeof(Stored))));
 }
 
-/// Appends the integers of a column to `values`. The integers may have any width.
-template <class T>
-void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                     const ArrowField::Type& type) {
+/// Appends the integers of a column that are stored as `Signed` or `Unsigned`.
+template <class Signed, class Unsigned, class T>
+void append_integers_as(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                        bool is_signed) {
     const auto convert = [](auto value) {
         if (!std::in_range<std::int64_t>(value)) fail("the integer {} has more than 63 bits", value);
         return T(value);
     };
-    const auto append = [&]<class Signed, class Unsigned>(Signed, Unsigned) {
-        if (type.is_signed) append_converted<Signed>(values, batch, column, convert);
-        else append_converted<Unsigned>(values, batch, column, convert);
-    };
-    if (type.bits == 8) append(std::int8_t(), std::uint8_t());
-    else if (type.bits == 16) append(std::int16_t(), std::uint16_t());
-    else if (type.bits == 32) append(std::int32_t(), std::uint32_t());
-    else append(std::int64_t(), std::uint64_t());
+    if (is_signed) append_converted<Signed>(values, batch, column, convert);
+    else append_converted<Unsigned>(values, batch, column, convert);
+}
+
+/// Appends the integers of a column to `values`.
+/// @param type  stored width and sign of the integers
+template <class T>
+void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                     const ArrowField::Type& type) {
+    if (type.bits == 8) append_integers_as<std::int8_t, std::uint8_t>(values, batch, column, type.is_signed);
+    else if (type.bits == 16)
+        append_integers_as<std::int16_t, std::uint16_t>(values, batch, column, type.is_signed);
+    else if (type.bits == 32)
+        append_integers_as<std::int32_t, std::uint32_t>(values, batch, column, type.is_signed);
+    else append_integers_as<std::int64_t, std::uint64_t>(values, batch, column, type.is_signed);
 }
 
 void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
@@ -158,6 +169,40 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
+/// Replaces each index into a dictionary by its text. Limits the repetition of long
+/// texts.
+std::vector<std::string> look_up_texts(const std::vector<std::string>& dictionary_texts,
+                                       const std::vector<std::int64_t>& indices, std::size_t max_bytes) {
+    std::vector<std::string> texts;
+    std::size_t n_bytes = 0;
+    for (const std::int64_t index : indices) {
+        if (index < 0 || std::uint64_t(index) >= dictionary_texts.size())
+            fail("a row refers to text {}, but the dictionary has only {} texts", index,
+                 dictionary_texts.size());
+        const std::string& text = dictionary_texts[std::size_t(index)];
+        n_bytes += text.size();
+        if (n_bytes > max_bytes)
+            fail("found too much text in a column, expected at most {} bytes", max_bytes);
+        texts.push_back(text);
+    }
+    return texts;
+}
+
+/// Reads the batches at the given positions of the file. Batches do not overlap, so their
+/// sizes must not add up to more than the file size.
+/// @param n_free_bytes  number of file bytes that no batch has used yet
+std::vector<Batch> read_batches(std::string_view file_bytes,
+                                const std::vector<codecs::ArrowFileBlock>& blocks,
+                                std::int64_t& n_free_bytes) {
+    std::vector<Batch> batches;
+    for (const codecs::ArrowFileBlock& block : blocks) {
+        batches.push_back(read_batch(file_bytes, block));
+        n_free_bytes -= block.metadata_bytes + block.body_bytes;
+        if (n_free_bytes < 0) fail("the record batches have more bytes than the file");
+    }
+    return batches;
+}
+
 /// Returns the number of rows of all batches. The limit prevents a damaged file from
 /// making the reader allocate too much memory.
 std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
@@ -174,31 +219,21 @@ std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowe
 
 }  // namespace
 
-Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), read_file(file)) {}
-
+/// Finds the columns and batches of a file. Columns are decompressed when they are read.
 Feather::Feather(std::string where, std::string bytes) : name_(std::move(where)), bytes_(std::move(bytes)) {
     try {
         codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
-        Column at;
+        // A batch lists the nodes and buffers of all columns in the order of the columns.
+        std::size_t node = 0, first_buffer = 0;
         for (ArrowField& field : footer.fields) {
             const std::size_t n_buffers = field.buffer_count();
-            columns_.push_back({std::move(field), at.node, at.buffer});
-            at.node += 1;
-            at.buffer += n_buffers;
+            columns_.push_back({.field = std::move(field), .node = node, .buffer = first_buffer});
+            ++node;
+            first_buffer += n_buffers;
         }
-        // Number of remaining file bytes. Blocks do not overlap, so their sizes must not
-        // add up to more than the file size.
-        std::int64_t left = std::int64_t(bytes_.size());
-        const auto read = [&](const std::vector<codecs::ArrowFileBlock>& blocks,
-                              std::vector<Batch>& batches) {
-            for (const codecs::ArrowFileBlock& block : blocks) {
-                batches.push_back(read_batch(bytes_, block));
-                left -= block.metadata_bytes + block.body_bytes;
-                if (left < 0) fail("the record batches have more bytes than the file");
-            }
-        };
-        read(footer.dictionaries, dictionaries_);
-        read(footer.batches, batches_);
+        std::int64_t n_free_bytes = std::int64_t(bytes_.size());
+        dictionaries_ = read_batches(bytes_, footer.dictionaries, n_free_bytes);
+        batches_ = read_batches(bytes_, footer.batches, n_free_bytes);
         total_rows(dictionaries_, kMostRows * bytes_.size());
         rows_ = total_rows(batches_, kMostRows * bytes_.size());
     } catch (const DataError& error) {
@@ -250,33 +285,25 @@ std::vector<std::int64_t> Feather::read_integers(const std::string& column_name)
     });
 }
 
+/// Reads a column of texts. Its rows are either texts, or indices into a dictionary of
+/// texts, which separate batches contain.
 std::vector<std::string> Feather::read_texts(const std::string& column_name) const {
     return with_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
-        const std::size_t most = kMostText * bytes_.size();
-        std::vector<std::string> values;
+        const std::size_t max_bytes = kMostText * bytes_.size();
+        std::vector<std::string> texts;
         if (!column.field.dictionary) {
-            for (const Batch& batch : batches_) append_texts(values, batch, column.node, column.buffer, most);
-            return values;
+            for (const Batch& batch : batches_)
+                append_texts(texts, batch, column.node, column.buffer, max_bytes);
+            return texts;
         }
-        // A separate batch has the words of the dictionary, and the rows have their
-        // indices.
-        std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)
             if (batch.layout.dictionary == column.field.dictionary->id)
-                append_texts(words, batch, 0, 0, most);
+                append_texts(texts, batch, 0, 0, max_bytes);
         std::vector<std::int64_t> indices;
         for (const Batch& batch : batches_)
             append_integers(indices, batch, column, column.field.dictionary->index);
-        std::size_t length = 0;
-        for (const std::int64_t index : indices) {
-            if (index < 0 || std::uint64_t(index) >= words.size())
-                fail("a row refers to text {}, but the dictionary has only {} texts", index, words.size());
-            length += words[std::size_t(index)].size();
-            if (length > most) fail("found too much text in a column, expected at most {} bytes", most);
-            values.push_back(words[std::size_t(index)]);
-        }
-        return values;
+        return look_up_texts(texts, indices, max_bytes);
     });
 }
 

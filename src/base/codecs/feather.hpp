@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "base/codecs/arrow_metadata.hpp"
+#include "base/files.hpp"
 
 namespace relidar {
 
@@ -14,7 +15,7 @@ namespace relidar {
 class Feather {
 public:
     /// @throws DataError with the file name if the file is missing, truncated or damaged
-    explicit Feather(const std::filesystem::path& file);
+    explicit Feather(const std::filesystem::path& file) : Feather(file.string(), read_file(file)) {}
     Feather(std::string where, std::string bytes);
     Feather(const Feather&) = delete;  // Not copyable, because batches refer to the bytes.
     Feather& operator=(const Feather&) = delete;
@@ -46,6 +47,7 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find_column(const std::string& column_name) const;
+    /// Calls task(column). Adds the names of file and column to its errors.
     template <class Task>
     auto with_location(const std::string& column_name, const Task& task) const;
 };
