@@ -24,6 +24,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// A tar archive consists of blocks: the header of a member, then its content.
 constexpr std::uint64_t kTarBlock = 512;
 constexpr std::string_view kIndexMagic = "itar";
 constexpr std::uint64_t kMaxPathBytes = 1 << 16;  // limit of a name in an extended tar header
@@ -35,9 +36,10 @@ std::string read_bytes(std::ifstream& in, std::uint64_t at, std::uint64_t n_byte
     return in ? bytes : std::string();
 }
 
-std::string_view until_zero(std::string_view text) { return text.substr(0, text.find('\0')); }
+/// Returns the text of a field of a tar header, which zeros fill up.
+std::string_view until_zero(std::string_view field) { return field.substr(0, field.find('\0')); }
 
-/// Parses a number of a tar header: octal digits after blanks.
+/// Parses a number of a tar header: octal digits, with blanks around them.
 std::optional<std::uint64_t> parse_octal(std::string_view text) {
     text = trim(until_zero(text));
     std::uint64_t value = 0;
@@ -54,6 +56,34 @@ std::string extended_path(const std::string& records) {
     return records.substr(begin, records.find('\n', begin) - begin);
 }
 
+struct TarHeader {
+    std::string name;
+    bool is_extended = false;              ///< describes the next member, for example its long name
+    std::optional<std::uint64_t> n_bytes;  ///< size of the content; nullopt if the header is damaged
+};
+
+/// Parses the header of a member, in the format ustar (POSIX.1-1988).
+TarHeader parse_tar_header(std::string_view header) {
+    TarHeader member;
+    member.name = until_zero(header.substr(0, 100));
+    member.is_extended = header[156] == 'x';
+    if (header.substr(257, 5) == "ustar") member.n_bytes = parse_octal(header.substr(124, 12));
+    return member;
+}
+
+/// Returns where the tar archive ends and the index begins. The last block of the file
+/// contains "itar", the kind of the index, and this position.
+std::uint64_t find_tar_end(std::ifstream& in, std::uint64_t file_bytes, const std::string& file_name) {
+    const std::string last_block =
+        file_bytes < kTarBlock ? "" : read_bytes(in, file_bytes - kTarBlock, kTarBlock);
+    if (!last_block.starts_with(kIndexMagic))
+        fail("{} ({} bytes) is truncated or no archive of NCore: its last block is not that of an index",
+             file_name, file_bytes);
+    codecs::ByteReader reader(std::string_view(last_block).substr(kIndexMagic.size()));
+    reader.read_number<std::uint32_t>();  // kind of the index
+    return std::min(reader.read_number<std::uint64_t>(), file_bytes);
+}
+
 }  // namespace
 
 ZarrStore::ZarrStore(fs::path path) : path_(std::move(path)) {
@@ -62,35 +92,32 @@ ZarrStore::ZarrStore(fs::path path) : path_(std::move(path)) {
     if (is_archive_) list_members();
 }
 
+/// Lists the names and positions of all members of the archive from their tar headers.
 void ZarrStore::list_members() {
     std::ifstream in(path_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
     if (end < 0) fail("cannot read {}", name());
-    const auto size = std::uint64_t(end);
-    const std::string tail = size < kTarBlock ? "" : read_bytes(in, size - kTarBlock, kTarBlock);
-    if (!tail.starts_with(kIndexMagic))
-        fail("{} ({} bytes) is truncated or no archive of NCore: its last block is not that of an index",
-             name(), size);
-    codecs::ByteReader index(std::string_view(tail).substr(kIndexMagic.size()));
-    index.read_number<std::uint32_t>();  // kind of the index
-    const auto tar_end = index.read_number<std::uint64_t>();
+    const auto file_bytes = std::uint64_t(end);
+    const std::uint64_t tar_end = find_tar_end(in, file_bytes, name());
+
+    // A name of more than 100 characters is in an extended header before the member.
     std::string long_name;
-    for (std::uint64_t at = 0; at + kTarBlock <= std::min(tar_end, size);) {
-        const std::string header = read_bytes(in, at, kTarBlock);
+    for (std::uint64_t position = 0; position + kTarBlock <= tar_end;) {
+        const std::string header = read_bytes(in, position, kTarBlock);
+        // Zero blocks end a tar archive.
         if (header.find_first_not_of('\0') == std::string::npos) break;
-        const std::string_view view = header;
-        const auto n_bytes = parse_octal(view.substr(124, 12));
-        at += kTarBlock;
-        if (view.substr(257, 5) != "ustar" || !n_bytes || *n_bytes > size - at)
-            fail("{}: the tar header at byte {} is damaged", name(), at - kTarBlock);
-        if (header[156] == 'x') {  // extended header with the name of the next member
-            long_name = extended_path(read_bytes(in, at, std::min(*n_bytes, kMaxPathBytes)));
+        const TarHeader member = parse_tar_header(header);
+        position += kTarBlock;
+        if (!member.n_bytes || *member.n_bytes > file_bytes - position)
+            fail("{}: the tar header at byte {} is damaged", name(), position - kTarBlock);
+        if (member.is_extended) {
+            long_name = extended_path(read_bytes(in, position, std::min(*member.n_bytes, kMaxPathBytes)));
         } else {
-            std::string key = std::exchange(long_name, "");
-            if (key.empty()) key = until_zero(view.substr(0, 100));
-            members_[key] = {at, *n_bytes};
+            const std::string key = long_name.empty() ? member.name : long_name;
+            members_[key] = {.begin = position, .size = *member.n_bytes};
+            long_name.clear();
         }
-        at += (*n_bytes + kTarBlock - 1) / kTarBlock * kTarBlock;
+        position += (*member.n_bytes + kTarBlock - 1) / kTarBlock * kTarBlock;
     }
 }
 
@@ -115,11 +142,12 @@ std::vector<std::string> ZarrStore::list_children(const std::string& group) cons
             if (fs::is_directory(entry)) names.insert(entry.filename().string());
     }
     const std::string prefix = group.empty() ? "" : group + "/";
-    for (auto member = members_.lower_bound(prefix);
-         member != members_.end() && member->first.starts_with(prefix); ++member) {
-        const std::size_t slash = member->first.find('/', prefix.size());
-        if (slash != std::string::npos)
-            names.insert(member->first.substr(prefix.size(), slash - prefix.size()));
+    // Keys are sorted, so those with the prefix follow each other.
+    for (auto member = members_.lower_bound(prefix); member != members_.end(); ++member) {
+        const std::string& key = member->first;
+        if (!key.starts_with(prefix)) break;
+        const std::size_t slash = key.find('/', prefix.size());
+        if (slash != std::string::npos) names.insert(key.substr(prefix.size(), slash - prefix.size()));
     }
     return {names.begin(), names.end()};
 }
@@ -131,10 +159,17 @@ ZarrJson read_zarr_attributes(const ZarrStore& store, const std::string& path) {
     return attributes;
 }
 
-std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, const std::string& type,
+namespace {
+
+struct ZarrChunks {
+    std::size_t n_lines = 0;  ///< entries of the first dimension in a chunk
+    bool is_compressed = false;
+};
+
+/// Checks the description of an array, and returns how its values are divided.
+/// @param where  file and array, for messages
+ZarrChunks parse_zarr_array(const nlohmann::json& json, const std::string& where, const std::string& type,
                             const std::vector<std::size_t>& shape) {
-    const std::string where = fmt::format("{}: {}", store.name(), path);
-    const nlohmann::json json = parse_json(store.read_value(path + "/.zarray"), where);
     const JsonField head(json, where, "");
     if (head.at("zarr_format").integer_in(0, 99) != 2) fail("{}: expected version 2 of zarr", where);
     if (const std::string found = head.at("dtype").short_text(99); found != type)
@@ -152,23 +187,35 @@ std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, con
         !std::equal(shape.begin() + 1, shape.end(), chunk_shape.begin() + 1))
         fail("{}: the shape of a chunk is {}, expected {} except for the first number", where, chunk_shape,
              shape);
+    return {chunk_shape[0], is_compressed};
+}
+
+}  // namespace
+
+std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, const std::string& type,
+                            const std::vector<std::size_t>& shape) {
+    const std::string where = fmt::format("{}: {}", store.name(), path);
+    const nlohmann::json json = parse_json(store.read_value(path + "/.zarray"), where);
+    const ZarrChunks chunks = parse_zarr_array(json, where, type, shape);
     std::size_t line_bytes = std::size_t(type.back() - '0');  // bytes of an entry of the first dimension
     for (std::size_t d = 1; d < shape.size(); ++d) line_bytes *= shape[d];
+
     std::string bytes;
-    for (std::size_t line = 0; line < shape[0]; line += chunk_shape[0]) {
-        std::string name = fmt::format("{}/{}", path, line / chunk_shape[0]);
+    for (std::size_t line = 0; line < shape[0]; line += chunks.n_lines) {
+        // A chunk is named by its index in each dimension, for example "3.0.0".
+        std::string name = fmt::format("{}/{}", path, line / chunks.n_lines);
         for (std::size_t d = 1; d < shape.size(); ++d) name += ".0";
         std::string chunk = store.read_value(name);
         try {
-            if (is_compressed) chunk = decompress_blosc(chunk);
+            if (chunks.is_compressed) chunk = decompress_blosc(chunk);
         } catch (const DataError& error) {
             fail("{}: {}: {}", store.name(), name, error.what());
         }
-        if (chunk.size() != chunk_shape[0] * line_bytes)
+        if (chunk.size() != chunks.n_lines * line_bytes)
             fail("{}: {}: the chunk has {} bytes, expected {}", store.name(), name, chunk.size(),
-                 chunk_shape[0] * line_bytes);
+                 chunks.n_lines * line_bytes);
         // The last chunk can be longer than the array.
-        bytes.append(chunk, 0, std::min(chunk_shape[0], shape[0] - line) * line_bytes);
+        bytes.append(chunk, 0, std::min(chunks.n_lines, shape[0] - line) * line_bytes);
     }
     return bytes;
 }
