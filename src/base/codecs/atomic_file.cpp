@@ -99,19 +99,21 @@ fs::path resolve_target(const fs::path& path) {
     return folder / path.filename();
 }
 
-/// Calls the writer. Only data errors get the path of the file. For example, a GPU
-/// failure during a download is not a file error.
-void write_temp(const fs::path& where, const fs::path& temporary,
+/// Calls `write_content` with the temporary path. Adds the path of the file to errors
+/// that concern the file: data errors and exceptions of libraries. Passes on all others,
+/// for example a failure of the GPU during a download.
+/// @param shown_path  path of the file as the user wrote it
+void write_temp(const fs::path& shown_path, const fs::path& temporary,
                 const std::function<void(const fs::path&)>& write_content) {
     try {
         write_content(temporary);
     } catch (const Error& error) {
         if (error.code() != ExitCode::data) throw;
-        fail_write(where, error.what());
+        fail_write(shown_path, error.what());
     } catch (const std::bad_alloc&) {
         throw;
     } catch (const std::exception& error) {
-        fail_write(where, error.what());
+        fail_write(shown_path, error.what());
     }
 }
 
@@ -138,18 +140,27 @@ void flush_folder(const fs::path& file_path) {
 constexpr const char* kMarkerFile = ".relidar_staged";
 constexpr std::string_view kStagedInfix = ".tmp-";
 
+/// Returns the process id in the name .NAME.tmp-PID, or 0 for another name.
+pid_t parse_process_id(const std::string& folder_name) {
+    const std::size_t infix = folder_name.rfind(kStagedInfix);
+    if (!folder_name.starts_with('.') || infix == std::string::npos) return 0;
+    pid_t process = 0;
+    const char* name_end = folder_name.data() + folder_name.size();
+    const auto [end, error] =
+        std::from_chars(folder_name.data() + infix + kStagedInfix.size(), name_end, process);
+    return error == std::errc() && end == name_end ? process : 0;
+}
+
 /// True for a temporary folder (.NAME.tmp-PID) whose process no longer exists. A process
 /// on another machine may have the same folder, so its lock counts, too.
 /// @param own_prefix ".NAME.tmp-"; such folders are abandoned even without a marker
 bool is_abandoned(const fs::path& path, const std::string& own_prefix) {
     const std::string name = path.filename().string();
-    const std::size_t at = name.rfind(kStagedInfix);
-    if (!name.starts_with('.') || at == std::string::npos) return false;
-    pid_t process = 0;
-    const char* last = name.data() + name.size();
-    const auto [end, error] = std::from_chars(name.data() + at + kStagedInfix.size(), last, process);
-    if (error != std::errc() || end != last || process <= 0) return false;
-    if (::kill(process, 0) == 0 || errno != ESRCH) return false;
+    const pid_t process = parse_process_id(name);
+    if (process <= 0) return false;
+    // Signal 0 sends nothing. The error ESRCH means that the process does not exist.
+    const bool has_ended = ::kill(process, 0) != 0 && errno == ESRCH;
+    if (!has_ended) return false;
     const int marker = ::open((path / kMarkerFile).c_str(), O_RDWR | O_CLOEXEC);
     if (marker < 0) return errno == ENOENT && name.starts_with(own_prefix);
     const bool is_unlocked = ::flock(marker, LOCK_EX | LOCK_NB) == 0;
@@ -186,18 +197,21 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
 }
 
 void remove_temp(const fs::path& folder) {
-    static const std::regex kTemporaryInfix(R"(\..+\.tmp-[0-9]+-[0-9]+)");
+    static const std::regex kTempName(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     // Collects the paths first, because the loop must not change the folder.
     std::vector<fs::path> temporary_paths;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
-        const bool is_ours =
+        // relidar creates only files and folders, so a link belongs to somebody else.
+        const bool is_file_or_folder =
             entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
-        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporaryInfix))
+        if (is_file_or_folder && std::regex_match(entry.path().filename().string(), kTempName))
             temporary_paths.push_back(entry.path());
     }
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
+
+void write_text_file(const fs::path& path, const std::string& text) { codecs::write_file(path, text); }
 
 void codecs::write_file(const std::filesystem::path& path, std::string_view bytes) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
@@ -207,8 +221,8 @@ void codecs::write_file(const std::filesystem::path& path, std::string_view byte
     });
 }
 
-void write_text_file(const fs::path& path, const std::string& text) { codecs::write_file(path, text); }
-
+/// Creates the temporary folder next to the final one, so that it can be renamed, after
+/// removing the folders of processes that were killed.
 StagedFolder::StagedFolder(const fs::path& final_path)
     // Removes a slash at the end, because filename() would be empty.
     : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
@@ -250,14 +264,16 @@ void StagedFolder::replace_folder() const {
     // temporary name, and the destructor deletes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, final_path_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
+    // Without such an exchange: moves the old folder away, and back if the new one fails.
     const fs::path old = path_.string() + "-old";
     std::error_code failed, ignored;
     if (fs::exists(fs::symlink_status(final_path_, ignored))) fs::rename(final_path_, old, failed);
     if (!failed) fs::rename(path_, final_path_, failed);
-    if (failed) fs::rename(old, final_path_, ignored);
-    if (failed)
+    if (failed) {
+        fs::rename(old, final_path_, ignored);
         fail("cannot create {}: renaming the temporary folder failed: {}", final_path_.string(),
              failed.message());
+    }
     fs::remove_all(old, ignored);
 }
 

@@ -4,6 +4,7 @@
 // because it writes its line table in a destructor. Headers are checked before OpenEXR
 // parses them. Otherwise a damaged header could make OpenEXR allocate much more memory
 // than the file can fill.
+#include <array>
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -70,20 +71,23 @@ struct ImageHeader {
     std::map<std::string, std::string> notes;
 };
 
+/// Reads the size of the image from the attribute 'dataWindow', which has the first and
+/// the last pixel: x_min, y_min, x_max, y_max.
 void parse_window(std::string_view bytes, ImageHeader& image_header) {
     if (bytes.size() != 16) fail("attribute 'dataWindow' has {} bytes, expected 16", bytes.size());
     ByteReader reader(bytes);
-    std::int32_t corner[4];
-    for (std::int32_t& c : corner) c = reader.read_number<std::int32_t>();
-    image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
-    image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    // Maximum absolute value of a corner coordinate. Larger values could overflow
-    // OpenEXR's 32-bit integers.
+    // Larger coordinates could overflow OpenEXR's 32-bit integers.
     constexpr std::int32_t kMaxCoordinate = 1 << 29;
-    for (const std::int32_t c : corner)
-        if (c < -kMaxCoordinate || c > kMaxCoordinate)
-            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", c, -kMaxCoordinate,
-                 kMaxCoordinate);
+    std::array<std::int32_t, 4> window;
+    for (std::int32_t& coordinate : window) {
+        coordinate = reader.read_number<std::int32_t>();
+        if (coordinate < -kMaxCoordinate || coordinate > kMaxCoordinate)
+            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", coordinate,
+                 -kMaxCoordinate, kMaxCoordinate);
+    }
+    const auto [x_min, y_min, x_max, y_max] = window;
+    image_header.columns = std::int64_t(x_max) - x_min + 1;
+    image_header.rows = std::int64_t(y_max) - y_min + 1;
 }
 
 void parse_compression(std::string_view bytes, ImageHeader& image_header) {
@@ -100,10 +104,10 @@ void parse_channels(std::string_view bytes, ImageHeader& image_header) {
     std::vector<std::string>& channels = image_header.channels;
     for (std::string name = read_name(items); !name.empty(); name = read_name(items)) {
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
-        const auto x = items.read_number<std::int32_t>(), y = items.read_number<std::int32_t>();
-        if (x != 1 || y != 1)
-            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel", quote(name), x,
-                 y);
+        const auto x_step = items.read_number<std::int32_t>(), y_step = items.read_number<std::int32_t>();
+        if (x_step != 1 || y_step != 1)
+            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel", quote(name),
+                 x_step, y_step);
         if (std::ranges::find(channels, name) != channels.end())
             fail("channel '{}' occurs twice, expected it once", quote(name));
         channels.push_back(name);
@@ -117,39 +121,28 @@ void parse_channels(std::string_view bytes, ImageHeader& image_header) {
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
 /// size, so a wrong size would make it read unchecked data.
 void check_attribute(const std::string& name, const std::string& type, std::size_t n_bytes) {
-    static const std::map<std::string, std::size_t> kTypeBytes{{"box2i", 16},
-                                                               {"box2f", 16},
-                                                               {"chromaticities", 32},
-                                                               {"compression", 1},
-                                                               {"deepImageState", 1},
-                                                               {"double", 8},
-                                                               {"envmap", 1},
-                                                               {"float", 4},
-                                                               {"int", 4},
-                                                               {"keycode", 28},
-                                                               {"lineOrder", 1},
-                                                               {"m33d", 72},
-                                                               {"m33f", 36},
-                                                               {"m44d", 128},
-                                                               {"m44f", 64},
-                                                               {"rational", 8},
-                                                               {"tiledesc", 9},
-                                                               {"timecode", 8},
-                                                               {"v2d", 16},
-                                                               {"v2f", 8},
-                                                               {"v2i", 8},
-                                                               {"v3d", 24},
-                                                               {"v3f", 12},
-                                                               {"v3i", 12}};
+    static const std::map<std::size_t, std::set<std::string>> kTypesBySize{
+        {1, {"compression", "deepImageState", "envmap", "lineOrder"}},
+        {4, {"float", "int"}},
+        {8, {"double", "rational", "timecode", "v2f", "v2i"}},
+        {9, {"tiledesc"}},
+        {12, {"v3f", "v3i"}},
+        {16, {"box2f", "box2i", "v2d"}},
+        {24, {"v3d"}},
+        {28, {"keycode"}},
+        {32, {"chromaticities"}},
+        {36, {"m33f"}},
+        {64, {"m44f"}},
+        {72, {"m33d"}},
+        {128, {"m44d"}}};
     // Values of these types contain more sizes, for example of a preview image. Nothing
     // checks these inner sizes, so such attributes are rejected.
     static const std::set<std::string> kRejectedTypes{"idmanifest", "preview", "bytes", "stringvector"};
     if (kRejectedTypes.contains(type) || (type == "chlist" && name != "channels"))
         fail("attribute '{}' has the type '{}', which is not supported", quote(name), type);
-    const auto size = kTypeBytes.find(type);
-    if (size != kTypeBytes.end() && size->second != n_bytes)
-        fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(name), type, n_bytes,
-             size->second);
+    for (const auto& [size, types] : kTypesBySize)
+        if (types.contains(type) && n_bytes != size)
+            fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(name), type, n_bytes, size);
 }
 
 void check_magic(ByteReader& header_reader) {
@@ -162,6 +155,8 @@ void check_magic(ByteReader& header_reader) {
         fail("the OpenEXR file has tiles, several images, or deep data, expected one image of scan lines");
 }
 
+/// Parses the attributes at the begin of a file: name, type, size and value of each. An
+/// empty name ends the list. Rejects what OpenEXR would read without a check.
 ImageHeader parse_exr_header(std::string_view exr_file_bytes) {
     ByteReader header(exr_file_bytes);
     check_magic(header);
@@ -185,7 +180,7 @@ ImageHeader parse_exr_header(std::string_view exr_file_bytes) {
     return image_header;
 }
 
-/// Checks that the file is large enough for the image size that its header states.
+/// Checks that the file can contain the image, before memory for the image is allocated.
 void check_file_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
@@ -193,15 +188,19 @@ void check_file_size(const ImageHeader& image_header, std::size_t file_size_byte
              image_header.channels.size());
     if (rows > std::int64_t(kMaxPixels) / columns)
         fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
-    const std::int64_t unpacked =
-        (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
-    // Minimum uncompressed size in bytes, assuming half-precision channels.
-    const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
-    if (least > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
+    // Rows are compressed in blocks of rows_at_once rows, of which the last may be
+    // shorter.
+    const std::int64_t n_blocks = (rows + image_header.rows_at_once - 1) / image_header.rows_at_once;
+    const std::int64_t n_block_rows = n_blocks * image_header.rows_at_once;
+    constexpr std::size_t kMinBytesPerValue = 2;  // half precision
+    const std::size_t min_unpacked_bytes =
+        std::size_t(n_block_rows * columns) * image_header.channels.size() * kMinBytesPerValue;
+    if (min_unpacked_bytes > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
         fail("{} x {} pixels with {} channels are impossible in a file of {} bytes", rows, columns,
              image_header.channels.size(), file_size_bytes);
 }
 
+/// Decodes the bytes of a file. OpenEXR converts all channels to float.
 ExrImage decode_exr(const std::string& exr_file_bytes) {
     ImageHeader image_header = parse_exr_header(exr_file_bytes);
     check_file_size(image_header, exr_file_bytes.size());
@@ -209,14 +208,17 @@ ExrImage decode_exr(const std::string& exr_file_bytes) {
     stream.str(exr_file_bytes);
     imf::InputFile input(stream);
     if (!input.isComplete()) fail("the image file is truncated");
-    ExrImage image{int(image_header.rows), int(image_header.columns), {}, std::move(image_header.notes)};
+    ExrImage image{.rows = int(image_header.rows),
+                   .columns = int(image_header.columns),
+                   .channels = {},
+                   .notes = std::move(image_header.notes)};
     const auto window = input.header().dataWindow();
     imf::FrameBuffer buffer;
-    const std::size_t stride = sizeof(float), row = stride * std::size_t(image.columns);
+    const std::size_t value_bytes = sizeof(float), row_bytes = value_bytes * std::size_t(image.columns);
     for (const std::string& name : image_header.channels) {
         std::vector<float>& values = image.channels[name];
         values.resize(std::size_t(image.rows) * std::size_t(image.columns));
-        buffer.insert(name, imf::Slice::Make(imf::FLOAT, values.data(), window, stride, row));
+        buffer.insert(name, imf::Slice::Make(imf::FLOAT, values.data(), window, value_bytes, row_bytes));
     }
     input.setFrameBuffer(buffer);
     input.readPixels(window.min.y, window.max.y);
@@ -228,18 +230,18 @@ ExrImage decode_exr(const std::string& exr_file_bytes) {
 void write_exr(const std::filesystem::path& path, int rows, int columns,
                const std::map<std::string, std::vector<float>>& channels, const FileMetadata& metadata) {
     check_channels(rows, columns, channels);
-    imf::StdOSStream stream;
+    imf::StdOSStream stream;  // OpenEXR's file class would not report a full disk.
     try {
         imf::Header header(columns, rows);
         header.compression() = imf::ZIP_COMPRESSION;
         for (const auto& [name, text] : metadata) header.insert(name, imf::StringAttribute(text));
         imf::FrameBuffer buffer;
-        const std::size_t stride = sizeof(float);
+        const std::size_t value_bytes = sizeof(float), row_bytes = value_bytes * std::size_t(columns);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
             // OpenEXR requires a pointer to non-const values, but only reads them.
             char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));
-            buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
+            buffer.insert(name, imf::Slice(imf::FLOAT, base, value_bytes, row_bytes));
         }
         imf::OutputFile file(stream, header);
         file.setFrameBuffer(buffer);

@@ -42,9 +42,10 @@ Colour colour_at(std::span<const std::uint32_t> stops, double fraction) {
     const double share = position - double(low);
     Colour colour;
     for (std::size_t k = 0; k < 3; ++k) {
+        // Red, green or blue of a colour 0xRRGGBB.
         const auto channel = [&](std::uint32_t stop) { return stop >> (16 - 8 * k) & 0xFF; };
-        colour[k] =
-            std::uint8_t(std::lround((1.0 - share) * channel(stops[low]) + share * channel(stops[low + 1])));
+        const double value = (1.0 - share) * channel(stops[low]) + share * channel(stops[low + 1]);
+        colour[k] = std::uint8_t(std::lround(value));
     }
     return colour;
 }
@@ -59,17 +60,20 @@ void append_be32(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
-/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
-/// this chunk ourselves, because the simplified interface of libpng cannot write text.
+/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text: length of
+/// the content, type, content, checksum of type and content. We write this chunk
+/// ourselves, because the simplified interface of libpng cannot write text.
 std::string make_text_chunk(const std::string& keyword, const std::string& text) {
+    constexpr std::string_view kChunkType = "iTXt";
     // The zero bytes: end of the name, not compressed, method 0, no language, no
     // translation.
-    const std::string body = "iTXt" + keyword + std::string(5, '\0') + text;
+    const std::string body = std::string(kChunkType) + keyword + std::string(5, '\0') + text;
+    const auto checksum =
+        crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()));
     std::string chunk;
-    append_be32(chunk, static_cast<std::uint32_t>(body.size() - 4));
+    append_be32(chunk, static_cast<std::uint32_t>(body.size() - kChunkType.size()));
     chunk += body;
-    append_be32(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()),
-                                                        static_cast<uInt>(body.size()))));
+    append_be32(chunk, static_cast<std::uint32_t>(checksum));
     return chunk;
 }
 
@@ -116,22 +120,24 @@ Image stack_images(const std::vector<Image>& images, int vertical_scale) {
         if (image.columns != result.columns)
             fail("cannot stack images: found the widths {} and {}, expected the same width", result.columns,
                  image.columns);
-        const std::size_t width = std::size_t(image.columns) * 3;
-        check_pixels("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
+        const std::size_t row_bytes = std::size_t(image.columns) * 3;
+        check_pixels("a stacked image", image.rgb.size(), row_bytes * std::size_t(image.rows));
         if (&image != &images.front()) {
-            result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparatorGray);
+            result.rgb.insert(result.rgb.end(), row_bytes * kSeparatorRows, kSeparatorGray);
             result.rows += kSeparatorRows;
         }
         for (std::size_t row = 0; row < std::size_t(image.rows); ++row)
             for (int copy = 0; copy < vertical_scale; ++copy) {
-                const auto first = image.rgb.begin() + std::ptrdiff_t(row * width);
-                result.rgb.insert(result.rgb.end(), first, first + std::ptrdiff_t(width));
+                const auto row_begin = image.rgb.begin() + std::ptrdiff_t(row * row_bytes);
+                result.rgb.insert(result.rgb.end(), row_begin, row_begin + std::ptrdiff_t(row_bytes));
             }
         result.rows += image.rows * vertical_scale;
     }
     return result;
 }
 
+/// Encodes an image with libpng, then inserts a text chunk for each entry of the
+/// metadata.
 std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
@@ -144,11 +150,11 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& met
     description.format = PNG_FORMAT_RGB;
     png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
-    const int done =
+    const int succeeded =
         png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
     const std::string message = description.message;
     png_image_free(&description);
-    if (!done) throw DataError("cannot encode a PNG image: " + message);
+    if (!succeeded) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
     for (const auto& [name, text] : metadata) chunks += make_text_chunk(name, text);

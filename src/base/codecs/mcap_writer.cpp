@@ -72,6 +72,7 @@ std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view enc
     return n_schemas_;
 }
 
+/// Writes a channel, which has one topic and messages of one schema. Returns its id.
 std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                                       const McapMetadataMap& metadata) {
     const auto id = std::uint16_t(n_messages_.size() + 1);
@@ -102,15 +103,18 @@ void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, st
         encode(channel_id, std::uint32_t(n_messages_.at(channel_id)++), time_ns, time_ns).append(message));
 }
 
+/// Writes the messages since the last call as a chunk, then for each channel an index
+/// with the time and the position of each of its messages. A record of the summary, which
+/// finish() writes, has the positions of the chunk and its indices.
 void McapWriter::write_chunk() {
     if (chunk_.empty()) return;
-    const std::uint64_t begin = written_, n_bytes = chunk_.size();
+    const std::uint64_t chunk_begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
     // Writes an empty name, which means no compression. Compression would save little,
     // because the floats of a scan compress poorly.
     append(
         encode_record(kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
-    const std::uint64_t end = written_;
+    const std::uint64_t chunk_end = written_;
 
     // List of channel ids, each with the file position of the channel's message index.
     // The chunk index record contains this list.
@@ -121,9 +125,10 @@ void McapWriter::write_chunk() {
         for (const MessageIndexEntry& message : messages) entries += encode(message.time_ns, message.offset);
         append(encode_record(kMessageIndex, encode(channel, entries)));
     }
-    chunk_indices_ +=
-        encode_record(kChunkIndex, encode(chunk_first_ns_, chunk_last_ns_, begin, end - begin,
-                                          index_positions, written_ - end, "", n_bytes, n_bytes));
+    const std::uint64_t index_bytes = written_ - chunk_end;
+    chunk_indices_ += encode_record(
+        kChunkIndex, encode(chunk_first_ns_, chunk_last_ns_, chunk_begin, chunk_end - chunk_begin,
+                            index_positions, index_bytes, "", n_bytes, n_bytes));
     ++n_chunks_;
     first_ns_ = std::min(first_ns_, chunk_first_ns_);
     last_ns_ = std::max(last_ns_, chunk_last_ns_);
@@ -133,6 +138,7 @@ void McapWriter::write_chunk() {
     chunk_last_ns_ = 0;
 }
 
+/// Encodes the statistics record of the summary: counts, and the first and the last time.
 std::string McapWriter::encode_statistics() const {
     std::string counts;
     std::uint64_t n_messages = 0;
@@ -146,6 +152,9 @@ std::string McapWriter::encode_statistics() const {
                                              n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
 }
 
+/// Writes the last chunk and the end of the file: the summary, which repeats schemas and
+/// channels and lists the chunks for seeking, the positions in the summary, and the
+/// footer.
 void McapWriter::finish() {
     write_chunk();
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
@@ -153,20 +162,21 @@ void McapWriter::finish() {
     append(encode_record(kDataEnd, encode(no_checksum)));
     // Records of the summary with the same code form a group. The positions of the groups
     // follow the summary.
-    const std::uint64_t begin = written_;
-    std::string positions;
+    const std::uint64_t summary_begin = written_;
+    std::string group_positions;
     for (const auto& [code, records] : {std::pair(kSchema, schemas_),
                                         {kChannel, channels_},
                                         {kStatistics, encode_statistics()},
                                         {kChunkIndex, chunk_indices_},
                                         {kMetadataIndex, metadata_indices_}}) {
         if (records.empty()) continue;
-        positions += encode_record(kSummaryOffset, encode(code, written_, std::uint64_t(records.size())));
+        group_positions +=
+            encode_record(kSummaryOffset, encode(code, written_, std::uint64_t(records.size())));
         append(records);
     }
     const std::uint64_t positions_begin = written_;
-    append(positions);
-    append(encode_record(kFooter, encode(begin, positions_begin, no_checksum)));
+    append(group_positions);
+    append(encode_record(kFooter, encode(summary_begin, positions_begin, no_checksum)));
     append(kMagic);
     file_.close();
     if (!file_) fail("cannot write '{}': the disk is probably full", path_.string());

@@ -43,20 +43,19 @@ using Converter = std::vector<Out> (*)(const NamedArray&);
 /// type is unknown.
 template <class Out>
 Converter<Out> find_converter(std::string_view dtype) {
-    static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
-        {"f2", convert_elements<Out, Half>},
-        {"f4", convert_elements<Out, float>},
-        {"f8", convert_elements<Out, double>},
-        {"i1", convert_elements<Out, std::int8_t>},
-        {"i2", convert_elements<Out, std::int16_t>},
-        {"i4", convert_elements<Out, std::int32_t>},
-        {"i8", convert_elements<Out, std::int64_t>},
-        {"u1", convert_elements<Out, std::uint8_t>},
-        {"u2", convert_elements<Out, std::uint16_t>},
-        {"u4", convert_elements<Out, std::uint32_t>},
-        {"u8", convert_elements<Out, std::uint64_t>},
-        {"b1", convert_elements<Out, std::uint8_t>},
-    }};
+    static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{
+        {{"f2", convert_elements<Out, Half>},
+         {"f4", convert_elements<Out, float>},
+         {"f8", convert_elements<Out, double>},
+         {"i1", convert_elements<Out, std::int8_t>},
+         {"i2", convert_elements<Out, std::int16_t>},
+         {"i4", convert_elements<Out, std::int32_t>},
+         {"i8", convert_elements<Out, std::int64_t>},
+         {"u1", convert_elements<Out, std::uint8_t>},
+         {"u2", convert_elements<Out, std::uint16_t>},
+         {"u4", convert_elements<Out, std::uint32_t>},
+         {"u8", convert_elements<Out, std::uint64_t>},
+         {"b1", convert_elements<Out, std::uint8_t>}}};
     for (const auto& [name, function] : kConverters)
         if (name == dtype) return function;
     return nullptr;
@@ -81,27 +80,40 @@ std::size_t utf8_tail_size(unsigned char first) {
     return first >> 3 == 30 ? 3 : 4;
 }
 
-/// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
-std::u32string decode_utf8(std::string_view utf8) {
+struct Utf8Sequence {
+    char32_t code_point = 0xFFFD;  ///< the replacement character, unless the bytes are valid
+    std::size_t n_bytes = 1;
+};
+
+/// Decodes the UTF-8 sequence at the begin of a text. An invalid one counts as one byte.
+Utf8Sequence decode_sequence(std::string_view utf8) {
     // Smallest code point for each length of a sequence. A longer sequence for a smaller
     // code point is invalid (overlong encoding).
-    constexpr char32_t kReplacementCharacter = 0xFFFD, kMinCodePoint[] = {0, 0x80, 0x800, 0x10000};
-    std::u32string points;
-    for (std::size_t i = 0; i < utf8.size();) {
-        const auto first = static_cast<unsigned char>(utf8[i]);
-        const std::size_t more = utf8_tail_size(first);
-        char32_t point = more == 0 ? first : first & (0x3Fu >> more);
-        std::size_t n = 1;
-        for (; more < 4 && n <= more && i + n < utf8.size() &&
-               (static_cast<unsigned char>(utf8[i + n]) & 0xC0) == 0x80;
-             ++n)
-            point = point << 6 | (static_cast<unsigned char>(utf8[i + n]) & 0x3F);
-        const bool valid = more < 4 && n == more + 1 && point >= kMinCodePoint[more] && point <= 0x10FFFF &&
-                           (point < 0xD800 || point > 0xDFFF);
-        points.push_back(valid ? point : kReplacementCharacter);
-        i += valid ? n : 1;
+    constexpr char32_t kMinCodePoint[] = {0, 0x80, 0x800, 0x10000}, kMaxCodePoint = 0x10FFFF;
+    const auto first = static_cast<unsigned char>(utf8[0]);
+    const std::size_t n_tail = utf8_tail_size(first);
+    if (n_tail >= std::size(kMinCodePoint) || utf8.size() <= n_tail) return {};
+    // The first byte has the upper bits. Each further byte, 10xxxxxx, has six bits.
+    char32_t code_point = n_tail == 0 ? first : first & (0x3Fu >> n_tail);
+    for (const char next : utf8.substr(1, n_tail)) {
+        const auto byte = static_cast<unsigned char>(next);
+        if ((byte & 0xC0) != 0x80) return {};
+        code_point = code_point << 6 | (byte & 0x3F);
     }
-    return points;
+    const bool is_surrogate = code_point >= 0xD800 && code_point <= 0xDFFF;  // only for UTF-16
+    if (code_point < kMinCodePoint[n_tail] || code_point > kMaxCodePoint || is_surrogate) return {};
+    return {code_point, 1 + n_tail};
+}
+
+/// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
+std::u32string decode_utf8(std::string_view utf8) {
+    std::u32string code_points;
+    while (!utf8.empty()) {
+        const Utf8Sequence sequence = decode_sequence(utf8);
+        code_points.push_back(sequence.code_point);
+        utf8.remove_prefix(sequence.n_bytes);
+    }
+    return code_points;
 }
 
 }  // namespace
@@ -145,6 +157,8 @@ void check_array(const NamedArray& array) {
 
 }  // namespace codecs
 
+std::vector<float> NamedArray::to_floats() const { return convert_numeric<float>(*this); }
+std::vector<double> NamedArray::to_doubles() const { return convert_numeric<double>(*this); }
 std::size_t NamedArray::element_count() const {
     const auto n = codecs::array_bytes(shape, 1);
     if (!n) fail("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", "));
@@ -155,9 +169,6 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
     const auto match = std::ranges::find(arrays, name, &NamedArray::name);
     return match == arrays.end() ? nullptr : &*match;
 }
-
-std::vector<float> NamedArray::to_floats() const { return convert_numeric<float>(*this); }
-std::vector<double> NamedArray::to_doubles() const { return convert_numeric<double>(*this); }
 
 template <class T>
 NamedArray make_array(std::string name, ArrayShape shape, const T* values, std::size_t count) {
@@ -185,18 +196,22 @@ NamedArray single_text(std::string name, const std::string& text) {
 }
 
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
-    std::vector<std::u32string> letters;
+    std::vector<std::u32string> decoded_texts;
     // Like NumPy, stores at least one character, even if all texts are empty.
-    std::size_t length = 1;
-    for (const std::string& text : texts)
-        length = std::max(length, letters.emplace_back(decode_utf8(text)).size());
-    const std::size_t size = length * sizeof(char32_t);
-    NamedArray array{std::move(name),
-                     fmt::format("U{}", length),
-                     {texts.size()},
-                     std::vector<std::byte>(texts.size() * size)};
-    for (std::size_t i = 0; i < letters.size(); ++i)
-        std::memcpy(array.bytes.data() + i * size, letters[i].data(), letters[i].size() * sizeof(char32_t));
+    std::size_t max_length = 1;
+    for (const std::string& text : texts) {
+        decoded_texts.push_back(decode_utf8(text));
+        max_length = std::max(max_length, decoded_texts.back().size());
+    }
+    const std::size_t text_bytes = max_length * sizeof(char32_t);
+    NamedArray array{.name = std::move(name),
+                     .dtype = fmt::format("U{}", max_length),
+                     .shape = {texts.size()},
+                     .bytes = std::vector<std::byte>(texts.size() * text_bytes)};
+    for (std::size_t i = 0; i < decoded_texts.size(); ++i) {
+        const std::u32string& text = decoded_texts[i];
+        std::memcpy(array.bytes.data() + i * text_bytes, text.data(), text.size() * sizeof(char32_t));
+    }
     return array;
 }
 

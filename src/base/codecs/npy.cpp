@@ -133,34 +133,36 @@ std::string parse_dtype(const std::string& ordered_type) {
 
 /// Reorders an array in Fortran order, in which the first index varies fastest.
 void make_row_major(NamedArray& array) {
-    const std::size_t size = element_bytes(array.dtype), n_dimensions = array.shape.size();
+    const std::size_t value_bytes = element_bytes(array.dtype), n_dimensions = array.shape.size();
     const std::vector<std::byte> column_major = array.bytes;
-    std::vector<std::size_t> index(n_dimensions, 0);
-    for (std::size_t to = 0; to < array.bytes.size(); to += size) {
-        std::size_t from = 0;
-        for (std::size_t d = n_dimensions; d-- > 0;) from = from * array.shape[d] + index[d];
-        std::memcpy(array.bytes.data() + to, column_major.data() + from * size, size);
-        for (std::size_t d = n_dimensions; d-- > 0 && ++index[d] == array.shape[d];) index[d] = 0;
+    std::vector<std::size_t> index(n_dimensions, 0);  // of the current element, in all dimensions
+    for (std::size_t target = 0; target < array.bytes.size(); target += value_bytes) {
+        std::size_t source = 0;
+        for (std::size_t d = n_dimensions; d-- > 0;) source = source * array.shape[d] + index[d];
+        std::memcpy(array.bytes.data() + target, column_major.data() + source * value_bytes, value_bytes);
+        // Row-major order: counts up the last index, and on overflow the one before it.
+        for (std::size_t d = n_dimensions; d-- > 0;) {
+            if (++index[d] < array.shape[d]) break;
+            index[d] = 0;
+        }
     }
 }
 
 }  // namespace
 
+/// Returns the header of an .npy file, version 1.0: magic, version, the length of the
+/// rest (2 bytes), and a Python dict with type, order and shape. Blanks at its end make
+/// the size a multiple of kNpyAlignment, so that the values are aligned.
 std::string make_npy_header(const NamedArray& array) {
     const char order = element_bytes(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
-    std::string shape;
-    for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
-    if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // Removes the space, but not the comma, after a single extent. In Python, (n,) is a
-    // tuple but (n) is a number.
-    if (array.shape.size() == 1) shape.pop_back();
+    std::string shape = fmt::format("{}", fmt::join(array.shape, ", "));
+    if (array.shape.size() == 1) shape += ",";  // In Python, (n,) is a tuple but (n) is a number.
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
     constexpr std::size_t kPrefixBytes = 10;  // Number of bytes of magic, version and length.
-    // numpy pads the header with blanks, so that the values are aligned.
-    const std::size_t total =
-        (kPrefixBytes + dict.size() + 1 + kNpyAlignment - 1) / kNpyAlignment * kNpyAlignment;
-    dict.resize(total - kPrefixBytes - 1, ' ');
+    const std::size_t unpadded_bytes = kPrefixBytes + dict.size() + 1;  // 1: the line break
+    const std::size_t n_blocks = (unpadded_bytes + kNpyAlignment - 1) / kNpyAlignment;
+    dict.resize(n_blocks * kNpyAlignment - kPrefixBytes - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF)
         fail("array '{}' has {} dimensions, which are more than an npy file can store", array.name,
@@ -170,22 +172,30 @@ std::string make_npy_header(const NamedArray& array) {
     return header + dict;
 }
 
+/// Parses the header of an .npy file: magic, version, length of the header, and the
+/// header, which is a Python dict. Supports versions 1 to 3.
+/// @throws DataError with the reason for any other version
 NpyHeader parse_npy_header(std::string_view bytes) {
     if (bytes.size() < 12 || !bytes.starts_with(kNpyMagic))
         fail("the file does not begin like an .npy file, expected an array of NumPy");
     const int version = static_cast<unsigned char>(bytes[kNpyMagic.size()]);
     if (version < 1 || version > 3) fail("the file has npy version {}, expected 1 to 3", version);
     // The length of the header has 2 bytes in version 1, otherwise 4 bytes.
-    const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
-    std::size_t length = 0;  // size of the header, stored in little-endian order
-    std::memcpy(&length, bytes.data() + 8, n_length);
-    if (length > bytes.size() - start)
-        fail("the npy header should have {} bytes, but only {} bytes are left", length, bytes.size() - start);
-    NpyHeader header = NpyHeaderParser(bytes.substr(start, length)).parse_header();
-    header.values = bytes.substr(start + length);
+    const std::size_t n_length_bytes = version == 1 ? 2 : 4;
+    const std::size_t length_begin = kNpyMagic.size() + 2;  // after two bytes with the version
+    const std::size_t dict_begin = length_begin + n_length_bytes;
+    std::size_t dict_bytes = 0;
+    std::memcpy(&dict_bytes, bytes.data() + length_begin, n_length_bytes);  // little-endian
+    if (dict_bytes > bytes.size() - dict_begin)
+        fail("the npy header should have {} bytes, but only {} bytes are left", dict_bytes,
+             bytes.size() - dict_begin);
+    NpyHeader header = NpyHeaderParser(bytes.substr(dict_begin, dict_bytes)).parse_header();
+    header.values = bytes.substr(dict_begin + dict_bytes);
     return header;
 }
 
+/// Parses an .npy file into an array of this name.
+/// @throws DataError with the reason for a type or order that NamedArray does not support
 NamedArray parse_npy(const std::string& name, std::string_view bytes) {
     const NpyHeader header = parse_npy_header(bytes);
     if (header.type.empty()) fail("the elements of the array have fields, expected plain numbers");

@@ -24,14 +24,8 @@ struct NpyHeader {
     std::string_view values;  ///< bytes after the header
 };
 
-/// Supports versions 1 to 3.
-/// @throws DataError with the reason for any other version
 NpyHeader parse_npy_header(std::string_view bytes);
-
-/// Version 1.0, padded to a multiple of 64 bytes.
 std::string make_npy_header(const NamedArray& array);
-
-/// @throws DataError with the reason for a type or order that NamedArray does not support
 NamedArray parse_npy(const std::string& name, std::string_view bytes);
 
 }  // namespace relidar::codecs

@@ -34,8 +34,9 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
+/// Adds an array to an archive as an entry NAME.npy.
+/// @param header of the .npy file; libzip reads it and the values when the archive closes
 void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
-    // libzip reads the header and the values later, without a copy.
     const std::array<zip_buffer_fragment_t, 2> parts{
         {{reinterpret_cast<zip_uint8_t*>(header.data()), header.size()},
          {reinterpret_cast<zip_uint8_t*>(const_cast<std::byte*>(array.bytes.data())), array.bytes.size()}}};
@@ -46,16 +47,16 @@ void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
         fail("array '{}': {}", array.name, zip_strerror(archive));
     }
     zip_set_file_compression(archive, std::uint64_t(index), ZIP_CM_DEFLATE, kDeflateLevel);
-    // A fixed date, so that equal arrays give equal files.
     zip_file_set_dostime(archive, std::uint64_t(index), 0, kFirstDosDate, 0);
 }
 
-/// In memory, because libzip would put its own temporary files next to a file.
+/// Returns an open archive of the arrays. It is in memory, because libzip would put its
+/// own temporary files next to a file. The caller frees it.
 zip_source_t* make_zip(const std::vector<NamedArray>& arrays) {
     zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, nullptr);
-    zip_source_keep(target);
+    zip_source_keep(target);  // Otherwise zip_close() would free it.
     zip_t* archive = zip_open_from_source(target, ZIP_TRUNCATE, nullptr);
-    std::list<std::string> headers;
+    std::list<std::string> headers;  // A list does not move its elements.
     try {
         for (const NamedArray& array : arrays)
             add_array(archive, array, headers.emplace_back(codecs::make_npy_header(array)));
@@ -73,12 +74,14 @@ constexpr std::size_t kMaxExpansion = 1032;
 
 using ZipArchive = std::unique_ptr<zip_t, decltype(&zip_discard)>;
 
+/// Opens an archive in memory. `bytes` must exist as long as the archive.
 ZipArchive open_zip(std::string_view bytes) {
     if (bytes.empty()) fail("the file is empty");  // libzip would see an archive without entries.
     zip_error_t error;
     zip_error_init(&error);
-    // 0: libzip does not free the bytes. ZIP_CHECKCONS also checks the entries.
-    zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
+    constexpr int kKeepBytes = 0;  // libzip does not free the bytes.
+    zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), kKeepBytes, &error);
+    // ZIP_CHECKCONS compares the directory with the headers of the entries.
     zip_t* archive = zip_open_from_source(source, ZIP_RDONLY | ZIP_CHECKCONS, &error);
     if (!archive) {
         const std::string reason = zip_error_strerror(&error);
@@ -88,6 +91,8 @@ ZipArchive open_zip(std::string_view bytes) {
     return {archive, zip_discard};
 }
 
+/// Decompresses and parses an entry NAME.npy. Before it allocates memory, it checks that
+/// the compressed size allows the stated size.
 NamedArray read_zip_entry(zip_t* archive, const zip_stat_t& entry) {
     constexpr std::string_view kNpySuffix = ".npy";
     std::string name = entry.name;
@@ -108,17 +113,18 @@ NamedArray read_zip_entry(zip_t* archive, const zip_stat_t& entry) {
     return codecs::parse_npy(name, bytes);
 }
 
+/// Reads all arrays of an npz file, which is a zip archive of .npy files.
 std::vector<NamedArray> parse_npz(std::string_view bytes) {
     const ZipArchive archive = open_zip(bytes);
     std::vector<NamedArray> arrays;
-    std::uint64_t n_packed = 0;
+    std::uint64_t n_packed_bytes = 0;  // of the entries so far
     for (zip_int64_t i = 0; i < zip_get_num_entries(archive.get(), 0); ++i) {
         zip_stat_t entry;
         if (zip_stat_index(archive.get(), std::uint64_t(i), 0, &entry) != 0)
             fail("{}", zip_strerror(archive.get()));
-        // Rejects overlapping entries, which zip bombs use.
-        if (entry.comp_size > bytes.size() - n_packed) fail("the zip entries overlap");
-        n_packed += entry.comp_size;
+        // Entries that overlap could unpack the same bytes many times (zip bomb).
+        if (entry.comp_size > bytes.size() - n_packed_bytes) fail("the zip entries overlap");
+        n_packed_bytes += entry.comp_size;
         try {
             arrays.push_back(read_zip_entry(archive.get(), entry));
         } catch (const DataError& error) {
@@ -136,12 +142,13 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> zip(make_zip(arrays),
                                                                             zip_source_free);
         codecs::OutputFile file(temporary);
+        // libzip returns a negative number for an error, and 0 at the end of the archive.
         std::array<char, 1 << 16> piece;
-        zip_int64_t n = zip_source_open(zip.get());
-        if (n == 0)
-            while ((n = zip_source_read(zip.get(), piece.data(), piece.size())) > 0)
-                file.write(piece.data(), std::size_t(n));
-        if (n < 0) fail("{}", zip_error_strerror(zip_source_error(zip.get())));
+        zip_int64_t n_read = zip_source_open(zip.get());
+        if (n_read == 0)
+            while ((n_read = zip_source_read(zip.get(), piece.data(), piece.size())) > 0)
+                file.write(piece.data(), std::size_t(n_read));
+        if (n_read < 0) fail("{}", zip_error_strerror(zip_source_error(zip.get())));
         file.close();
     });
 }

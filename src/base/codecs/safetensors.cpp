@@ -43,7 +43,8 @@ const TypeName& find_type(const std::string& type, std::string_view TypeName::*f
     return *row;
 }
 
-/// Returns the JSON header of a file, which lists the arrays in the order of `arrays`.
+/// Returns the JSON header of a file. It has the type, shape and byte range of each
+/// array; the data of the arrays follow in the same order.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -53,11 +54,11 @@ std::string make_header(const std::vector<NamedArray>& arrays,
         codecs::check_array(array);
         if (array.name == kMetadataKey || header.contains(array.name))
             fail("array name '{}' is reserved or used twice", array.name);
-        const std::size_t end = offset + array.bytes.size();
+        const std::size_t end_offset = offset + array.bytes.size();
         header[array.name] = {{"dtype", find_type(array.dtype, &TypeName::numpy).safetensors},
                               {"shape", array.shape},
-                              {"data_offsets", {offset, end}}};
-        offset = end;
+                              {"data_offsets", {offset, end_offset}}};
+        offset = end_offset;
     }
     std::string text = header.dump();
     // Pads the header, so that the data starts at a multiple of 8 bytes.
@@ -75,8 +76,9 @@ struct SafetensorsHeader {
     std::string_view data;  ///< bytes after the header
 };
 
-/// Parses and checks the header. The callback of the JSON parser records the order of the
-/// names and detects names that occur twice, which the parsed object cannot show.
+/// Parses the header: its size (8 bytes) and a JSON object with one entry for each array.
+/// The callback of the JSON parser records the order of the names and detects names that
+/// occur twice, which the parsed object cannot show.
 SafetensorsHeader parse_header(std::string_view bytes) {
     SafetensorsHeader header;
     codecs::ByteReader reader(bytes);
@@ -84,11 +86,12 @@ SafetensorsHeader parse_header(std::string_view bytes) {
     if (size > kMaxHeader)
         fail("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader);
     const auto record_name = [&](int depth, Json::parse_event_t event, const Json& parsed) {
-        if (event == Json::parse_event_t::key && depth == 1)
-            header.names.push_back(parsed.get<std::string>());
-        return true;
+        const bool is_array_name = event == Json::parse_event_t::key && depth == 1;
+        if (is_array_name) header.names.push_back(parsed.get<std::string>());
+        return true;  // Keeps the value.
     };
-    header.json = Json::parse(reader.read_bytes(size), record_name, false);
+    constexpr bool kThrowErrors = false;
+    header.json = Json::parse(reader.read_bytes(size), record_name, kThrowErrors);
     header.data = reader.read_rest();
     if (!header.json.is_object()) fail("the header of the file is not valid JSON, expected a JSON object");
     if (header.json.size() != header.names.size())
@@ -101,20 +104,22 @@ struct ArrayEntry {
     std::size_t begin, end;  ///< position of the values in the data
 };
 
-/// Parses the header entry of an array.
-/// @param n_bytes number of data bytes in the file
-ArrayEntry parse_array(const std::string& name, const Json& json, std::size_t n_bytes) {
+/// Parses the header entry of an array: its type, its shape, and where its values begin
+/// and end in the data. Does not read the values.
+/// @param n_data_bytes number of data bytes in the file
+ArrayEntry parse_array(const std::string& name, const Json& json, std::size_t n_data_bytes) {
     const std::string where = fmt::format("array '{}'", quote(name));
     const JsonField entry(json, where, "");
     const std::vector<std::size_t> offsets = entry.at("data_offsets").sizes();
-    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_bytes)
+    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data_bytes)
         fail("{}: data_offsets [{}] are outside the {} bytes of data", where, fmt::join(offsets, ", "),
-             n_bytes);
+             n_data_bytes);
+    const std::size_t begin = offsets[0], end = offsets[1];
     const std::string_view type = find_type(entry.at("dtype").text(), &TypeName::safetensors).numpy;
     NamedArray array{name, std::string(type), entry.at("shape").sizes(), {}};
-    if (codecs::array_bytes(array.shape, codecs::element_bytes(type)) != offsets[1] - offsets[0])
-        fail("{} has {} bytes, which do not fit its shape", where, offsets[1] - offsets[0]);
-    return {std::move(array), offsets[0], offsets[1]};
+    if (codecs::array_bytes(array.shape, codecs::element_bytes(type)) != end - begin)
+        fail("{} has {} bytes, which do not fit its shape", where, end - begin);
+    return {std::move(array), begin, end};
 }
 
 std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
@@ -126,7 +131,7 @@ std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
 }
 
 /// Reads all arrays in the order of their data. The ranges must cover the data without
-/// gaps.
+/// gaps, because then a truncated or exchanged file is detected.
 std::vector<NamedArray> parse_file(std::string_view bytes, std::map<std::string, std::string>* metadata) {
     const SafetensorsHeader header = parse_header(bytes);
     std::vector<ArrayEntry> entries;
@@ -138,19 +143,20 @@ std::vector<NamedArray> parse_file(std::string_view bytes, std::map<std::string,
     }
     std::ranges::stable_sort(entries, {},
                              [](const ArrayEntry& entry) { return std::pair(entry.begin, entry.end); });
-    std::size_t covered = 0;
+    std::size_t previous_end = 0;
     std::vector<NamedArray> arrays;
     for (auto& [array, begin, end] : entries) {
-        if (begin != covered)
+        if (begin != previous_end)
             fail("array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends",
-                 quote(array.name), begin, covered);
+                 quote(array.name), begin, previous_end);
         const auto values = std::as_bytes(std::span(header.data.substr(begin, end - begin)));
         array.bytes.assign(values.begin(), values.end());
-        covered = end;
+        previous_end = end;
         arrays.push_back(std::move(array));
     }
-    if (covered != header.data.size())
-        fail("the file has {} bytes of data, but its header describes {} bytes", header.data.size(), covered);
+    if (previous_end != header.data.size())
+        fail("the file has {} bytes of data, but its header describes {} bytes", header.data.size(),
+             previous_end);
     if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }
@@ -161,9 +167,9 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
                        const std::map<std::string, std::string>& metadata) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         const std::string header = make_header(arrays, metadata);
-        const std::uint64_t size = header.size();
+        const std::uint64_t header_bytes = header.size();
         codecs::OutputFile file(temporary);
-        file.write(&size, sizeof size);
+        file.write(&header_bytes, sizeof header_bytes);
         file.write(header);
         for (const NamedArray& array : arrays) file.write(array.bytes.data(), array.bytes.size());
         file.close();

@@ -17,7 +17,9 @@ namespace relidar {
 namespace {
 
 using codecs::number_at;
-constexpr std::uint64_t kHeaderBytes = 12, kFooterBytes = 4;
+// The header has the length (8 bytes) and its CRC (4 bytes), the footer the CRC of the
+// data.
+constexpr std::uint64_t kLengthBytes = 8, kHeaderBytes = kLengthBytes + 4, kFooterBytes = 4;
 
 constexpr std::array<std::uint32_t, 256> make_crc_table() {
     std::array<std::uint32_t, 256> table{};
@@ -46,28 +48,31 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
     std::ifstream in(file_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
     if (end < 0) fail("cannot read {}", file_.string());
-    for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
+    std::uint64_t position = 0, n_left_bytes = std::uint64_t(end);
+    while (n_left_bytes > 0) {
         const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
         std::string header(kHeaderBytes, '\0');
-        in.seekg(std::streamoff(at));
-        if (left < kHeaderBytes || !in.read(header.data(), kHeaderBytes))
-            fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeaderBytes);
-        if (number_at<std::uint32_t>(header, 8) != masked_crc32c(header.substr(0, 8)))
+        in.seekg(std::streamoff(position));
+        if (n_left_bytes < kHeaderBytes || !in.read(header.data(), kHeaderBytes))
+            fail("{} is truncated: its header has {} bytes, expected {}", where, n_left_bytes, kHeaderBytes);
+        if (number_at<std::uint32_t>(header, kLengthBytes) != masked_crc32c(header.substr(0, kLengthBytes)))
             fail("{}: the checksum (CRC) of its length is wrong, so the file is damaged or no TFRecord file",
                  where);
-        const auto size = number_at<std::uint64_t>(header, 0);
-        left -= kHeaderBytes;
-        if (left < kFooterBytes || size > left - kFooterBytes)
-            fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, size,
-                 kFooterBytes, left);
-        records_.push_back({at + kHeaderBytes, size});
-        at += kHeaderBytes + size + kFooterBytes;
-        left -= size + kFooterBytes;
+        const auto data_bytes = number_at<std::uint64_t>(header, 0);
+        n_left_bytes -= kHeaderBytes;
+        if (n_left_bytes < kFooterBytes || data_bytes > n_left_bytes - kFooterBytes)
+            fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, data_bytes,
+                 kFooterBytes, n_left_bytes);
+        records_.push_back({.begin = position + kHeaderBytes, .size = data_bytes});
+        position += kHeaderBytes + data_bytes + kFooterBytes;
+        n_left_bytes -= data_bytes + kFooterBytes;
     }
     if (records_.empty())
         fail("{} is empty, expected a TFRecord file with at least one record", file_.string());
 }
 
+/// Reads the data of a record and compares its checksum. Opens the file for each record,
+/// so that several threads can read at the same time.
 std::string TfRecordReader::read_record(std::size_t record_index) const {
     const RecordByteRange& byte_range = records_[record_index];
     std::string data(byte_range.size + kFooterBytes, '\0');
