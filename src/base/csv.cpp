@@ -22,18 +22,18 @@ std::vector<std::string_view> split_csv_cells(std::string_view line) {
 
 std::vector<int> find_columns(const std::vector<std::string_view>& cells,
                               const std::vector<std::string>& known, const std::string& where) {
-    std::vector<int> at(known.size(), -1);
-    for (std::size_t c = 0; c < cells.size(); ++c) {
-        const auto f =
-            static_cast<std::size_t>(std::find(known.begin(), known.end(), cells[c]) - known.begin());
-        if (f == known.size()) {
-            fail("{}: column '{}' is unknown{} (known: {})", where, quote(cells[c]),
-                 did_you_mean(cells[c], known, "'"), fmt::join(known, ", "));
-        }
-        if (at[f] >= 0) fail("{}: column '{}' occurs twice, expected it once", where, cells[c]);
-        at[f] = static_cast<int>(c);
+    std::vector<int> columns(known.size(), -1);
+    for (std::size_t column = 0; column < cells.size(); ++column) {
+        const std::string_view name = cells[column];
+        const auto match = std::find(known.begin(), known.end(), name);
+        if (match == known.end())
+            fail("{}: column '{}' is unknown{} (known: {})", where, quote(name),
+                 did_you_mean(name, known, "'"), fmt::join(known, ", "));
+        int& column_of_name = columns[std::size_t(match - known.begin())];
+        if (column_of_name >= 0) fail("{}: column '{}' occurs twice, expected it once", where, name);
+        column_of_name = static_cast<int>(column);
     }
-    return at;
+    return columns;
 }
 
 }  // namespace relidar

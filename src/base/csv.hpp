@@ -10,7 +10,9 @@ namespace relidar {
 
 std::vector<std::string_view> split_csv_cells(std::string_view line);
 
-/// Returns -1 for a missing column.
+/// Returns the index of each known column in a header line, or -1 for a missing column.
+/// @param cells  names in the header line of the file
+/// @param where  file and line, for messages
 /// @throws DataError for an unknown column, because the values of a misspelt column would
 /// otherwise be read as 0, and for a column that occurs twice
 std::vector<int> find_columns(const std::vector<std::string_view>& cells,

@@ -17,6 +17,8 @@ namespace fs = std::filesystem;
 
 namespace {
 
+constexpr std::string_view kBlanks = " \t\r\n";
+
 DataError unreadable(const fs::path& path, const std::error_code& system_error) {
     return DataError(fmt::format("cannot read {}: {}", path.string(), system_error.message()));
 }
@@ -30,6 +32,8 @@ fs::file_status status_of(const fs::path& path) {
 
 }  // namespace
 
+/// Returns all bytes of a regular file.
+/// @throws DataError with the path if it is missing, another kind of file or unreadable
 std::string read_file(const fs::path& path) {
     const fs::file_status status = status_of(path);
     if (!fs::exists(status)) fail("{}: no such file", path.string());
@@ -64,10 +68,12 @@ void require_folder(const fs::path& path, const std::string& expected_descriptio
              fs::exists(status) ? "the path is not a folder" : "no such folder", expected_description);
 }
 
+/// Returns the paths of all entries of a folder, sorted by name.
 std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
     if (!fs::is_directory(status_of(folder))) fail("{}: no such folder", folder.string());
+    // increment() reports errors in `failed`, while a range-based loop would throw.
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
     if (failed) throw unreadable(folder, failed);
@@ -87,17 +93,23 @@ std::optional<int> parse_stem(const std::string& file_stem) {
 
 std::string quote(std::string_view text) {
     constexpr std::size_t kMaxQuotedBytes = 80;
-    const bool cut = text.size() > kMaxQuotedBytes;
-    std::size_t n = cut ? kMaxQuotedBytes - 3 : text.size();
-    // Moves the end of the text, so that it does not split a UTF-8 character.
-    while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
-    std::string result(text.substr(0, n));
+    constexpr std::string_view kEllipsis = "...";
+    const bool is_too_long = text.size() > kMaxQuotedBytes;
+    if (is_too_long) {
+        std::size_t end = kMaxQuotedBytes - kEllipsis.size();
+        // Does not split a UTF-8 character, whose further bytes are 10xxxxxx.
+        while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0) == 0x80) --end;
+        text = text.substr(0, end);
+    }
+    std::string result(text);
     std::replace_if(
         result.begin(), result.end(), [](unsigned char character) { return std::iscntrl(character) != 0; },
         '?');
-    return cut ? result + "..." : result;
+    if (is_too_long) result += kEllipsis;
+    return result;
 }
 
+/// Returns the lines of a text without their ends, which are "\n" or "\r\n".
 std::vector<std::string> split_lines(const std::string& text) {
     std::vector<std::string> lines;
     for (std::size_t begin = 0; begin < text.size();) {
@@ -111,7 +123,6 @@ std::vector<std::string> split_lines(const std::string& text) {
 }
 
 std::string_view trim(std::string_view text) {
-    constexpr std::string_view kBlanks = " \t\r\n";
     const std::size_t begin = text.find_first_not_of(kBlanks);
     if (begin == std::string_view::npos) return {};
     return text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
@@ -125,14 +136,15 @@ std::optional<double> parse_number(std::string_view text) {
     return value;
 }
 
+/// Parses numbers with blanks between them. Returns nullopt if a word is not a number.
 std::optional<std::vector<double>> parse_numbers(std::string_view text) {
     std::vector<double> numbers;
     for (text = trim(text); !text.empty(); text = trim(text)) {
-        const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
-        const std::optional<double> number = parse_number(text.substr(0, end));
+        const std::size_t word_end = std::min(text.find_first_of(kBlanks), text.size());
+        const std::optional<double> number = parse_number(text.substr(0, word_end));
         if (!number) return std::nullopt;
         numbers.push_back(*number);
-        text.remove_prefix(end);
+        text.remove_prefix(word_end);
     }
     return numbers;
 }

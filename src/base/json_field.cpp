@@ -66,6 +66,8 @@ JsonField JsonField::at(std::size_t index) const {
     return {value_->at(index), *file_, fmt::format("{}[{}]", name_, index)};
 }
 
+bool JsonField::is_string() const { return value_->is_string(); }
+bool JsonField::is_array() const { return value_->is_array(); }
 std::size_t JsonField::size() const {
     if (!value_->is_array()) reject(describe_json(*value_), "expected an array");
     return value_->size();
@@ -79,10 +81,6 @@ std::vector<double> JsonField::flat_numbers(int max_depth) const {
                "expected numbers");
     return numbers;
 }
-
-bool JsonField::is_string() const { return value_->is_string(); }
-
-bool JsonField::is_array() const { return value_->is_array(); }
 
 void JsonField::check_members(const std::vector<std::string>& known_names) const {
     if (!value_->is_object()) reject(describe_json(*value_), "expected an object");
@@ -107,16 +105,18 @@ double JsonField::number_in(double min_value, double max_value) const {
     return value;
 }
 
+/// Returns an integer between two limits, which are allowed, too.
+/// @throws DataError with file and field for other values
 std::int64_t JsonField::integer_in(std::int64_t min_value, std::int64_t max_value) const {
     // A number above INT64_MAX would become negative.
-    const bool fits = value_->is_number_integer() &&
-                      !(value_->is_number_unsigned() &&
-                        value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
-    if (!fits || value_->get<std::int64_t>() < min_value || value_->get<std::int64_t>() > max_value) {
+    const bool is_too_large =
+        value_->is_number_unsigned() && value_->get<std::uint64_t>() > std::uint64_t(INT64_MAX);
+    const bool is_integer = value_->is_number_integer() && !is_too_large;
+    const std::int64_t value = is_integer ? value_->get<std::int64_t>() : 0;
+    if (!is_integer || value < min_value || value > max_value)
         reject(describe_json(*value_),
                fmt::format("expected an integer from {} to {}", min_value, max_value));
-    }
-    return value_->get<std::int64_t>();
+    return value;
 }
 
 bool JsonField::boolean() const {
@@ -151,15 +151,17 @@ std::vector<std::size_t> JsonField::sizes() const {
     return result;
 }
 
+/// Parses JSON. Shortens the parser's message to the reason and the position.
+/// @param file  path for the message
 nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        // "[json.exception.parse_error.101] parse error at line 1, column 2: "
         std::string why = error.what();
+        // Removes the code "[json.exception.parse_error.101] " at the begin.
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        // "; last read" quotes the file and can be very long.
+        // Removes "; last read: ...", which quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file, why);

@@ -20,22 +20,24 @@ bool is_same_letter(char first, char second) {
            std::tolower(static_cast<unsigned char>(second));
 }
 
-/// Returns the edit distance. Keeps only the last rows of the table d(i, j).
+/// Returns the edit distance d of two words. Keeps only rows i - 2, i - 1 and i of d(i,
+/// j).
 std::size_t edit_distance(std::string_view first, std::string_view second) {
-    std::vector<std::size_t> before, row(second.size() + 1), next(second.size() + 1);
-    std::iota(row.begin(), row.end(), std::size_t{0});
+    std::vector<std::size_t> two_rows_before, row_before(second.size() + 1), row(second.size() + 1);
+    std::iota(row_before.begin(), row_before.end(), std::size_t{0});
     for (std::size_t i = 1; i <= first.size(); ++i) {
-        next[0] = i;
+        row[0] = i;
         for (std::size_t j = 1; j <= second.size(); ++j) {
-            const std::size_t replaced = row[j - 1] + (is_same_letter(first[i - 1], second[j - 1]) ? 0 : 1);
-            next[j] = std::min({row[j] + 1, next[j - 1] + 1, replaced});
-            const bool swapped = i > 1 && j > 1 && is_same_letter(first[i - 1], second[j - 2]) &&
-                                 is_same_letter(first[i - 2], second[j - 1]);
-            if (swapped) next[j] = std::min(next[j], before[j - 2] + 1);
+            const bool is_equal = is_same_letter(first[i - 1], second[j - 1]);
+            const std::size_t if_replaced = row_before[j - 1] + (is_equal ? 0 : 1);
+            row[j] = std::min({row_before[j] + 1, row[j - 1] + 1, if_replaced});
+            const bool is_swapped = i > 1 && j > 1 && is_same_letter(first[i - 1], second[j - 2]) &&
+                                    is_same_letter(first[i - 2], second[j - 1]);
+            if (is_swapped) row[j] = std::min(row[j], two_rows_before[j - 2] + 1);
         }
-        before = std::exchange(row, next);
+        two_rows_before = std::exchange(row_before, row);
     }
-    return row[second.size()];
+    return row_before[second.size()];
 }
 
 bool contains_text(std::string_view text, std::string_view substring) {

@@ -20,22 +20,22 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
     if (n_tasks <= 0) return;
     std::mutex mutex;
     std::exception_ptr failure;
-    int failed = n_tasks;
-    std::atomic<int> next{0};
+    int first_failed_task = n_tasks;
+    std::atomic<int> next_task{0};
     // Uses a shared counter, so that tasks start in ascending order. The loops of oneTBB
     // do not guarantee this, because they split the range in the middle.
     const auto run_tasks = [&] {
-        for (int i = next++; i < n_tasks; i = next++) {
+        for (int i = next_task++; i < n_tasks; i = next_task++) {
             try {
                 task(i);
             } catch (...) {
                 const std::scoped_lock lock(mutex);
-                if (i < failed) {
+                if (i < first_failed_task) {
                     failure = std::current_exception();
-                    failed = i;
+                    first_failed_task = i;
                 }
                 // No further task starts.
-                next = n_tasks;
+                next_task = n_tasks;
             }
         }
     };
