@@ -76,6 +76,7 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
                  const BoxFault& fault) {
     if (fault.is_bottom) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * height_m}};
     if (fault.is_turned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
+    // A mirrored y axis negates y, and the parts x and z of a quaternion.
     Pose box = inverse(world_from_frame) * world_from_box;
     box.translation.y = -box.translation.y;
     box.rotation = glm::dquat(box.rotation.w, -box.rotation.x, box.rotation.y, -box.rotation.z);
@@ -84,57 +85,74 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
 
 /// Adds the points of a scan that a box gains and loses if it is corrected.
 /// @param points_m points in the frame of the sensor
+/// @param half_m half of the size of the box
 void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
                    const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
                    PointGain& gain) {
-    const double reach_m = glm::length(half_m) + kShellWidth_m;
+    const double max_distance_m = glm::length(half_m) + kShellWidth_m;  // farther points cannot count
     const glm::dvec3 centre_m = inverse(box_from_sensor).translation,
                      corrected_m = inverse(corrected_from_sensor).translation;
     std::size_t n_gained = 0, n_lost = 0, n_in_shell = 0;
     for (const glm::dvec3& point_m : points_m) {
-        if (glm::distance(point_m, centre_m) > reach_m && glm::distance(point_m, corrected_m) > reach_m)
+        if (glm::distance(point_m, centre_m) > max_distance_m &&
+            glm::distance(point_m, corrected_m) > max_distance_m)
             continue;
         const glm::dvec3 before_m = box_from_sensor * point_m, after_m = corrected_from_sensor * point_m;
         const bool was_inside = contains(half_m, before_m), is_inside = contains(half_m, after_m);
-        n_gained += is_inside && !was_inside;
         // The ground is in the middle of a box whose position is the bottom.
-        n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGroundHeight_m);
-        n_in_shell += !is_inside && contains(half_m, after_m, kShellWidth_m);
+        const bool may_be_ground = fault.is_bottom && before_m.z >= -0.5 * kGroundHeight_m;
+        if (is_inside && !was_inside) ++n_gained;
+        if (was_inside && !is_inside && !may_be_ground) ++n_lost;
+        if (!is_inside && contains(half_m, after_m, kShellWidth_m)) ++n_in_shell;
     }
     // A mirrored box may hit a wall by chance. Only isolated points look like an object.
     const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMaxShellShare * double(n_gained);
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
 
+/// Returns evenly chosen returns of a scan, at most about kMaxPoints, in the sensor
+/// frame.
+std::vector<glm::dvec3> choose_points_m(const Scan& scan) {
+    std::vector<glm::dvec3> points_m;
+    const std::size_t step = 1 + scan.count_returns() / kMaxPoints;
+    std::size_t n_returns = 0;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray)
+        if (scan.range_m[ray] > 0.0f && n_returns++ % step == 0)
+            points_m.emplace_back(scan.return_point(ray));
+    return points_m;
+}
+
+Pose sensor_from_world_at(const Log& sequence, const Frame& frame, double time_s) {
+    return inverse(
+        sequence.world_from_vehicle.mounted_pose_at(time_s, sequence.lidar_of(frame).vehicle_from_sensor));
+}
+
+/// Returns the time at which the sensor faces a box during the sweep of a frame. This
+/// time and the position of the box depend on each other, so it iterates.
+double find_facing_time_s(const Log& sequence, const Frame& frame, const BoxTrack& box) {
+    double time_s = frame.time_s;
+    for (int round = 0; round < 2; ++round) {
+        const glm::dvec3 centre_m = box.world_from_box.pose_at(time_s).translation;
+        time_s = facing_time_s(sequence, sensor_from_world_at(sequence, frame, time_s) * centre_m,
+                               timing_of(frame));
+    }
+    return time_s;
+}
+
 /// Adds the points that the boxes of a frame gain and lose if each fault is corrected.
 /// The corrections are tried one at a time.
 void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
-    std::vector<glm::dvec3> points_m;
-    // Uses every `step`-th return, and so at most kMaxPoints of them.
-    const std::size_t step = 1 + frame.scan.count_returns() / kMaxPoints;
-    std::size_t n_returns = 0;
-    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
-        if (frame.scan.range_m[ray] > 0.0f && n_returns++ % step == 0)
-            points_m.emplace_back(frame.scan.return_point(ray));
-    const auto sensor_from_world_at = [&](double time_s) {
-        return inverse(sequence.world_from_vehicle.mounted_pose_at(
-            time_s, sequence.lidar_of(frame).vehicle_from_sensor));
-    };
+    const std::vector<glm::dvec3> points_m = choose_points_m(frame.scan);
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_observed(frame.time_s)) continue;
-        // The sensor faces the box at another time than the reference time of the frame.
-        double time_s = frame.time_s;
-        // This time and the position of the box depend on each other, so it iterates.
-        for (int round = 0; round < 2; ++round)
-            time_s = facing_time_s(
-                sequence, sensor_from_world_at(time_s) * box.world_from_box.pose_at(time_s).translation,
-                timing_of(frame));
-        const Pose world_from_sensor = inverse(sensor_from_world_at(time_s)),
+        const double time_s = find_facing_time_s(sequence, frame, box);
+        const Pose world_from_sensor = inverse(sensor_from_world_at(sequence, frame, time_s)),
                    world_from_box = box.world_from_box.pose_at(time_s);
         for (std::size_t f = 0; f < kBoxFaults.size(); ++f) {
             const BoxFault& fault = kBoxFaults[f];
+            const bool is_turned = !fault.is_bottom && !fault.is_mirrored;
             // Turning a box shows nothing unless the box is elongated.
-            if (!fault.is_bottom && !fault.is_mirrored && !is_elongated(box.size_m)) continue;
+            if (is_turned && !is_elongated(box.size_m)) continue;
             // The frame whose y axis is mirrored. The world is that of the dataset.
             const Pose mirrored_frame = fault.is_in_vehicle ? sequence.world_from_vehicle.pose_at(time_s)
                                                             : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
@@ -168,42 +186,46 @@ PointGains compare_boxes(const Log& sequence) {
     return sum;
 }
 
+/// True if a box contains a LiDAR or the origin of the vehicle.
+bool is_around_vehicle(const Log& sequence, const glm::dvec3& box_size_m, const Pose& world_from_vehicle,
+                       const Pose& world_from_box) {
+    // A LiDAR on the roof may be above the box.
+    const glm::dvec3 half_m = 0.5 * box_size_m + glm::dvec3(0, 0, kAboveVehicle_m);
+    const auto is_inside = [&](const Pose& vehicle_from_sensor) {
+        const glm::dvec3 local_m =
+            glm::abs(inverse(world_from_box) * (world_from_vehicle * vehicle_from_sensor.translation));
+        return local_m.x <= half_m.x && local_m.y <= half_m.y && local_m.z <= half_m.z;
+    };
+    const Pose vehicle_origin{};
+    return is_inside(vehicle_origin) ||
+           std::ranges::any_of(sequence.lidars, is_inside, &Lidar::vehicle_from_sensor);
+}
+
 }  // namespace
 
 void remove_ego_boxes(Log& sequence) {
-    std::vector<std::string> names;
-    const auto is_around = [&](const BoxTrack& box, const Pose& world_from_vehicle,
-                               const Pose& world_from_box) {
-        // A LiDAR on the roof may be above the box.
-        const glm::dvec3 half_m = 0.5 * box.size_m + glm::dvec3(0, 0, kAboveVehicle_m);
-        const auto is_inside = [&](const Pose& vehicle_from_sensor) {
-            const glm::dvec3 local_m =
-                glm::abs(inverse(world_from_box) * (world_from_vehicle * vehicle_from_sensor.translation));
-            return local_m.x <= half_m.x && local_m.y <= half_m.y && local_m.z <= half_m.z;
-        };
-        // {} is the origin of the vehicle.
-        return is_inside({}) || std::ranges::any_of(sequence.lidars, is_inside, &Lidar::vehicle_from_sensor);
-    };
+    std::vector<std::string> removed_boxes;
     std::erase_if(sequence.boxes, [&](const BoxTrack& box) {
-        std::size_t n_around = 0, n = 0;
-        for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
-            const double time_s = box.world_from_box.time_s[k];
-            if (!sequence.world_from_vehicle.contains_time(time_s)) continue;
-            ++n;
-            n_around +=
-                is_around(box, sequence.world_from_vehicle.pose_at(time_s), box.world_from_box.pose[k]);
+        const PoseTrack& track = box.world_from_box;
+        std::size_t n_around = 0, n_poses = 0;
+        for (std::size_t k = 0; k < track.pose.size(); ++k) {
+            if (!sequence.world_from_vehicle.contains_time(track.time_s[k])) continue;
+            ++n_poses;
+            const Pose world_from_vehicle = sequence.world_from_vehicle.pose_at(track.time_s[k]);
+            if (is_around_vehicle(sequence, box.size_m, world_from_vehicle, track.pose[k])) ++n_around;
         }
         // Removes a box only if it contains the vehicle at most of the times.
-        if (n_around == 0 || double(n_around) < kShareAroundVehicle * double(n) ||
-            std::max(box.size_m.x, box.size_m.y) > kLongestVehicle_m)
-            return false;
-        names.push_back(fmt::format("'{}' ({}, {} of {} poses)", box.id, box.category, n_around, n));
-        return true;
+        const bool is_vehicle = n_around > 0 && double(n_around) >= kShareAroundVehicle * double(n_poses) &&
+                                std::max(box.size_m.x, box.size_m.y) <= kLongestVehicle_m;
+        if (is_vehicle)
+            removed_boxes.push_back(
+                fmt::format("'{}' ({}, {} of {} poses)", box.id, box.category, n_around, n_poses));
+        return is_vehicle;
     });
-    if (!names.empty())
+    if (!removed_boxes.empty())
         sequence.notes.push_back(
             fmt::format("boxes around the sensor are left out, because they are probably the vehicle: {}",
-                        fmt::join(names, ", ")));
+                        fmt::join(removed_boxes, ", ")));
 }
 
 std::string describe_fault(const Log& sequence) {
@@ -216,15 +238,19 @@ std::string describe_fault(const Log& sequence) {
     for (std::size_t fault = 1; fault < gains.size(); ++fault)
         if (net_gain(fault) > net_gain(best)) best = fault;
     if (net_gain(best) <= 0) return "";
-    int n_wider = 0;  // elongated boxes: wider than long minus longer than wide
-    for (const BoxTrack& box : sequence.boxes)
-        if (is_elongated(box.size_m)) n_wider += box.size_m.y > box.size_m.x ? 1 : -1;
-    // If most boxes are wider than long, their sizes are wrong instead of their angles.
-    const char* turned =
-        n_wider > 0 ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
-    return fmt::format("{}{}: boxes that are corrected in this way gain {} points and lose {}",
-                       best == kTurnedFault ? turned : kBoxFaults[best].description,
-                       best > kTurnedFault ? ", as in left-handed coordinates (CARLA)" : "",
+
+    std::string description = kBoxFaults[best].description;
+    if (best == kTurnedFault) {
+        // If most boxes are wider than long, their sizes are wrong instead of their
+        // angles.
+        int n_wider_minus_longer = 0;
+        for (const BoxTrack& box : sequence.boxes)
+            if (is_elongated(box.size_m)) n_wider_minus_longer += box.size_m.y > box.size_m.x ? 1 : -1;
+        description = n_wider_minus_longer > 0 ? "length and width seem to be swapped"
+                                               : "the yaw seems to be turned by 90 degrees";
+    }
+    if (kBoxFaults[best].is_mirrored) description += ", as in left-handed coordinates (CARLA)";
+    return fmt::format("{}: boxes that are corrected in this way gain {} points and lose {}", description,
                        gains[best].gained, gains[best].lost);
 }
 

@@ -71,6 +71,8 @@ void test_poses(const CheckedLog& log, const FaultReport& report) {
         test_track(fmt::format("box '{}'", box.id), box.world_from_box);
 }
 
+/// Tests that all arrays of a scan have one entry for each ray, or, if optional, are
+/// empty.
 void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
     for (const Frame& frame : log.sequence.frames) {
         const Scan& scan = frame.scan;
@@ -95,35 +97,38 @@ void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-/// Tests each value of each ray against its limits. NaN is outside all limits.
+/// Tests the values of one ray against their limits. NaN is outside all limits.
+void test_ray(const Frame& frame, std::size_t ray, std::size_t n_beams, const FaultReport& report) {
+    const Scan& scan = frame.scan;
+    const auto test_value = [&](const char* field, double value, double min, double max) {
+        if (!(value >= min && value <= max)) report.add(frame.index, ray, field, value, min, max);
+    };
+    test_value("length of rays.origin", glm::length(glm::dvec3(scan.rays.origin[ray])), 0.0, kMaxOrigin_m);
+    test_value("length of rays.direction", glm::length(glm::dvec3(scan.rays.direction[ray])),
+               1.0 - kMaxLengthError, 1.0 + kMaxLengthError);
+    test_value("rays.time_offset_s", double(scan.rays.time_offset_s[ray]), -kMaxOffset_s, kMaxOffset_s);
+    if (n_beams > 0) test_value("rays.channel", scan.rays.channel[ray], 0.0, double(n_beams - 1));
+    test_value("divergence", double(scan.rays.divergence_of_rad(ray)), 0.0, kMaxDivergence_rad);
+
+    // An intensity above 0 needs a return, which is a range above 0.
+    const float range_m = scan.range_m[ray];
+    test_value("range_m", double(range_m), 0.0, kMaxDistance_m);
+    test_value("intensity", double(scan.intensity[ray]), 0.0, range_m > 0.0f ? 1.0 : 0.0);
+    for (const AdditionalReturns& second : scan.second_returns) {
+        // A ray can have a second return only if it has a first one.
+        const float second_m = second.range_m[ray];
+        test_value("second_returns.range_m", double(second_m), 0.0, range_m > 0.0f ? kMaxDistance_m : 0.0);
+        test_value("second_returns.intensity", double(second.intensity[ray]), 0.0,
+                   second_m > 0.0f ? 1.0 : 0.0);
+    }
+}
+
 void test_rays(const CheckedLog& log, const FaultReport& report) {
     parallel_for(int(log.sequence.frames.size()), [&](int index) {
         const Frame& frame = log.sequence.frames[std::size_t(index)];
-        const Scan& scan = frame.scan;
         const std::size_t n_beams = log.sequence.lidar_of(frame).sensor.beams.size();
-        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-            const auto test_value = [&](const char* field, double value, double min, double max) {
-                if (!(value >= min && value <= max)) report.add(frame.index, i, field, value, min, max);
-            };
-            // An intensity above 0 needs a return, which is a range above 0.
-            const auto test_return = [&](const char* range, const char* intensity, float range_m, float value,
-                                         bool may_exist) {
-                test_value(range, double(range_m), 0.0, may_exist ? kMaxDistance_m : 0.0);
-                test_value(intensity, double(value), 0.0, range_m > 0.0f ? 1.0 : 0.0);
-            };
-            test_value("length of rays.origin", glm::length(glm::dvec3(scan.rays.origin[i])), 0.0,
-                       kMaxOrigin_m);
-            test_value("length of rays.direction", glm::length(glm::dvec3(scan.rays.direction[i])),
-                       1.0 - kMaxLengthError, 1.0 + kMaxLengthError);
-            test_value("rays.time_offset_s", double(scan.rays.time_offset_s[i]), -kMaxOffset_s, kMaxOffset_s);
-            if (n_beams > 0) test_value("rays.channel", scan.rays.channel[i], 0.0, double(n_beams - 1));
-            test_value("divergence", double(scan.rays.divergence_of_rad(i)), 0.0, kMaxDivergence_rad);
-            test_return("range_m", "intensity", scan.range_m[i], scan.intensity[i], true);
-            // A ray can have a second return only if it has a first one.
-            for (const AdditionalReturns& second : scan.second_returns)
-                test_return("second_returns.range_m", "second_returns.intensity", second.range_m[i],
-                            second.intensity[i], scan.range_m[i] > 0.0f);
-        }
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            test_ray(frame, ray, n_beams, report);
     });
 }
 
@@ -144,14 +149,28 @@ void test_box_times(const CheckedLog& log, const FaultReport& report) {
 
 /// Reports boxes that are too far from the vehicle, probably in map coordinates.
 void test_box_places(const CheckedLog& log, const FaultReport& report) {
-    for (const BoxTrack& box : log.sequence.boxes)
-        for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
-            const double t_s = box.world_from_box.time_s[k];
-            if (!log.sequence.world_from_vehicle.contains_time(t_s)) continue;
-            const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
-                                                    log.sequence.world_from_vehicle.pose_at(t_s).translation);
+    const PoseTrack& vehicle = log.sequence.world_from_vehicle;
+    for (const BoxTrack& box : log.sequence.boxes) {
+        const PoseTrack& track = box.world_from_box;
+        for (std::size_t k = 0; k < track.pose.size(); ++k) {
+            if (!vehicle.contains_time(track.time_s[k])) continue;
+            const double distance_m =
+                glm::distance(track.pose[k].translation, vehicle.pose_at(track.time_s[k]).translation);
             if (distance_m > kMaxBoxDistance_m) report.add(box.id, k, distance_m, kMaxBoxDistance_m);
         }
+    }
+}
+
+ReturnStatistics count_returns(const Scan& scan) {
+    ReturnStatistics statistics;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        ++statistics.n_returns;
+        if (scan.intensity[ray] == 1.0f) ++statistics.n_at_maximum;
+        statistics.lowest = std::min(statistics.lowest, scan.intensity[ray]);
+        statistics.highest = std::max(statistics.highest, scan.intensity[ray]);
+    }
+    return statistics;
 }
 
 constexpr Check kChecks[] = {
@@ -213,15 +232,7 @@ constexpr Check kChecks[] = {
 void note_faults(Log& sequence) {
     CheckedLog log{sequence, std::vector<ReturnStatistics>(sequence.frames.size())};
     parallel_for(int(log.scans.size()), [&](int index) {
-        const Scan& scan = sequence.frames[std::size_t(index)].scan;
-        ReturnStatistics& statistics = log.scans[std::size_t(index)];
-        for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-            if (!(scan.range_m[ray] > 0.0f)) continue;
-            ++statistics.n_returns;
-            statistics.n_at_maximum += scan.intensity[ray] == 1.0f;
-            statistics.lowest = std::min(statistics.lowest, scan.intensity[ray]);
-            statistics.highest = std::max(statistics.highest, scan.intensity[ray]);
-        }
+        log.scans[std::size_t(index)] = count_returns(sequence.frames[std::size_t(index)].scan);
     });
     for (const Check& check : kChecks)
         if (!check.is_error) check.test(log, {check, sequence, sequence.notes});

@@ -62,9 +62,10 @@ TimeGaps find_time_gaps(const Log& sequence) {
     }
     if (steps_s.empty()) return {};
     std::ranges::sort(steps_s);
-    gaps.usual_s = steps_s[(steps_s.size() - 1) / 2];
-    gaps.n = std::size_t(std::ranges::count_if(
-        steps_s, [&](double step_s) { return step_s > std::max(kMinGap_s, kMinGapSteps * gaps.usual_s); }));
+    gaps.usual_s = steps_s[(steps_s.size() - 1) / 2];  // median; the lower one of an even number
+    const double min_gap_s = std::max(kMinGap_s, kMinGapSteps * gaps.usual_s);
+    for (const double step_s : steps_s)
+        if (step_s > min_gap_s) ++gaps.n;
     return gaps;
 }
 
@@ -99,6 +100,36 @@ bool are_intensities_equal(const CheckedLog& log) {
     return all.n_returns > 0 && all.lowest == all.highest;
 }
 
+/// Returns the median number of returns of a scan and its neighbours on both sides.
+std::size_t usual_returns(const std::vector<std::size_t>& n_returns, std::size_t scan) {
+    const auto at = n_returns.begin() + std::ptrdiff_t(scan);
+    const auto first = at - std::min(kNeighbourScans, at - n_returns.begin());
+    const auto end = at + 1 + std::min(kNeighbourScans, n_returns.end() - at - 1);
+    return compute_median(std::vector(first, end));
+}
+
+/// Fit of the times of rays to both directions of rotation.
+struct RotationFit {
+    double nominal = 0.0, opposite = 0.0;  ///< 1: perfect
+};
+
+/// Returns |mean of exp(i (azimuth -+ 2 pi t / period))| over the returns of a scan. It
+/// is 1 for the direction in which the head turns, because azimuth and time then differ
+/// by a constant angle.
+RotationFit measure_rotation(const Scan& scan, const SpinningSensor& sensor, std::size_t n_returns) {
+    std::complex<double> nominal, opposite;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        const glm::vec3& direction = scan.rays.direction[ray];
+        const double azimuth_rad = std::atan2(double(direction.y), double(direction.x)),
+                     turned_rad = (sensor.clockwise ? -2.0 : 2.0) * kPi *
+                                  double(scan.rays.time_offset_s[ray]) / sensor.period_s;
+        nominal += std::polar(1.0, azimuth_rad - turned_rad);
+        opposite += std::polar(1.0, azimuth_rad + turned_rad);
+    }
+    return {std::abs(nominal) / double(n_returns), std::abs(opposite) / double(n_returns)};
+}
+
 }  // namespace
 
 void test_clock_jump(const CheckedLog& log, const FaultReport& report) {
@@ -117,15 +148,17 @@ void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
     const double step_s = median_interval_s(times_s), sweep_s = find_sweep_s(log.sequence);
-    double per_second = 1.0;
+    double units_per_second = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
-        per_second *= 1000.0;
-        const double n_sweeps = step_s / per_second / sweep_s;
+        units_per_second *= 1000.0;
+        const double n_sweeps = step_s / units_per_second / sweep_s;
         // A log with a scan every few minutes looks like milliseconds, so the limit for
         // milliseconds is lower.
-        if (n_sweeps < kMinSweeps || n_sweeps > (per_second > 1000.0 ? kMaxSweepsOfLongSteps : kMaxSweeps))
-            continue;
-        return report.add(step_s, sweep_s, unit);
+        const bool is_milliseconds = units_per_second == 1000.0;
+        const double max_sweeps = is_milliseconds ? kMaxSweeps : kMaxSweepsOfLongSteps;
+        if (n_sweeps < kMinSweeps || n_sweeps > max_sweeps) continue;
+        report.add(step_s, sweep_s, unit);
+        return;
     }
 }
 
@@ -174,31 +207,26 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
 /// Reports scans with far fewer returns than the median of their neighbours.
 void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
-        std::vector<std::size_t> n_returns;
-        std::vector<int> numbers;
+        std::vector<std::size_t> n_returns;  // of the scans of this LiDAR
+        std::vector<int> frame_numbers;
         bool are_neighbours = true;  // false if only a few scans of the log are read
         for (std::size_t i = 0; i < log.scans.size(); ++i) {
             const Frame& frame = log.sequence.frames[i];
             if (frame.lidar != int(l)) continue;
             are_neighbours = are_neighbours && frame.scan.rays.rows > 0;
             n_returns.push_back(log.scans[i].n_returns);
-            numbers.push_back(frame.index);
+            frame_numbers.push_back(frame.index);
         }
-        std::size_t n_small = 0, worst = 0, usual_of_worst = 0;
-        for (std::size_t k = 0; k < n_returns.size() && are_neighbours; ++k) {
-            const auto at = n_returns.begin() + std::ptrdiff_t(k);
-            // Median over up to kNeighbourScans scans before and after this one.
-            const std::size_t usual =
-                compute_median(std::vector(at - std::min(kNeighbourScans, at - n_returns.begin()),
-                                           at + 1 + std::min(kNeighbourScans, n_returns.end() - at - 1)));
-            if (double(*at) >= kMinReturnShare * double(usual)) continue;
-            if (n_small++ > 0 && *at >= n_returns[worst]) continue;
-            worst = k;
-            usual_of_worst = usual;
+        if (!are_neighbours) continue;
+        std::size_t n_small = 0, worst = 0;
+        for (std::size_t k = 0; k < n_returns.size(); ++k) {
+            if (double(n_returns[k]) >= kMinReturnShare * double(usual_returns(n_returns, k))) continue;
+            if (n_small == 0 || n_returns[k] < n_returns[worst]) worst = k;
+            ++n_small;
         }
         if (n_small > 0)
-            report.add_for(int(l), n_small, n_returns.size(), numbers[worst], n_returns[worst],
-                           usual_of_worst);
+            report.add_for(int(l), n_small, n_returns.size(), frame_numbers[worst], n_returns[worst],
+                           usual_returns(n_returns, worst));
     }
 }
 
@@ -220,31 +248,23 @@ void test_saturated(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-/// Compares |mean of exp(i (azimuth -+ 2 pi t / period))|, which is 1 for the direction
-/// in which the head turns.
+/// Reports LiDARs whose first scans fit the opposite direction of rotation better.
 void test_rotation(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         const Lidar& lidar = log.sequence.lidars[l];
         if (lidar.pattern || lidar.sensor.beams.empty() || !(lidar.sensor.period_s > 0.0)) continue;
-        std::array<double, 2> fit{};  // of the direction of the sensor, and of the other direction
+        RotationFit sum;
         int n_scans = 0;
         for (std::size_t i = 0; i < log.scans.size() && n_scans < kRotationScans; ++i) {
-            const Scan& scan = log.sequence.frames[i].scan;
-            if (log.sequence.frames[i].lidar != int(l) || log.scans[i].n_returns == 0) continue;
+            const Frame& frame = log.sequence.frames[i];
+            if (frame.lidar != int(l) || log.scans[i].n_returns == 0) continue;
             ++n_scans;
-            std::array<std::complex<double>, 2> sums{};
-            for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-                if (!(scan.range_m[ray] > 0.0f)) continue;
-                const glm::vec3& d = scan.rays.direction[ray];
-                const double azimuth_rad = std::atan2(double(d.y), double(d.x)),
-                             turned_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi *
-                                          double(scan.rays.time_offset_s[ray]) / lidar.sensor.period_s;
-                sums[0] += std::polar(1.0, azimuth_rad - turned_rad);
-                sums[1] += std::polar(1.0, azimuth_rad + turned_rad);
-            }
-            for (std::size_t k = 0; k < 2; ++k) fit[k] += std::abs(sums[k]) / double(log.scans[i].n_returns);
+            const RotationFit fit = measure_rotation(frame.scan, lidar.sensor, log.scans[i].n_returns);
+            sum.nominal += fit.nominal;
+            sum.opposite += fit.opposite;
         }
-        if (n_scans > 0 && fit[1] >= kMinFit * n_scans && fit[0] <= kMaxMisfit * n_scans)
+        const bool is_opposite = sum.opposite >= kMinFit * n_scans && sum.nominal <= kMaxMisfit * n_scans;
+        if (n_scans > 0 && is_opposite)
             report.add_for(int(l), lidar.sensor.clockwise ? "counterclockwise" : "clockwise",
                            lidar.sensor.clockwise ? "clockwise" : "counterclockwise");
     }
