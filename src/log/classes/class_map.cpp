@@ -13,6 +13,7 @@
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"
 #include "base/geometry/nearest_place.hpp"
+#include "base/joined.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {
@@ -78,6 +79,25 @@ std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack
     return votes;
 }
 
+/// Gives each cell the class with most votes; in a tie, the one with the higher number.
+SurfaceClassMap count_votes(const std::vector<SurfaceClassCell>& votes) {
+    const ItemCellIndices cells =
+        number_cells(votes.size(), [&](std::size_t vote) { return key_of(votes[vote]); });
+    SurfaceClassMap map(cells.n_cells);
+    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
+    for (std::size_t vote = 0; vote < votes.size(); ++vote) {
+        map[cells.of[vote]].grid_index = votes[vote].grid_index;
+        ++counts[cells.of[vote]][std::size_t(votes[vote].surface)];
+    }
+    for (std::size_t cell = 0; cell < map.size(); ++cell) {
+        std::size_t best = 0;
+        for (std::size_t k = 1; k < kSurfaceClasses; ++k)
+            if (counts[cell][k] >= counts[cell][best] && counts[cell][k] > 0) best = k;
+        map[cell].surface = SurfaceClass(best);
+    }
+    return map;
+}
+
 }  // namespace
 
 SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
@@ -85,37 +105,16 @@ SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_veh
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
         world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
-    std::vector<BoxTrack> moving = boxes;
-    std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
+    std::vector<BoxTrack> moving_boxes = boxes;
+    std::erase_if(moving_boxes, [](const BoxTrack& box) { return !box.is_moving(); });
+
     std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
     parallel_for(int(frame_indices.size()), [&](int index) {
         const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
         votes_of_frame[std::size_t(index)] =
-            collect_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
+            collect_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving_boxes, frame);
     });
-    std::vector<SurfaceClassCell> votes;
-    for (std::vector<SurfaceClassCell>& some : votes_of_frame) {
-        votes.insert(votes.end(), some.begin(), some.end());
-        some = {};
-    }
-    const ItemCellIndices cells = number_cells(
-        votes.size(), [&](std::size_t vote) { return grid_key(glm::dvec3(votes[vote].grid_index), 1.0); });
-    SurfaceClassMap map(cells.n_cells);
-    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
-    for (std::size_t i = 0; i < votes.size(); ++i) {
-        map[cells.of[i]].grid_index = votes[i].grid_index;
-        ++counts[cells.of[i]][std::size_t(votes[i].surface)];
-    }
-    // A cell has the class with most votes. In a tie, the class with the higher number
-    // wins.
-    for (std::size_t cell = 0; cell < map.size(); ++cell) {
-        const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class = counts[cell];
-        std::size_t best = 0;
-        for (std::size_t k = 1; k < votes_per_class.size(); ++k)
-            if (votes_per_class[k] >= votes_per_class[best] && votes_per_class[k] > 0) best = k;
-        map[cell].surface = SurfaceClass(best);
-    }
-    return map;
+    return count_votes(concatenate(std::move(votes_of_frame)));
 }
 
 }  // namespace relidar

@@ -23,6 +23,7 @@ SurfaceClass find_by_number(const std::vector<ClassNumbers>& classes, int number
 
 }  // namespace
 
+/// Returns the class of a label of SemanticKITTI, or `unknown`.
 SurfaceClass from_semantic_kitti(int label) {
     using enum SurfaceClass;
     // Labels from 252 are moving objects.
@@ -54,9 +55,10 @@ int to_semantic_kitti(SurfaceClass surface) {
     return kLabels[std::size_t(surface)];
 }
 
+/// Returns the class of a category of nuScenes: the first prefix that matches, or
+/// `unknown`.
 SurfaceClass from_nuscenes(std::string_view category) {
     using enum SurfaceClass;
-    // the first row whose prefix matches
     static constexpr std::pair<std::string_view, SurfaceClass> kClasses[] = {
         {"vehicle.ego", unknown},
         {"vehicle.bicycle", cyclist},
@@ -78,6 +80,7 @@ SurfaceClass from_nuscenes(std::string_view category) {
     return unknown;
 }
 
+/// Returns the class of a number of Waymo's 3D segmentation labels, or `unknown`.
 SurfaceClass from_waymo(int class_number) {
     using enum SurfaceClass;
     static const std::vector<ClassNumbers> kClasses{

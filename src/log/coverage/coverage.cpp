@@ -16,6 +16,7 @@ namespace relidar {
 namespace {
 
 constexpr int kBlockEdgeCells = ObservedVoxelSet::kBlockCells;
+static_assert(kBlockEdgeCells == 8, "locate_cell() divides by 8 with bit operations");
 // Keys of blocks are unique only up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
@@ -24,6 +25,8 @@ struct VoxelAddress {
     std::uint32_t word, bit;
 };
 
+/// Returns the block of a cell, and the bit of the cell in the words (16 bits) of the
+/// block.
 VoxelAddress locate_cell(const glm::ivec3& cell) {
     const glm::ivec3 within = cell & 7;
     const auto index = std::uint32_t(within.x + kBlockEdgeCells * (within.y + kBlockEdgeCells * within.z));
@@ -37,53 +40,53 @@ bool is_addressable(const glm::dvec3& point_m) {
 }
 
 /// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
-/// along the segment.
+/// along the segment (Amanatides and Woo 1987).
 template <class Visit>
 void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
     if (!is_addressable(start_m) || !is_addressable(end_m)) return;
-    const glm::dvec3 a = start_m / ObservedVoxelSet::kCell_m,
+    // In units of cells.
+    const glm::dvec3 start = start_m / ObservedVoxelSet::kCell_m,
                      displacement = (end_m - start_m) / ObservedVoxelSet::kCell_m;
-    glm::ivec3 cell(glm::floor(a));
-    const glm::ivec3 end(glm::floor(a + displacement));
+    glm::ivec3 cell(glm::floor(start));
+    const glm::ivec3 last_cell(glm::floor(start + displacement));
     const double length_m = glm::distance(start_m, end_m);
-    glm::ivec3 step;
+    glm::ivec3 cell_step;
     // Per axis, as fractions of the segment: position of the next cell border, and
     // distance between two borders.
-    glm::dvec3 next, pace;
+    glm::dvec3 next_border, border_step;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
-        step[axis] = displacement[axis] > 0.0 ? 1 : -1;
-        n_borders += std::abs(end[axis] - cell[axis]);
-        const double border = cell[axis] + (displacement[axis] > 0.0 ? 1.0 : 0.0);
-        const bool moves = displacement[axis] != 0.0;
-        pace[axis] = moves ? 1.0 / std::abs(displacement[axis]) : INFINITY;
-        next[axis] = moves ? (border - a[axis]) / displacement[axis] : INFINITY;
+        const bool is_moving = displacement[axis] != 0.0, is_forward = displacement[axis] > 0.0;
+        const double border = cell[axis] + (is_forward ? 1.0 : 0.0);
+        cell_step[axis] = is_forward ? 1 : -1;
+        border_step[axis] = is_moving ? 1.0 / std::abs(displacement[axis]) : INFINITY;
+        next_border[axis] = is_moving ? (border - start[axis]) / displacement[axis] : INFINITY;
+        n_borders += std::abs(last_cell[axis] - cell[axis]);
     }
-    double at = 0.0;
-    for (int border = 0; border < n_borders; ++border) {
+    double position = 0.0;  // fraction of the segment
+    for (int k = 0; k < n_borders; ++k) {
         // Axis of the nearest border. Of equally near borders, the lowest axis is first.
-        int axis = next.y <= next.z ? 1 : 2;
-        if (next.x <= next.y) axis = next.x <= next.z ? 0 : 2;
-        visit_cell(cell, std::max(next[axis] - at, 0.0) * length_m);
-        at = std::max(next[axis], at);
-        cell[axis] += step[axis];
-        next[axis] += pace[axis];
+        int axis = next_border.y <= next_border.z ? 1 : 2;
+        if (next_border.x <= next_border.y) axis = next_border.x <= next_border.z ? 0 : 2;
+        visit_cell(cell, std::max(next_border[axis] - position, 0.0) * length_m);
+        position = std::max(next_border[axis], position);
+        cell[axis] += cell_step[axis];
+        next_border[axis] += border_step[axis];
     }
-    visit_cell(cell, std::max(1.0 - at, 0.0) * length_m);
+    visit_cell(cell, std::max(1.0 - position, 0.0) * length_m);
 }
 
 }  // namespace
 
 void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
-    // last used block; the next cell is usually in the same block
-    VoxelBlock* block = nullptr;
+    VoxelBlock* block = nullptr;  // last used block; the next cell is usually in the same block
     walk_cells(start_m, end_m, [&](const glm::ivec3& cell, double) {
         const VoxelAddress cell_address = locate_cell(cell);
         if (!block || block->grid_index != cell_address.block) {
             block = &blocks_[make_block_key(cell_address.block)];
             block->grid_index = cell_address.block;
         }
-        std::uint16_t& word = block->cells[cell_address.word];
+        std::uint16_t& word = block->cells[cell_address.word];  // one bit for each of 16 cells
         word = std::uint16_t(word | 1u << cell_address.bit);
     });
 }
@@ -138,62 +141,75 @@ struct RaySegment {
 /// returns above and below, or up to max_range_m without a return above.
 /// @param ranges_m  [rows] 0 if the ray was dropped
 std::vector<double> observed_lengths_m(const std::vector<double>& ranges_m, double max_range_m) {
-    const std::size_t n = ranges_m.size();
-    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
-    for (std::size_t row = 1; row < n; ++row)
-        above[row] = ranges_m[row - 1] > 0.0 ? ranges_m[row - 1] : above[row - 1];
-    double below = 0.0;
-    for (std::size_t row = n; row-- > 0;) {
-        if (ranges_m[row] > 0.0) below = result[row] = ranges_m[row];
-        else if (below > 0.0) result[row] = above[row] > 0.0 ? std::min(above[row], below) : max_range_m;
+    const std::size_t n_rows = ranges_m.size();
+    std::vector<double> range_above_m(n_rows, 0.0);  // of the next return above each row; 0: none
+    for (std::size_t row = 1; row < n_rows; ++row)
+        range_above_m[row] = ranges_m[row - 1] > 0.0 ? ranges_m[row - 1] : range_above_m[row - 1];
+
+    std::vector<double> lengths_m(n_rows, 0.0);
+    double range_below_m = 0.0;  // of the next return below
+    for (std::size_t row = n_rows; row-- > 0;) {
+        if (ranges_m[row] > 0.0) {
+            lengths_m[row] = ranges_m[row];
+            range_below_m = ranges_m[row];
+        } else if (range_below_m > 0.0) {
+            const bool has_return_above = range_above_m[row] > 0.0;
+            lengths_m[row] = has_return_above ? std::min(range_above_m[row], range_below_m) : max_range_m;
+        }
     }
-    return result;
+    return lengths_m;
 }
 
 /// Marks the space between two neighbouring rays as observed, up to the shorter ray.
-/// Otherwise cells between diverging rays would stay unobserved.
+/// Otherwise cells between diverging rays would stay unobserved. Adds so many rays in
+/// between that their ends are about a cell apart.
 void fill_between(ObservedVoxelSet& coverage, const RaySegment& first_ray, const RaySegment& second_ray) {
+    const WorldRay &first = first_ray.ray, &second = second_ray.ray;
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
-    const int n = int(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
-                      ObservedVoxelSet::kCell_m);
-    for (int k = 1; k <= n; ++k) {
-        const double s = double(k) / (n + 1);
-        const glm::dvec3 origin_m = glm::mix(first_ray.ray.origin_m, second_ray.ray.origin_m, s);
-        coverage.add_segment(origin_m,
-                             origin_m + length_m * glm::normalize(glm::mix(first_ray.ray.direction,
-                                                                           second_ray.ray.direction, s)));
+    const int n_between =
+        int(length_m * glm::distance(first.direction, second.direction) / ObservedVoxelSet::kCell_m);
+    for (int k = 1; k <= n_between; ++k) {
+        const double share = double(k) / (n_between + 1);
+        const glm::dvec3 origin_m = glm::mix(first.origin_m, second.origin_m, share);
+        const glm::dvec3 direction = glm::normalize(glm::mix(first.direction, second.direction, share));
+        coverage.add_segment(origin_m, origin_m + length_m * direction);
     }
 }
 
+/// Returns n if every n-th column of a scan is enough, because the columns in between
+/// cross the same grid cells even at max_range_m.
+std::size_t choose_column_step(const SpinningSensor& sensor, std::size_t n_rows, double max_range_m) {
+    constexpr double kMaxColumnStep = 16.0;
+    if (n_rows <= 1) return 1;
+    const double column_distance_m =
+        sensor.columns > 0 ? 2.0 * kPi / sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;
+    return std::size_t(std::clamp(ObservedVoxelSet::kCell_m / column_distance_m, 1.0, kMaxColumnStep));
+}
+
+/// Returns the space that one scan has observed. See observe_coverage().
 ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
                                double max_range_m) {
     ObservedVoxelSet coverage;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    // Uses only every `step`-th column, at most every 16th, because the columns in
-    // between cross the same grid cells.
-    std::size_t step = 1;
-    if (rows > 1) {
-        const int sensor_columns = sequence.lidar_of(frame).sensor.columns;
-        const double step_m =
-            sensor_columns > 0 ? 2.0 * kPi / sensor_columns * max_range_m : ObservedVoxelSet::kCell_m;
-        step = std::size_t(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
-    }
+    const std::size_t column_step = choose_column_step(sequence.lidar_of(frame).sensor, rows, max_range_m);
     std::vector<double> range_m(rows);
-    std::vector<RaySegment> looks(rows);
-    for (std::size_t column = 0; column < columns; column += step) {
+    std::vector<RaySegment> segments(rows);
+    for (std::size_t column = 0; column < columns; column += column_step) {
         for (std::size_t row = 0; row < rows; ++row)
             range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
         const std::vector<double> length_m = observed_lengths_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
-            looks[row].length_m = length_m[row];
+            RaySegment& segment = segments[row];
+            segment.length_m = length_m[row];
             if (!(length_m[row] > 0.0)) continue;
-            looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
-                                            row * columns + column, sequence.rolling_shutter);
-            const WorldRay& ray = looks[row].ray;
-            coverage.add_segment(ray.origin_m, ray.origin_m + length_m[row] * ray.direction);
-            if (row > 0 && looks[row - 1].length_m > 0.0) fill_between(coverage, looks[row - 1], looks[row]);
+            segment.ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column,
+                                         sequence.rolling_shutter);
+            coverage.add_segment(segment.ray.origin_m,
+                                 segment.ray.origin_m + length_m[row] * segment.ray.direction);
+            if (row > 0 && segments[row - 1].length_m > 0.0)
+                fill_between(coverage, segments[row - 1], segment);
         }
     }
     return coverage;
@@ -206,16 +222,16 @@ ObservedVoxelSet observe_coverage(const Log& sequence, const PoseTrack& world_fr
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
         world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
-    ObservedVoxelSet all;
+    ObservedVoxelSet observed;  // a union, so the order of the frames does not matter
     std::mutex mutex;
     parallel_for(int(frame_indices.size()), [&](int index) {
         const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
-        const ObservedVoxelSet one =
+        const ObservedVoxelSet observed_by_frame =
             observe_frame(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
-        all.merge(one);
+        observed.merge(observed_by_frame);
     });
-    return all;
+    return observed;
 }
 
 }  // namespace relidar

@@ -16,6 +16,8 @@
 
 namespace relidar {
 
+/// Returns the channels that every rendered scan can have: name, unit, meaning, how the
+/// values of sub-rays are joined, and the value of a missing return.
 const BasicChannels& basic_channels() {
     using enum ChannelMergeRule;
     static const BasicChannels channels = {
@@ -119,15 +121,16 @@ std::vector<ScanChannel> copy_layout(const std::vector<ScanChannel>& channels) {
 
 std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels,
                                         const std::string& axis_separator) {
-    std::vector<ChannelColumn> numbers;
+    std::vector<ChannelColumn> columns;
     for (const auto& [info, values, second] : channels) {
-        if (std::holds_alternative<std::vector<glm::vec3>>(values))
+        const bool is_vector = std::holds_alternative<std::vector<glm::vec3>>(values);
+        const bool is_integer = std::holds_alternative<std::vector<std::int32_t>>(values);
+        if (!is_vector) columns.push_back({info.name, is_integer});
+        else
             for (const char axis : {'x', 'y', 'z'})
-                // The second member is true for integers.
-                numbers.push_back({info.name + axis_separator + axis, false});
-        else numbers.push_back({info.name, std::holds_alternative<std::vector<std::int32_t>>(values)});
+                columns.push_back({info.name + axis_separator + axis, is_integer});
     }
-    return numbers;
+    return columns;
 }
 
 void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels, std::size_t index) {
@@ -136,17 +139,17 @@ void append_values(std::string& output_bytes, const std::vector<ScanChannel>& ch
 }
 
 void append_return(ScanChannel& points, const ScanChannel& rays, std::size_t ray, int return_number_from_1) {
-    const ChannelInfo& channel = rays.info;
-    const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = return_number_from_1 == 2 && count_values(rays.second) > 0
-                                 ? std::get_if<std::vector<T>>(&rays.second)
-                                 : nullptr;
+    const bool is_first = return_number_from_1 == 1;
+    const bool has_second_values = count_values(rays.second) > 0;
+    // T is the type of the values: a number or a vector.
+    const auto append_value = [&]<class T>(const std::vector<T>& first_values) {
         auto& point_values = std::get<std::vector<T>>(points.values);
-        if (second) point_values.push_back((*second)[ray]);
-        else if (return_number_from_1 == 1 || channel.of_ray) point_values.push_back(values[ray]);
-        else point_values.push_back(empty_value<T>(channel));
+        if (!is_first && has_second_values)
+            point_values.push_back(std::get<std::vector<T>>(rays.second)[ray]);
+        else if (is_first || rays.info.of_ray) point_values.push_back(first_values[ray]);
+        else point_values.push_back(empty_value<T>(rays.info));
     };
-    std::visit(append_one, rays.values);
+    std::visit(append_value, rays.values);
 }
 
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element) {
