@@ -20,8 +20,9 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 /// to t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
 static_assert(scatter::kMaxColumnsAhead <= kTileColumns);
 
-/// Returns the leaf of a ray. `child` is the first child of a node; the second child
-/// follows it. A leaf has a negative feature index.
+/// Returns the leaf of a ray: from the root, goes to the first child of a node if the
+/// feature of the node is at most `at`, otherwise to the second. `child` is the first
+/// child; the second one follows it. A leaf has a negative feature index.
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
     const IntensityScatterModel& scatter, const scatter::RayFeatureExtractor& feature_extractor, int row,
     int column) {
@@ -36,24 +37,24 @@ const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
 
 }  // namespace
 
-std::size_t count_features() { return scatter::kFeatures; }
-
 std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
                                     const RenderedIntensityImage& rendered,
                                     std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
     RELIDAR_ASSERT_EQ(return_flags.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(return_flags.size(), kNoIntensity);
-    const scatter::RayFeatureExtractor context(rendered, drawn);
+    // The features of a ray use the intensities that `drawn` has when the ray is drawn.
+    const scatter::RayFeatureExtractor feature_extractor(rendered, drawn);
     const auto draw_tile = [&](int row, int tile) {
         const int end = std::min((tile + 1) * kTileColumns, rendered.columns);
         for (int column = tile * kTileColumns; column < end; ++column) {
             const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
             if (return_flags[i] == 0) continue;
             const IntensityScatterModel::DecisionTreeNode& leaf =
-                find_tree_leaf(scatter, context, row, column);
-            // Draws one of the values of the leaf. The seed depends only on the ray.
-            drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash_pair(seed, i)).sample_uniform() *
-                                                               double(leaf.count))];
+                find_tree_leaf(scatter, feature_extractor, row, column);
+            // Draws one of the values of the leaf. The seed depends only on the ray, so
+            // that the order of the rays does not matter.
+            const double share = Random(hash_pair(seed, i)).sample_uniform();
+            drawn[i] = scatter.values[leaf.first + std::size_t(share * double(leaf.count))];
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;
@@ -68,5 +69,7 @@ std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
     }
     return drawn;
 }
+
+std::size_t count_features() { return scatter::kFeatures; }
 
 }  // namespace relidar

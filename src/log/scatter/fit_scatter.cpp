@@ -71,18 +71,22 @@ bool has_both_returns(const PairedIntensities& paired_image, std::size_t ray_ind
 /// Lists the measured points whose rays also hit a rendered surface, or a random part of
 /// about `max_returns` of them.
 std::vector<ImageRay> sample_returns(std::span<const PairedIntensities> images, std::size_t max_returns) {
-    std::size_t n = 0;
+    std::size_t n_returns = 0;
     for (const PairedIntensities& image : images)
-        for (std::size_t i = 0; i < image.measured.size(); ++i) n += has_both_returns(image, i);
-    const double share = double(max_returns) / double(std::max<std::size_t>(n, 1));
-    std::vector<std::vector<ImageRay>> of_images(images.size());
-    parallel_for(int(images.size()), [&](int image) {
-        const auto k = std::size_t(image);
-        for (std::size_t i = 0; i < images[k].measured.size(); ++i)
-            if (has_both_returns(images[k], i) && Random(hash_pair(k, i)).sample_uniform() < share)
-                of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
+        for (std::size_t ray = 0; ray < image.measured.size(); ++ray)
+            if (has_both_returns(image, ray)) ++n_returns;
+    const double share = double(max_returns) / double(std::max<std::size_t>(n_returns, 1));
+    std::vector<std::vector<ImageRay>> samples_of_images(images.size());
+    parallel_for(int(images.size()), [&](int index) {
+        const auto image = std::size_t(index);
+        for (std::size_t ray = 0; ray < images[image].measured.size(); ++ray) {
+            // The seed depends only on the ray, so that threads do not change the choice.
+            const bool is_chosen = Random(hash_pair(image, ray)).sample_uniform() < share;
+            if (is_chosen && has_both_returns(images[image], ray))
+                samples_of_images[image].push_back({std::uint32_t(image), std::uint32_t(ray)});
+        }
     });
-    return concatenate(std::move(of_images));
+    return concatenate(std::move(samples_of_images));
 }
 
 RayFeatures return_features(std::span<const PairedIntensities> images, ImageRay return_index) {
@@ -91,31 +95,39 @@ RayFeatures return_features(std::span<const PairedIntensities> images, ImageRay 
     return RayFeatureExtractor(image.rendered, image.measured).compute_features(ray / columns, ray % columns);
 }
 
-/// Computes the feature bins and the intensity class of each return. The bins are
-/// quantiles, so that each holds a similar number of returns.
-ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& indices) {
-    ScatterSamples result{std::vector<ScatterSample>(indices.size())};
-    const std::size_t stride = indices.size() / kQuantileReturns + 1;
-    std::vector<RayFeatures> some((indices.size() + stride - 1) / stride);
-    parallel_blocks(some.size(), [&](std::size_t index) {
-        some[index] = return_features(images, indices[index * stride]);
+/// Computes the borders of the bins of each feature: quantiles of some of the returns, so
+/// that each bin holds a similar number of returns.
+std::array<std::vector<float>, kFeatures> find_bin_borders(std::span<const PairedIntensities> images,
+                                                           const std::vector<ImageRay>& returns) {
+    const std::size_t stride = returns.size() / kQuantileReturns + 1;
+    std::vector<RayFeatures> some_features((returns.size() + stride - 1) / stride);
+    parallel_blocks(some_features.size(), [&](std::size_t index) {
+        some_features[index] = return_features(images, returns[index * stride]);
     });
-    parallel_for(int(kFeatures), [&](int f) {
+    std::array<std::vector<float>, kFeatures> borders;
+    parallel_for(int(kFeatures), [&](int feature) {
         std::vector<float> values;
-        for (const RayFeatures& features : some) values.push_back(features[std::size_t(f)]);
-        result.cuts[std::size_t(f)] = find_quantiles(std::move(values), kBins);
+        for (const RayFeatures& features : some_features) values.push_back(features[std::size_t(feature)]);
+        borders[std::size_t(feature)] = find_quantiles(std::move(values), kBins);
     });
-    std::vector<float> values;
-    for (const ImageRay& location : indices) values.push_back(images[location.image].measured[location.ray]);
-    const std::vector<float> classes = find_quantiles(values, kClasses);
-    parallel_blocks(indices.size(), [&](std::size_t index) {
-        const RayFeatures features = return_features(images, indices[index]);
-        ScatterSample& one = result.all[index];
-        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = find_bin(result.cuts[f], features[f]);
-        one.of_class = find_bin(classes, values[index]);
-        one.value = values[index];
+    return borders;
+}
+
+/// Computes the feature bins and the intensity class of each return.
+ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& returns) {
+    ScatterSamples samples{.all = std::vector<ScatterSample>(returns.size()),
+                           .cuts = find_bin_borders(images, returns)};
+    std::vector<float> intensities;
+    for (const ImageRay& place : returns) intensities.push_back(images[place.image].measured[place.ray]);
+    const std::vector<float> class_borders = find_quantiles(intensities, kClasses);
+    parallel_blocks(returns.size(), [&](std::size_t index) {
+        const RayFeatures features = return_features(images, returns[index]);
+        ScatterSample& sample = samples.all[index];
+        for (std::size_t f = 0; f < kFeatures; ++f) sample.bins[f] = find_bin(samples.cuts[f], features[f]);
+        sample.of_class = find_bin(class_borders, intensities[index]);
+        sample.value = intensities[index];
     });
-    return result;
+    return samples;
 }
 
 /// Table of k ln k for integers.
@@ -152,26 +164,28 @@ struct TreeNodeSplit {
 constexpr std::size_t kFeaturesPerPass = 4;
 using BinCounts = std::array<ClassCounts, kBins>;
 
-/// Returns the best split of a tree node by one feature.
+/// Returns the best split of a tree node by one feature: tries all borders between bins.
 /// @param class_counts_by_bin number of returns of each class in each bin of the feature
+/// @param n_bin_borders number of bins except the last
 TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t feature,
                                std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
-    ClassCounts all, low;
-    for (const ClassCounts& of_bin : class_counts_by_bin) all.add_counts(of_bin);
-    const std::uint32_t n = all.count_returns();
-    const double before = all.log_likelihood(k_log_k_table);
-    std::uint32_t n_low = 0;
-    for (std::size_t b = 0; b < n_bin_borders; ++b) {
-        const std::uint32_t of_bin = class_counts_by_bin[b].count_returns();
-        if (of_bin == 0) continue;  // the same split as before this bin
-        low.add_counts(class_counts_by_bin[b]);
-        n_low += of_bin;
-        if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
-        ClassCounts high = all;
-        for (std::size_t c = 0; c < kClasses; ++c) high.of[c] -= low.of[c];
-        const double gain = low.log_likelihood(k_log_k_table) + high.log_likelihood(k_log_k_table) - before;
-        if (gain > best.gain) best = {gain, int(feature), b};
+    ClassCounts node, first_child;
+    for (const ClassCounts& bin_counts : class_counts_by_bin) node.add_counts(bin_counts);
+    const std::uint32_t n_node = node.count_returns();
+    const double node_likelihood = node.log_likelihood(k_log_k_table);
+    std::uint32_t n_first = 0;
+    for (std::size_t bin = 0; bin < n_bin_borders; ++bin) {
+        const std::uint32_t n_in_bin = class_counts_by_bin[bin].count_returns();
+        if (n_in_bin == 0) continue;  // the same split as before this bin
+        first_child.add_counts(class_counts_by_bin[bin]);
+        n_first += n_in_bin;
+        if (n_first < kFewestOfLeaf || n_node - n_first < kFewestOfLeaf) continue;
+        ClassCounts second_child = node;
+        for (std::size_t c = 0; c < kClasses; ++c) second_child.of[c] -= first_child.of[c];
+        const double gain = first_child.log_likelihood(k_log_k_table) +
+                            second_child.log_likelihood(k_log_k_table) - node_likelihood;
+        if (gain > best.gain) best = {.gain = gain, .feature = int(feature), .bin = bin};
     }
     return best;
 }
@@ -181,14 +195,15 @@ TreeNodeSplit split_by_features(const ScatterSamples& samples, std::span<const S
                                 std::size_t first_feature, const std::vector<double>& k_log_k_table) {
     const std::size_t n = std::min(kFeaturesPerPass, kFeatures - first_feature);
     std::array<BinCounts, kFeaturesPerPass> counts{};
-    for (const ScatterSample& one : node_samples)
-        for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first_feature + f]].of[one.of_class];
+    for (const ScatterSample& sample : node_samples)
+        for (std::size_t f = 0; f < n; ++f) ++counts[f][sample.bins[first_feature + f]].of[sample.of_class];
     TreeNodeSplit best;
-    for (std::size_t f = 0; f < n; ++f)
-        if (const TreeNodeSplit cut = split_by_feature(counts[f], first_feature + f,
-                                                       samples.cuts[first_feature + f].size(), k_log_k_table);
-            cut.gain > best.gain)
-            best = cut;
+    for (std::size_t f = 0; f < n; ++f) {
+        const std::size_t feature = first_feature + f;
+        const TreeNodeSplit split =
+            split_by_feature(counts[f], feature, samples.cuts[feature].size(), k_log_k_table);
+        if (split.gain > best.gain) best = split;
+    }
     return best;
 }
 
@@ -205,59 +220,62 @@ std::vector<TreeNodeSplit> find_layer_splits(const ScatterSamples& samples,
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         if (node.count < 2 * kFewestOfLeaf) return;
         // Best split of each group of kFeaturesPerPass features.
-        std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> cuts;
-        const auto find_cut = [&](int k) {
-            cuts[std::size_t(k)] =
-                split_by_features(samples, node_samples, std::size_t(k) * kFeaturesPerPass, k_log_k);
+        std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> group_splits;
+        const auto split_by_group = [&](int group) {
+            const std::size_t first_feature = std::size_t(group) * kFeaturesPerPass;
+            group_splits[std::size_t(group)] =
+                split_by_features(samples, node_samples, first_feature, k_log_k);
         };
-        if (node.count >= kMinLargeNode) parallel_for(int(cuts.size()), find_cut);
+        if (node.count >= kMinLargeNode) parallel_for(int(group_splits.size()), split_by_group);
         else
-            for (int k = 0; k < int(cuts.size()); ++k) find_cut(k);
-        for (const TreeNodeSplit& cut : cuts)
-            if (cut.gain > best[std::size_t(index)].gain) best[std::size_t(index)] = cut;
+            for (int group = 0; group < int(group_splits.size()); ++group) split_by_group(group);
+        for (const TreeNodeSplit& split : group_splits)
+            if (split.gain > best[std::size_t(index)].gain) best[std::size_t(index)] = split;
     });
     return best;
 }
 
-/// Splits the nodes of the decision tree with index `first_node` or higher. Reorders
-/// `samples` so that those of each node stay contiguous.
+/// Splits the nodes of the decision tree with index `first_node` or higher, and appends
+/// their children. Reorders `samples` so that those of each node stay contiguous.
 void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_table,
                  std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
-    const std::vector<TreeNodeSplit> cuts =
+    const std::vector<TreeNodeSplit> splits =
         find_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
-    std::vector<std::uint32_t> n_low(cuts.size(), 0);
-    parallel_for(int(cuts.size()), [&](int k) {
-        const TreeNodeSplit& cut = cuts[std::size_t(k)];
-        if (cut.feature < 0) return;
+    std::vector<std::uint32_t> first_child_sizes(splits.size(), 0);
+    parallel_for(int(splits.size()), [&](int k) {
+        const TreeNodeSplit& split = splits[std::size_t(k)];
+        if (split.feature < 0) return;
         const IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + std::size_t(k)];
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
-        const auto is_low = [&](const ScatterSample& one) {
-            return one.bins[std::size_t(cut.feature)] <= cut.bin;
+        const auto is_in_first_child = [&](const ScatterSample& sample) {
+            return sample.bins[std::size_t(split.feature)] <= split.bin;
         };
-        // Moves the samples of the first child to the front.
-        n_low[std::size_t(k)] = std::uint32_t(
-            std::stable_partition(node_samples.begin(), node_samples.end(), is_low) - node_samples.begin());
+        const auto second_child =
+            std::stable_partition(node_samples.begin(), node_samples.end(), is_in_first_child);
+        first_child_sizes[std::size_t(k)] = std::uint32_t(second_child - node_samples.begin());
     });
-    for (std::size_t k = 0; k < cuts.size(); ++k) {
-        if (cuts[k].feature < 0) continue;
+    for (std::size_t k = 0; k < splits.size(); ++k) {
+        const TreeNodeSplit& split = splits[k];
+        if (split.feature < 0) continue;
         IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + k];
-        node.feature = cuts[k].feature;
-        node.at = samples.cuts[std::size_t(cuts[k].feature)][cuts[k].bin];
+        node.feature = split.feature;
+        node.at = samples.cuts[std::size_t(split.feature)][split.bin];
         node.child = std::int32_t(nodes.size());
-        const std::uint32_t begin = node.first, count = node.count;
-        nodes.push_back({.first = begin, .count = n_low[k]});
-        nodes.push_back({.first = begin + n_low[k], .count = count - n_low[k]});
+        const std::uint32_t begin = node.first, count = node.count, n_first = first_child_sizes[k];
+        nodes.push_back({.first = begin, .count = n_first});
+        nodes.push_back({.first = begin + n_first, .count = count - n_first});
     }
 }
 
+/// Checks that all arrays of an image have one value for each ray.
 void check_image_sizes(std::span<const PairedIntensities> images) {
-    for (const auto& [r, measured] : images) {
-        const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
-        for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
-                                       r.cosine.size(), r.elevation_rad.size(), measured.size()})
-            if (size != n)
+    for (const auto& [image, measured] : images) {
+        const std::size_t n_rays = std::size_t(image.rows) * std::size_t(image.columns);
+        for (const std::size_t size : {image.intensity.size(), image.range_m.size(), image.spread_m.size(),
+                                       image.cosine.size(), image.elevation_rad.size(), measured.size()})
+            if (size != n_rays)
                 fail("cannot fit the intensity scatter: found an array of {} values, expected {} x {}", size,
-                     r.rows, r.columns);
+                     image.rows, image.columns);
     }
 }
 
@@ -283,6 +301,7 @@ double find_step(std::vector<float> values) {
     if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
     const double largest = double(values.back());
     double step = 0.0;
+    // The step is the greatest common divisor of all values, refined after each value.
     for (const float value : values) {
         step = step > 0.0 ? approximate_gcd(double(value), step, kMaxRelativeError * largest) : double(value);
         if (value > 0.0f && step < kMinRelativeStep * largest) return 0.0;
@@ -307,15 +326,16 @@ IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images) {
     if (return_locations.size() < kMinReturns) return result;
     ScatterSamples samples = make_samples(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
-    const std::vector<double> terms = make_entropy_terms(return_locations.size());
+    const std::vector<double> k_log_k_table = make_entropy_terms(return_locations.size());
     // A layer is the nodes that the split of the previous layer has appended.
-    for (std::size_t first = 0; first < result.nodes.size();) {
-        const std::size_t end = result.nodes.size();
-        split_layer(samples, terms, result.nodes, first);
-        first = end;
+    std::size_t layer_begin = 0;
+    while (layer_begin < result.nodes.size()) {
+        const std::size_t layer_end = result.nodes.size();
+        split_layer(samples, k_log_k_table, result.nodes, layer_begin);
+        layer_begin = layer_end;
     }
     // Leaves refer to ranges of the samples, which split_layer() has reordered.
-    for (const ScatterSample& one : samples.all) result.values.push_back(one.value);
+    for (const ScatterSample& sample : samples.all) result.values.push_back(sample.value);
     result.step = find_step(result.values);
     return result;
 }
