@@ -45,18 +45,20 @@ constexpr BeamColumn kBeamColumns[] = {{"elevation_deg", &BeamRow::elevation_deg
                                        {"max_range_m", &BeamRow::max_range_m, 0.0, kFarthestLimit_m},
                                        {"channel", &BeamRow::channel, 0.0, 65535.0}};
 
-/// Returns the values of one beam. A missing column has the index -1.
+/// Returns the values of one beam.
+/// @param column_indices  cell of each of kBeamColumns; -1: the file has no such column
 BeamRow parse_beam_row(const std::vector<std::string_view>& cells, const std::vector<int>& column_indices,
                        const std::string& where) {
     BeamRow row;
-    for (std::size_t c = 0; c < std::size(kBeamColumns); ++c) {
-        if (column_indices[c] < 0) continue;
-        const auto& [name, member, low, high] = kBeamColumns[c];
-        const std::string_view cell = cells[std::size_t(column_indices[c])];
+    for (std::size_t k = 0; k < std::size(kBeamColumns); ++k) {
+        if (column_indices[k] < 0) continue;
+        const BeamColumn& column = kBeamColumns[k];
+        const std::string_view cell = cells[std::size_t(column_indices[k])];
         const auto number = parse_number(cell);
-        if (!number || !(*number >= low && *number <= high))
-            fail("{}: {} is '{}', expected a number in [{}, {}]", where, name, cell, low, high);
-        row.*member = *number;
+        if (!number || !(*number >= column.low && *number <= column.high))
+            fail("{}: {} is '{}', expected a number in [{}, {}]", where, column.name, cell, column.low,
+                 column.high);
+        row.*column.member = *number;
     }
     return row;
 }
@@ -68,8 +70,11 @@ void append_beam(SpinningSensor& sensor, const BeamRow& row, const std::string& 
     // The head turns on between the nominal time and the firing. The rotation is
     // negative, because the head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * row.firing_offset_us * 1e-6;
-    const Beam beam{row.elevation_deg * kPi / 180.0, row.azimuth_offset_deg * kPi / 180.0 + turned_rad,
-                    row.origin_offset_m, row.origin_up_m, row.origin_left_m};
+    const Beam beam{.elevation_rad = row.elevation_deg * kPi / 180.0,
+                    .azimuth_offset_rad = row.azimuth_offset_deg * kPi / 180.0 + turned_rad,
+                    .origin_offset_m = row.origin_offset_m,
+                    .origin_up_m = row.origin_up_m,
+                    .origin_left_m = row.origin_left_m};
     if (sensor.beams.empty()) {
         sensor.min_range_m = row.min_range_m;
         sensor.max_range_m = row.max_range_m;
@@ -92,27 +97,28 @@ void append_beam(SpinningSensor& sensor, const BeamRow& row, const std::string& 
 SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns, double rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto is_comment = [](const std::string& line) { return line.starts_with('#'); };
-    const auto first = std::size_t(std::ranges::find_if_not(lines, is_comment) - lines.begin());
-    const std::vector<std::string_view> header =
-        first == lines.size() ? std::vector<std::string_view>{} : split_csv_cells(lines[first]);
+    const auto header_line = std::size_t(std::ranges::find_if_not(lines, is_comment) - lines.begin());
+    std::vector<std::string_view> header;
+    if (header_line < lines.size()) header = split_csv_cells(lines[header_line]);
     std::vector<std::string> column_names;
     for (const BeamColumn& column : kBeamColumns) column_names.emplace_back(column.name);
-    const std::vector<int> at =
-        find_columns(header, column_names, fmt::format("{} line {}", where, first + 1));
-    if (at[0] < 0) fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", where);
+    const std::vector<int> column_indices =
+        find_columns(header, column_names, fmt::format("{} line {}", where, header_line + 1));
+    if (column_indices[0] < 0)
+        fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", where);
 
     SpinningSensor sensor;
     sensor.columns = n_columns;
     sensor.period_s = 1.0 / rate_hz;
     // Half a column from the rear, so that the columns are symmetric to the front.
     sensor.first_azimuth_rad = kPi - kPi / n_columns;
-    for (std::size_t l = first + 1; l < lines.size(); ++l) {
+    for (std::size_t l = header_line + 1; l < lines.size(); ++l) {
         if (trim(lines[l]).empty() || is_comment(lines[l])) continue;
         const std::string line = fmt::format("{} line {}", where, l + 1);
         const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size())
             fail("{}: found {} values, expected {} like in the header", line, cells.size(), header.size());
-        append_beam(sensor, parse_beam_row(cells, at, line), line);
+        append_beam(sensor, parse_beam_row(cells, column_indices, line), line);
     }
     if (sensor.beams.empty()) fail("{}: found no beams after the header, expected at least one", where);
     return sensor;

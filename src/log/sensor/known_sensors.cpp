@@ -41,8 +41,8 @@ struct DataSheet {
     std::string_view name;
     int columns;
     double min_range_m, max_range_m, divergence_rad;
-    const char* about = nullptr;       ///< source of the beams; null: the table in `tables`
-    std::array<BeamFan, 2> fans = {};  ///< from the highest to the lowest; unused with a table
+    const char* beam_source = nullptr;  ///< source of the beams; null: the table in `tables`
+    std::array<BeamFan, 2> fans = {};   ///< from the highest to the lowest; unused with a table
 };
 
 // The upper 32 beams of the HDL-64E start at +2 degrees, with steps of 1/3 degree. The
@@ -92,12 +92,13 @@ SensorModel make_model(SpinningSensor sensor, const std::string& text) {
     return {sensor.name, text, sensor.range_limits(), std::move(sensor)};
 }
 
-/// The rays are the pixels of the KITTI-360 range images that publications use.
+/// Returns a sensor whose rays are the pixels of KITTI-360 range images in publications.
+/// @param columns  0: as in the publications
 SensorModel make_kitti360(int columns, double rate_hz) {
     const RangeImageGrid grid = kitti360_grid();
     SpinningSensor sensor{.name = grid.name,
                           .beams = {},
-                          .columns = columns ? columns : grid.columns,
+                          .columns = columns > 0 ? columns : grid.columns,
                           .period_s = 1.0 / rate_hz,
                           .first_azimuth_rad = kPi,
                           .max_range_m = grid.max_range_m};
@@ -106,7 +107,8 @@ SensorModel make_kitti360(int columns, double rate_hz) {
     return make_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// The first line begins with # and names the source of the values.
+/// Returns the CSV text of a table in src/log/sensor/tables. The first line is the
+/// source.
 std::string find_beam_table(const std::string& name) {
     const auto tables = table_texts();
     const auto table =
@@ -115,56 +117,60 @@ std::string find_beam_table(const std::string& name) {
     return std::string(table->second);
 }
 
-std::string source_of(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
+/// Returns the source of a beam table from its first line, "# SOURCE".
+std::string read_table_source(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-/// Combines the beams with the data sheet.
+/// Returns a spinning sensor from its data sheet. The beams come from the table of this
+/// name, or are evenly spaced as in the data sheet.
 /// @param columns  0: the default
 SensorModel make_spinning(const DataSheet& data_sheet, int columns, double rate_hz) {
     if (columns == 0) columns = data_sheet.columns;
     SpinningSensor sensor;
-    std::string about;
-    if (data_sheet.about) {
-        about = data_sheet.about;
+    std::string beam_source;
+    if (data_sheet.beam_source) {
+        beam_source = data_sheet.beam_source;
         sensor.columns = columns;
         sensor.period_s = 1.0 / rate_hz;
         sensor.first_azimuth_rad = kPi - kPi / columns;
-        for (const auto& [n, top_deg, bottom_deg] : data_sheet.fans)
-            for (int i = 0; i < n; ++i)
-                sensor.beams.push_back(
-                    {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n - 1)) * kDegree});
+        for (const auto& [n_beams, top_deg, bottom_deg] : data_sheet.fans)
+            for (int beam = 0; beam < n_beams; ++beam) {
+                const double elevation_deg = top_deg + (bottom_deg - top_deg) * beam / (n_beams - 1);
+                sensor.beams.push_back({.elevation_rad = elevation_deg * kDegree});
+            }
     } else {
         const std::string table = find_beam_table(std::string(data_sheet.name));
-        about = source_of(table);
+        beam_source = read_table_source(table);
         sensor = parse_beams(table, std::string(data_sheet.name), columns, rate_hz);
     }
     sensor.name = data_sheet.name;
-    // exactly backward
+    // The first column of an Ouster is exactly backward, not half a column from there.
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet.min_range_m;
     sensor.max_range_m = data_sheet.max_range_m;
     sensor.divergence_rad = data_sheet.divergence_rad;
-    return make_model(std::move(sensor), about);
+    return make_model(std::move(sensor), beam_source);
 }
 
 /// Returns the AT128 as a table of rays. Mirrors scan 120 degrees from left to right in
 /// 0.1 s. Azimuth offsets of beams are relative to the mirrors.
 SensorModel make_at128() {
     constexpr int kColumns = 1200;
-    constexpr double period_s = 0.1, step_deg = 0.1;
+    constexpr double kPeriod_s = 0.1, kColumnStep_deg = 0.1;
     const std::string table = find_beam_table("AT128");
-    const std::vector<Beam> beams = parse_beams(table, "AT128", kColumns, 1.0 / period_s).beams;
+    const std::vector<Beam> beams = parse_beams(table, "AT128", kColumns, 1.0 / kPeriod_s).beams;
     RayTable rays;
     rays.rows = int(beams.size());
     rays.columns = kColumns;
     for (std::size_t row = 0; row < beams.size(); ++row)
         for (int column = 0; column < kColumns; ++column) {
-            const double left_of_middle = 0.5 * (kColumns - 1) - column;
-            rays.direction.emplace_back(aim_beam(beams[row], left_of_middle * step_deg * kDegree).direction);
+            const double columns_to_middle = 0.5 * (kColumns - 1) - column;  // positive on the left
+            const double azimuth_rad = columns_to_middle * kColumnStep_deg * kDegree;
+            rays.direction.emplace_back(aim_beam(beams[row], azimuth_rad).direction);
             rays.origin.emplace_back(0.0f);
-            rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
+            rays.time_offset_s.push_back(float(-columns_to_middle / kColumns * kPeriod_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", source_of(table), {0.5, 200.0}, std::move(rays)};
+    return {"AT128", read_table_source(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// Returns a scanning-window sensor with the data-sheet values of the AT128.
@@ -191,16 +197,17 @@ SensorModel make_rosette() {
 
 std::vector<BeamFiring> read_firings(const std::string& sensor_name) {
     const std::vector<std::string> lines = split_lines(find_beam_table(sensor_name));
-    const std::vector<std::string_view> header = split_csv_cells(lines[1]);  // after the line with the source
+    // Line 0 has the source, line 1 the names of the columns, each further line a beam.
+    const std::vector<std::string_view> header = split_csv_cells(lines[1]);
     std::vector<BeamFiring> firings;
     for (std::size_t l = 2; l < lines.size(); ++l) {
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
-        const auto number = [&](std::string_view column) {
-            const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
+        const auto value_of = [&](std::string_view column_name) {
+            const auto column = std::size_t(std::ranges::find(header, column_name) - header.begin());
             // 0 if the table has no such column
-            return at < header.size() ? parse_number(cells.at(at)).value_or(0.0) : 0.0;
+            return column < header.size() ? parse_number(cells.at(column)).value_or(0.0) : 0.0;
         };
-        firings.push_back({int(number("channel")), number("firing_offset_us")});
+        firings.push_back({int(value_of("channel")), value_of("firing_offset_us")});
     }
     return firings;
 }

@@ -21,6 +21,8 @@ constexpr double kLargestRange_m = 1e12, kLongestPeriod_s = 3600.0;
 
 }  // namespace
 
+/// Returns the kinds of sensors: the key in JSON, the members for the help, and the
+/// parser. The order is that of SensorPattern.
 const std::vector<PatternKind>& all_pattern_kinds() {
     static const std::vector<PatternKind> kinds{
         {"spinning", "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}], azimuth_deg: [first, last]",
@@ -41,7 +43,6 @@ RayTable make_rays(const SensorPattern& pattern, double time_s) {
 }
 
 RayTable make_rays(const SensorModel& sensor, double time_s) { return make_rays(sensor.pattern, time_s); }
-
 ScanPatternSummary summarise_pattern(const SensorPattern& pattern) {
     return std::visit([](const auto& sensor) { return sensor::describe(sensor); }, pattern);
 }
@@ -114,11 +115,11 @@ double read_divergence_rad(const JsonField& field) {
 
 CommonMembers read_common(const JsonField& field, const std::string& default_name, double min_s) {
     const CommonMembers common{
-        field.has_member("name") ? field.at("name").text() : default_name,
-        {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
-         read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
-        read_number_or(field, "period_s", 0.1, min_s, kLongestPeriod_s),
-        read_divergence_rad(field)};
+        .name = field.has_member("name") ? field.at("name").text() : default_name,
+        .limits = {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
+                   read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
+        .period_s = read_number_or(field, "period_s", 0.1, min_s, kLongestPeriod_s),
+        .divergence_rad = read_divergence_rad(field)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.reject(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m),
                      "expected min_range_m < max_range_m");

@@ -50,20 +50,20 @@ ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector
     ProjectedRangeImage image;
     image.rows = grid.rows;
     image.columns = grid.columns;
-    const std::size_t n = std::size_t(grid.rows) * std::size_t(grid.columns);
-    image.range_m.assign(n, 0.0f);
-    image.intensity.assign(n, 0.0f);
-    image.source.assign(n, -1);
+    const std::size_t n_pixels = std::size_t(grid.rows) * std::size_t(grid.columns);
+    image.range_m.assign(n_pixels, 0.0f);
+    image.intensity.assign(n_pixels, 0.0f);
+    image.source.assign(n_pixels, -1);  // index of the point of each pixel; -1: none
     for (std::size_t i = 0; i < points_m.size(); ++i) {
         const std::optional<int> pixel = project_to_pixel(grid, glm::dvec3(points_m[i]));
         if (!pixel) continue;
-        const std::size_t at = std::size_t(*pixel);
-        const float range = glm::length(points_m[i]);
+        const auto p = std::size_t(*pixel);
+        const float range_m = glm::length(points_m[i]);
         // The nearest point of a pixel wins, as in a depth buffer.
-        if (image.source[at] >= 0 && image.range_m[at] <= range) continue;
-        image.range_m[at] = range;
-        image.intensity[at] = intensity[i];
-        image.source[at] = int(i);
+        if (image.source[p] >= 0 && image.range_m[p] <= range_m) continue;
+        image.range_m[p] = range_m;
+        image.intensity[p] = intensity[i];
+        image.source[p] = int(i);
     }
     return image;
 }

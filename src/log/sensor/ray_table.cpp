@@ -24,25 +24,27 @@ void RayTable::append_ray(const RayTable& source_table, std::size_t ray_index) {
 }
 
 std::vector<glm::dvec2> spread_sub_rays(int n_sub_rays) {
-    std::vector<glm::dvec2> offsets{{0.0, 0.0}};
-    const auto add_ring = [&](double radius, double first) {
-        for (int k = 0; k < 4; ++k)
-            offsets.push_back(radius *
-                              glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
+    constexpr double kGoldenAngle_rad = 2.399963229728653;
+    std::vector<glm::dvec2> offsets;
+    const auto add_offset = [&](double radius, double angle_rad) {
+        offsets.push_back(radius * glm::dvec2(std::cos(angle_rad), std::sin(angle_rad)));
     };
-    // Chooses the radii, in units of the beam radius, so that the mean of radius^2 over
-    // all sub-rays is 1/2, as for a uniform disc.
+    const auto add_ring = [&](double radius, double first_angle_rad) {
+        for (int k = 0; k < 4; ++k) add_offset(radius, first_angle_rad + k * kPi / 2.0);
+    };
+    if (n_sub_rays != 1 && n_sub_rays != 5 && n_sub_rays != 9) {
+        // Spiral of Fermat, which covers a disc evenly.
+        for (int k = 0; k < n_sub_rays; ++k)
+            add_offset(std::sqrt((k + 0.5) / n_sub_rays), k * kGoldenAngle_rad);
+        return offsets;
+    }
+    // The radii are such that the mean of radius^2 over all sub-rays is 1/2.
+    offsets.emplace_back(0.0, 0.0);
     if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n_sub_rays == 9) {
         add_ring(0.5, kPi / 4.0);
         add_ring(std::sqrt(7.0 / 8.0), 0.0);
     }
-    if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;
-    constexpr double kGoldenAngle_rad = 2.399963229728653;
-    offsets.clear();
-    for (int k = 0; k < n_sub_rays; ++k)
-        offsets.push_back(std::sqrt((k + 0.5) / n_sub_rays) *
-                          glm::dvec2(std::cos(k * kGoldenAngle_rad), std::sin(k * kGoldenAngle_rad)));
     return offsets;
 }
 
@@ -53,11 +55,13 @@ bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions) 
     // image from a full turn.
     const std::span<const glm::vec3> row =
         directions.subspan(std::size_t(rows / 2) * std::size_t(columns), std::size_t(columns));
+    const auto azimuth_rad = [&](std::size_t column) {
+        return std::atan2(double(row[column].y), double(row[column].x));
+    };
     double turned_rad = 0.0;
-    for (std::size_t c = 1; c < row.size(); ++c)
-        turned_rad += std::remainder(std::atan2(double(row[c].y), double(row[c].x)) -
-                                         std::atan2(double(row[c - 1].y), double(row[c - 1].x)),
-                                     2.0 * kPi);
+    for (std::size_t column = 1; column < row.size(); ++column)
+        turned_rad += std::remainder(azimuth_rad(column) - azimuth_rad(column - 1), 2.0 * kPi);
+    // columns - 1 steps become the full turn of `columns` steps.
     return std::abs(turned_rad) * columns / (columns - 1) >= kLeastTurn_rad;
 }
 

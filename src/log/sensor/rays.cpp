@@ -10,6 +10,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include <fmt/format.h>
 
@@ -23,6 +24,7 @@
 namespace relidar {
 namespace {
 
+/// Returns a table of rows x columns rays, which the caller fills in.
 RayTable make_ray_table(int rows, int columns, double divergence_rad) {
     RayTable rays;
     rays.rows = rows;
@@ -36,6 +38,9 @@ RayTable make_ray_table(int rows, int columns, double divergence_rad) {
     return rays;
 }
 
+/// Checks the values of a sensor before its rays are computed, because a program can set
+/// any values.
+/// @throws UsageError naming the value that is wrong
 void check_spinning(const SpinningSensor& sensor) {
     const auto check = [&](bool is_right, const std::string& value, const std::string& expected) {
         if (!is_right) fail<UsageError>("sensor '{}': found {}, expected {}", sensor.name, value, expected);
@@ -86,24 +91,29 @@ int offset_columns(const Beam& beam, int n_columns) {
 
 std::vector<int> fired_columns(const SpinningSensor& sensor) {
     constexpr double kSlack_rad = 1e-9, kTurn_rad = 2.0 * kPi;
-    std::vector<int> columns;
+    std::vector<int> columns(std::size_t(std::max(sensor.columns, 0)));
+    std::iota(columns.begin(), columns.end(), 0);
+    if (!sensor.azimuth_rad) return columns;
+    const double first_rad = (*sensor.azimuth_rad)[0], last_rad = (*sensor.azimuth_rad)[1];
+    if (std::abs(last_rad - first_rad) > kTurn_rad - kSlack_rad) return columns;
+
     const double direction = sensor.clockwise ? -1.0 : 1.0;
-    const auto turned_rad = [&](double azimuth_rad) {  // since the first ray of a turn, 0 to a full turn
-        // The slack keeps a rounding error from turning 0 into a full turn.
-        const double rad = direction * (azimuth_rad - (*sensor.azimuth_rad)[0]) + kSlack_rad;
+    // Angle that the head has turned since the first ray, 0 to a full turn. The slack
+    // keeps a rounding error from turning 0 into a full turn.
+    const auto turned_rad = [&](double azimuth_rad) {
+        const double rad = direction * (azimuth_rad - first_rad) + kSlack_rad;
         return rad - kTurn_rad * std::floor(rad / kTurn_rad);
     };
-    const bool fires_always =
-        !sensor.azimuth_rad ||
-        std::abs((*sensor.azimuth_rad)[1] - (*sensor.azimuth_rad)[0]) > kTurn_rad - kSlack_rad;
-    for (int column = 0; column < sensor.columns; ++column)
-        // A column fires if the head passes it before the end of the field of view.
-        if (fires_always || turned_rad(sensor.first_azimuth_rad - column * kTurn_rad / sensor.columns) <=
-                                turned_rad((*sensor.azimuth_rad)[1]) + kSlack_rad)
-            columns.push_back(column);
+    // A column does not fire if the head passes it after the last ray.
+    std::erase_if(columns, [&](int column) {
+        const double azimuth_rad = sensor.first_azimuth_rad - column * kTurn_rad / sensor.columns;
+        return turned_rad(azimuth_rad) > turned_rad(last_rad) + kSlack_rad;
+    });
     return columns;
 }
 
+/// Returns the rays of one sweep: a row for each beam, a column for each azimuth at which
+/// the sensor fires. Times are relative to the moment when the head faces forward.
 RayTable make_rays(const SpinningSensor& sensor) {
     check_spinning(sensor);
     const std::vector<int> fired = fired_columns(sensor);
@@ -112,39 +122,40 @@ RayTable make_rays(const SpinningSensor& sensor) {
                          sensor.name);
     const int rows = int(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = make_ray_table(rows, int(fired.size()), sensor.divergence_rad);
+    // Seconds per radian to the left; a clockwise head turns to the right.
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[std::size_t(row)];
         const BeamRays geometry(beam);
         const int shift = offset_columns(beam, columns);
-        std::size_t at = std::size_t(row) * fired.size();
-        for (const int column : fired) {
+        for (std::size_t k = 0; k < fired.size(); ++k) {
             // The beam points to the azimuth of this column when the head is `shift`
             // columns away.
-            const int firing = ((column + shift) % columns + columns) % columns;
-            const double azimuth_rad = sensor.first_azimuth_rad - firing * 2.0 * kPi / columns;
-            // to [-pi, pi], without changing -pi and pi
-            const double head =
-                std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
-            const BeamRay ray = geometry.compute_ray(head);
-            rays.origin[at] = glm::vec3(ray.origin_m);
-            rays.direction[at] = glm::vec3(ray.direction);
-            rays.time_offset_s[at] = float(head * seconds_per_rad);
-            rays.channel[at++] = std::uint16_t(row);
+            const int head_column = ((fired[k] + shift) % columns + columns) % columns;
+            double head_rad = sensor.first_azimuth_rad - head_column * 2.0 * kPi / columns;
+            // To [-pi, pi], without changing -pi and pi.
+            if (std::abs(head_rad) > kPi) head_rad = std::remainder(head_rad, 2.0 * kPi);
+            const BeamRay ray = geometry.compute_ray(head_rad);
+            const std::size_t index = std::size_t(row) * fired.size() + k;
+            rays.origin[index] = glm::vec3(ray.origin_m);
+            rays.direction[index] = glm::vec3(ray.direction);
+            rays.time_offset_s[index] = float(head_rad * seconds_per_rad);
+            rays.channel[index] = std::uint16_t(row);
         }
     });
     return rays;
 }
 
+/// Returns the rays through the pixels of a grid, like a spinning sensor with a beam per
+/// row.
 RayTable make_rays(const RangeImageGrid& grid) {
     SpinningSensor sensor;
     sensor.name = grid.name;
     sensor.columns = grid.columns;
     // Inverse of project_to_pixel(): column 0 faces backward.
     sensor.first_azimuth_rad = kPi;
-    for (int row = 0; row < grid.rows; ++row) {
+    for (int row = 0; row < grid.rows; ++row)
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
-    }
     return make_rays(sensor);
 }
 

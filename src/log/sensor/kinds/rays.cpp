@@ -24,39 +24,47 @@ nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
 std::size_t count_ray_rows(const JsonField& field) {
     if (field.has_member("rows")) return std::size_t(field.at("rows").integer_in(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");
-    const bool is_image = list.is_array() && list.size() > 0 && list.at(std::size_t(0)).is_array() &&
-                          list.at(std::size_t(0)).size() > 0 &&
-                          list.at(std::size_t(0)).at(std::size_t(0)).is_array();
+    constexpr std::size_t kFirst = 0;
+    const auto is_filled_list = [](const JsonField& value) { return value.is_array() && value.size() > 0; };
+    // An image is a list of rows, which are lists of vectors.
+    const bool is_image =
+        is_filled_list(list) && is_filled_list(list.at(kFirst)) && list.at(kFirst).at(kFirst).is_array();
     return is_image ? std::min(list.size(), kMaxRays) : 1;
 }
 
 }  // namespace
 
+/// Reads a table of rays, with the array names of a rendered scan. Lists may be nested.
 SensorModel sensor::parse_ray_table(const JsonField& field, const std::string& default_name) {
     field.check_members({"directions", "origin", "time", "ring", "rows", "divergence", "divergence_mrad",
                          "divergence_rad", "name", "min_range_m", "max_range_m"});
-    const auto list = [&](const char* key) {
+    const auto read_list = [&](const char* key) {
         return field.has_member(key) ? field.at(key).flat_numbers(kMaxListNesting) : std::vector<double>{};
     };
-    sensor_files::RayFileArrays c{.direction = field.at("directions").flat_numbers(kMaxListNesting),
-                                  .origin = list("origin"),
-                                  .time_s = list("time"),
-                                  .channel = list("ring"),
-                                  .keeps_floats = true};
+    const auto read_number = [&](const char* key, double default_value) {
+        return field.has_member(key) ? field.at(key).number() : default_value;
+    };
+    sensor_files::RayFileArrays arrays{.direction = field.at("directions").flat_numbers(kMaxListNesting),
+                                       .origin = read_list("origin"),
+                                       .time_s = read_list("time"),
+                                       .channel = read_list("ring"),
+                                       .keeps_floats = true};
     const std::size_t rows = count_ray_rows(field);
-    c.rows = int(rows);
+    arrays.rows = int(rows);
     // make_ray_sensor() checks that rows x columns is the number of rays.
-    c.columns = int(std::min(c.direction.size() / 3 / rows, kMaxRays));
-    std::optional<double> of_all_mrad;
-    if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();
-    c.divergence_rad = sensor_files::choose_divergence(list("divergence"), of_all_mrad, field.location());
-    if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").number()};
-    c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").number() : c.limits.min_m,
-                field.has_member("max_range_m") ? field.at("max_range_m").number() : c.limits.max_m};
-    return sensor_files::make_ray_sensor(c, field.has_member("name") ? field.at("name").text() : default_name,
-                                         field.location());
+    arrays.columns = int(std::min(arrays.direction.size() / 3 / rows, kMaxRays));
+    std::optional<double> common_mrad;
+    if (field.has_member("divergence_mrad")) common_mrad = field.at("divergence_mrad").number();
+    arrays.divergence_rad =
+        sensor_files::choose_divergence(read_list("divergence"), common_mrad, field.location());
+    if (field.has_member("divergence_rad")) arrays.divergence_rad = {field.at("divergence_rad").number()};
+    arrays.limits = {read_number("min_range_m", arrays.limits.min_m),
+                     read_number("max_range_m", arrays.limits.max_m)};
+    const std::string name = field.has_member("name") ? field.at("name").text() : default_name;
+    return sensor_files::make_ray_sensor(arrays, name, field.location());
 }
 
+/// Writes the members that parse_ray_table() reads. Leaves out name and range limits.
 nlohmann::ordered_json sensor::write(const RayTable& rays) {
     nlohmann::ordered_json json = {{"rows", rays.rows},
                                    {"directions", vectors_json(rays.direction)},

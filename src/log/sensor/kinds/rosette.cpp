@@ -11,6 +11,9 @@ namespace relidar {
 
 using namespace sensor;
 
+/// Returns the rays of one scan, in the order of firing. The pattern depends on the time,
+/// because the prisms do not return to the same angles after a period.
+/// @param time_s  time of the middle of the scan
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     check_ray_count(rosette.name, rosette.n_rays);
     check_finite_sum(
@@ -23,18 +26,20 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     rays.divergence_rad = float(rosette.divergence_rad);
     for (int i = 0; i < rosette.n_rays; ++i) {
         const double offset_s = ((i + 0.5) / rosette.n_rays - 0.5) * rosette.period_s;
-        // Each prism deflects the beam by the same angle in the direction of its
-        // rotation angle.
-        const double first = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
-        const double second = 2.0 * kPi * std::fmod(rosette.second_hz * (time_s + offset_s), 1.0);
-        const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));
-        const double up = rosette.deflection_rad * (std::sin(first) + std::sin(second));
-        const double bent = std::hypot(left, up), share = bent > 0.0 ? std::sin(bent) / bent : 1.0;
-        add_ray(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
+        const double first_rad = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
+        const double second_rad = 2.0 * kPi * std::fmod(rosette.second_hz * (time_s + offset_s), 1.0);
+        // Each prism deflects the beam by the same angle, in the direction of its
+        // rotation angle. The sum of both is the angle to the axis and its direction.
+        const double left_rad = rosette.deflection_rad * (std::cos(first_rad) + std::cos(second_rad));
+        const double up_rad = rosette.deflection_rad * (std::sin(first_rad) + std::sin(second_rad));
+        const double bent_rad = std::hypot(left_rad, up_rad);
+        const double scale = bent_rad > 0.0 ? std::sin(bent_rad) / bent_rad : 1.0;
+        add_ray(rays, {std::cos(bent_rad), left_rad * scale, up_rad * scale}, offset_s, 0);
     }
     return rays;
 }
 
+/// Reads a rosette sensor from its JSON object. A deflection is the angle of one prism.
 SensorModel sensor::parse_rosette(const JsonField& field, const std::string& default_name) {
     check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
     const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);

@@ -31,6 +31,7 @@ constexpr BeamMember kBeamMembers[] = {{"origin_offset_m", &Beam::origin_offset_
 constexpr double kMaxAngle_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
 
+/// Reads a beam. Only its elevation is required.
 Beam read_beam(const JsonField& field) {
     field.check_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg", "azimuth_offset_rad",
                          "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
@@ -42,6 +43,7 @@ Beam read_beam(const JsonField& field) {
     return beam;
 }
 
+/// Reads the list of beams, from the highest to the lowest, and the number of columns.
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
@@ -64,14 +66,18 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
     return json;
 }
 
-/// Reads the azimuths of the first and the last ray, azimuth_deg or azimuth_rad.
+/// Reads the field of view: the azimuths of the first and the last ray of a turn, as
+/// azimuth_deg or azimuth_rad. Returns nothing if both are missing.
+/// @return radians
 std::optional<std::array<double, 2>> read_azimuths(const JsonField& field) {
-    const bool in_rad = field.has_member("azimuth_rad");
-    if (!in_rad && !field.has_member("azimuth_deg")) return {};
-    const JsonField pair = field.at(in_rad ? "azimuth_rad" : "azimuth_deg");
+    constexpr double kMaxAzimuth_rad = 6.2832;  // 360 degrees, rounded up
+    const bool is_in_rad = field.has_member("azimuth_rad");
+    if (!is_in_rad && !field.has_member("azimuth_deg")) return {};
+    const JsonField pair = field.at(is_in_rad ? "azimuth_rad" : "azimuth_deg");
     std::array<double, 2> azimuths = pair.numbers<2>();
-    for (double& azimuth : azimuths) azimuth *= in_rad ? 1.0 : kPi / 180.0;
-    if (azimuths[0] == azimuths[1] || std::max(std::abs(azimuths[0]), std::abs(azimuths[1])) > 6.2832)
+    for (double& azimuth : azimuths) azimuth *= is_in_rad ? 1.0 : kPi / 180.0;
+    const double largest_rad = std::max(std::abs(azimuths[0]), std::abs(azimuths[1]));
+    if (azimuths[0] == azimuths[1] || largest_rad > kMaxAzimuth_rad)
         pair.reject("found another pair of numbers",
                     "expected two different azimuths of at most 360 degrees, in the order of rotation");
     return azimuths;
@@ -79,8 +85,8 @@ std::optional<std::array<double, 2>> read_azimuths(const JsonField& field) {
 
 }  // namespace
 
-/// Reads a spinning sensor from JSON. The beams can be missing if only the scans of a
-/// LiDAR are known.
+/// Reads a spinning sensor from its JSON object. The beams can be missing, because of
+/// some LiDARs in logs only the scans are known. The period can then be 0 (unknown).
 SensorModel sensor::parse_spinning(const JsonField& field, const std::string& default_name) {
     check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth", "azimuth"});
     SpinningSensor sensor;
@@ -92,12 +98,15 @@ SensorModel sensor::parse_spinning(const JsonField& field, const std::string& de
     sensor.divergence_rad = common.divergence_rad;
     if (field.has_member("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
     if (field.has_member("beams")) read_beams(field, sensor);
-    const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
-    sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", middle, kMaxAngle_deg);
+    // By default half a column from the rear, so that the columns are symmetric to the
+    // front.
+    const double default_rad = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
+    sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", default_rad, kMaxAngle_deg);
     sensor.azimuth_rad = read_azimuths(field);
     return {sensor.name, "", common.limits, std::move(sensor)};
 }
 
+/// Writes the members that parse_spinning() reads. Leaves out name and range limits.
 nlohmann::ordered_json sensor::write(const SpinningSensor& sensor) {
     nlohmann::ordered_json json = {{"period_s", sensor.period_s},
                                    {"divergence_rad", sensor.divergence_rad},

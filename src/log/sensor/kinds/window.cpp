@@ -14,6 +14,7 @@ namespace relidar {
 
 using namespace sensor;
 
+/// Returns the rays of one scan, evenly spaced in angle from the top left.
 RayTable make_rays(const WindowScanSensor& window) {
     check_ray_count(window.name, double(window.rows) * double(window.columns));
     check_finite_sum(
@@ -27,18 +28,21 @@ RayTable make_rays(const WindowScanSensor& window) {
     rays.columns = window.columns;
     rays.divergence_rad = float(window.divergence_rad);
     for (int row = 0; row < window.rows; ++row) {
-        const double elevation = spaced_value(window.top_rad, window.bottom_rad, row, window.rows),
-                     c = std::cos(elevation);
+        const double elevation = spaced_value(window.top_rad, window.bottom_rad, row, window.rows);
+        const double horizontal = std::cos(elevation);  // length of the horizontal part of the direction
         for (int column = 0; column < window.columns; ++column) {
             const double azimuth = spaced_value(window.left_rad, window.right_rad, column, window.columns);
             // All rays of a column fire together. Time 0 is the middle of the scan.
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
-            add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
+            add_ray(rays,
+                    {horizontal * std::cos(azimuth), horizontal * std::sin(azimuth), std::sin(elevation)},
+                    time_s, row);
         }
     }
     return rays;
 }
 
+/// Reads a scanning-window sensor from JSON. The four angles are those of the outer rays.
 SensorModel sensor::parse_window(const JsonField& field, const std::string& default_name) {
     check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
     const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
