@@ -29,20 +29,25 @@ struct SensorSpecifier {
 };
 
 /// Removes the field of view of a spinning sensor from the end of a name, for example
-/// ":60..-60" from "OS1-64:1024x10:60..-60". Returns nothing if the name has none.
-std::optional<std::array<double, 2>> cut_azimuths(std::string& text) {
-    const std::size_t colon = text.rfind(':'), dots = text.find("..", std::min(colon, text.size()));
-    if (colon == std::string::npos || dots == std::string::npos) return {};
-    const auto first = parse_number(std::string_view(text).substr(colon + 1, dots - colon - 1)),
-               last = parse_number(std::string_view(text).substr(dots + 2));
-    if (!first || !last) return {};
-    if (!(std::max(std::abs(*first), std::abs(*last)) <= 360.0) || *first == *last)
+/// ":60..-60" from "OS1-64:1024x10:60..-60".
+/// @return azimuths of the first and the last ray, radians; nothing if the name has none
+std::optional<std::array<double, 2>> cut_azimuths(std::string& name) {
+    const std::size_t colon = name.rfind(':');
+    if (colon == std::string::npos) return {};
+    const std::string_view suffix = std::string_view(name).substr(colon + 1);
+    const std::size_t dots = suffix.find("..");
+    if (dots == std::string::npos) return {};
+    const auto first_deg = parse_number(suffix.substr(0, dots)),
+               last_deg = parse_number(suffix.substr(dots + 2));
+    if (!first_deg || !last_deg) return {};
+    const double largest_deg = std::max(std::abs(*first_deg), std::abs(*last_deg));
+    if (!(largest_deg <= 360.0) || *first_deg == *last_deg)
         fail<UsageError>(
             "sensor '{}': found azimuths from {} to {} degrees, expected two different numbers from -360 to "
             "360",
-            text, *first, *last);
-    text.resize(colon);
-    return std::array{*first * kPi / 180.0, *last * kPi / 180.0};
+            name, *first_deg, *last_deg);
+    name.resize(colon);
+    return std::array{*first_deg * kPi / 180.0, *last_deg * kPi / 180.0};
 }
 
 /// Parses "OS1-64:1024x20": name, columns and rate in Hz. Columns and rate are optional.
@@ -53,17 +58,18 @@ SensorSpecifier parse_specifier(const std::string& specifier_text) {
     const std::string_view suffix = std::string_view(specifier_text).substr(colon + 1);
     const std::size_t x = std::min(suffix.find('x'), suffix.size());
     const auto columns = parse_number(suffix.substr(0, x));
-    const auto rate_hz =
-        x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
+    std::optional<double> rate_hz = kTableRate_hz;
+    if (x < suffix.size()) rate_hz = parse_number(suffix.substr(x + 1));
     // Without numbers, the colon is part of a file path.
     if (!columns || !rate_hz) return {specifier_text};
-    if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
-        !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
+    const bool is_column_count =
+        *columns >= 1.0 && *columns <= kMaxColumns && *columns == std::floor(*columns);
+    const bool is_rate = *rate_hz > 0.0 && *rate_hz <= kMaxRate_hz;
+    if (!is_column_count || !is_rate)
         fail<UsageError>(
             "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and up to "
             "{} Hz",
             specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz);
-    }
     return {specifier_text.substr(0, colon), int(*columns), *rate_hz};
 }
 
@@ -76,34 +82,39 @@ SensorModel parse_beam_sensor(const std::string& csv_text, const SensorSpecifier
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
 
-SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double default_max_range_m) {
-    const fs::path path = sensor_specifier.name;
+/// Reads a file whose format is not JSON or npz: a table of beams or of rays.
+SensorModel parse_csv_sensor(const std::string& csv_text, const SensorSpecifier& specifier) {
+    // Only a table of rays has this column.
+    const std::string header = csv_text.substr(0, csv_text.find('\n'));
+    if (header.find("azimuth_deg") == std::string::npos) return parse_beam_sensor(csv_text, specifier);
+    return sensor_files::parse_ray_csv(csv_text, fs::path(specifier.name).stem().string(), specifier.name);
+}
+
+/// Reads a sensor from a file. The extension determines the format.
+/// @param default_max_range_m  maximum range if the file contains none
+SensorModel read_sensor_file(const SensorSpecifier& specifier, double default_max_range_m) {
+    const fs::path path = specifier.name;
     const std::string stem = path.stem().string();
-    SensorModel sensor = [&] {
-        if (path.extension() == ".npz") return sensor_files::read_ray_npz(sensor_specifier.name, stem);
-        const std::string text = read_text_file(path);
-        if (path.extension() == ".json")
-            return sensor_files::parse_json_sensor(text, stem, sensor_specifier.name,
-                                                   sensor_specifier.columns, sensor_specifier.rate_hz);
-        // Only a table of rays has this column.
-        const std::string header = text.substr(0, text.find('\n'));
-        const bool is_ray_table = header.find("azimuth_deg") != std::string::npos;
-        return is_ray_table ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)
-                            : parse_beam_sensor(text, sensor_specifier);
-    }();
-    if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
+    SensorModel sensor;
+    if (path.extension() == ".npz") sensor = sensor_files::read_ray_npz(specifier.name, stem);
+    else if (path.extension() == ".json")
+        sensor = sensor_files::parse_json_sensor(read_text_file(path), stem, specifier.name,
+                                                 specifier.columns, specifier.rate_hz);
+    else sensor = parse_csv_sensor(read_text_file(path), specifier);
+    if (specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         fail<UsageError>(
             "sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no number of "
             "columns; use only the file name",
-            sensor_specifier.name, sensor_specifier.columns);
-    sensor_files::set_missing_range(sensor, default_max_range_m, sensor_specifier.name);
+            specifier.name, specifier.columns);
+    sensor_files::set_missing_range(sensor, default_max_range_m, specifier.name);
     return sensor;
 }
 
 }  // namespace
 
+/// Sets the maximum range of a sensor whose file has none: it is then infinite.
+/// @throws DataError if the maximum range is not above the minimum range
 void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where) {
-    // The limit is infinite if the file contains no maximum range.
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         fail(

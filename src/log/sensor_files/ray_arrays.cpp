@@ -27,6 +27,7 @@ glm::dvec3 xyz_at(const std::vector<double>& values, std::size_t index) {
                           : glm::dvec3(values[3 * index], values[3 * index + 1], values[3 * index + 2]);
 }
 
+/// Checks the lengths of the arrays and the limits of their values.
 void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where) {
     const std::size_t n = ray_arrays.direction.size() / 3;
     if (n == 0 || n > kMaxRays || n * 3 != ray_arrays.direction.size())
@@ -42,13 +43,13 @@ void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where)
         const std::vector<double>& values;
         std::size_t n;
         double min, max;
-    } rows[] = {
+    } checks[] = {
         {"origin", ray_arrays.origin, 3 * n, -kFarthestOrigin_m, kFarthestOrigin_m},
         {"time", ray_arrays.time_s, n, -kLongestScan_s, kLongestScan_s},
         {"ring", ray_arrays.channel, n, 0.0, 65535.0},
         {"divergence (radians)", ray_arrays.divergence_rad, has_one_divergence ? 1 : n, 0.0, kWidestBeam_rad},
         {"range limits", limits_m, 2, 0.0, kMostRange_m}};
-    for (const auto& [name, values, n_expected, min, max] : rows) {
+    for (const auto& [name, values, n_expected, min, max] : checks) {
         if (!values.empty() && values.size() != n_expected)
             fail("{}: {} has {} numbers, expected {}", where, name, values.size(), n_expected);
         for (std::size_t i = 0; i < values.size(); ++i)
@@ -82,35 +83,40 @@ constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
 
 using RayCsvRow = std::array<double, kFieldCount>;
 
-/// Values of missing columns are 0, except the maximum range, which has its default.
+/// Parses the numbers of one ray. Values of missing columns are 0, except the maximum
+/// range, which has its default.
+/// @param column_of_field  cell of each RayCsvField; -1: the file has no such column
+/// @param n_cells  number of cells of the header
 RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
                          std::size_t n_cells, const std::string& where) {
     const std::vector<std::string_view> cells = split_csv_cells(line);
     if (cells.size() != n_cells)
         fail("{}: found {} values, expected {} like in the header", where, cells.size(), n_cells);
-    RayCsvRow value{};
-    value[kMaxRange] = RayFileArrays{}.limits.max_m;
-    for (std::size_t f = 0; f < kFieldCount; ++f) {
-        if (column_of_field[f] < 0) continue;
-        const std::string_view cell = cells[std::size_t(column_of_field[f])];
+    RayCsvRow values{};
+    values[kMaxRange] = RayFileArrays{}.limits.max_m;
+    for (std::size_t field = 0; field < kFieldCount; ++field) {
+        if (column_of_field[field] < 0) continue;
+        const std::string_view cell = cells[std::size_t(column_of_field[field])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
-            fail("{}: {} is '{}', expected a number", where, kColumnNames[f], quote(cell));
-        value[f] = *number;
+            fail("{}: {} is '{}', expected a number", where, kColumnNames[field], quote(cell));
+        values[field] = *number;
     }
-    return value;
+    return values;
 }
 
-/// Converts the angles to a direction (x forward, y left, z up).
+/// Adds one ray. Converts its angles to a direction (x forward, y left, z up).
 void append_ray_row(RayFileArrays& rays, const RayCsvRow& row_values) {
-    const double azimuth = row_values[kAzimuth] * kPi / 180.0,
-                 elevation = row_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
-    rays.direction.insert(rays.direction.end(),
-                          {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
+    const double azimuth_rad = row_values[kAzimuth] * kPi / 180.0,
+                 elevation_rad = row_values[kElevation] * kPi / 180.0;
+    const double horizontal = std::cos(elevation_rad);
+    rays.direction.insert(
+        rays.direction.end(),
+        {horizontal * std::cos(azimuth_rad), horizontal * std::sin(azimuth_rad), std::sin(elevation_rad)});
     rays.origin.insert(rays.origin.end(), {row_values[kOriginX], row_values[kOriginY], row_values[kOriginZ]});
     rays.time_s.push_back(row_values[kTime]);
     rays.channel.push_back(row_values[kChannel]);
-    rays.divergence_rad.push_back(row_values[kDivergence] * 1e-3);
+    rays.divergence_rad.push_back(row_values[kDivergence] * 1e-3);  // from milliradians
 }
 
 }  // namespace
@@ -140,10 +146,11 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnitLengthTolerance))
             fail("{}: entry {} of directions has length {}, expected 1", where, i, length);
-        // Normalising a unit vector again could change its last bit.
-        const bool is_exact = arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
-                              glm::dvec3(glm::vec3(direction)) == direction;
-        rays.direction.emplace_back(is_exact ? direction : direction / length);
+        // A file that relidar has written contains unit vectors of floats. Normalising
+        // them again could change their last bit.
+        const bool has_only_floats = glm::dvec3(glm::vec3(direction)) == direction;
+        const bool keeps_bits = arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 && has_only_floats;
+        rays.direction.emplace_back(keeps_bits ? direction : direction / length);
         rays.origin.emplace_back(xyz_at(arrays.origin, i));
         rays.time_offset_s.push_back(arrays.time_s.empty() ? 0.0f : float(arrays.time_s[i]));
         rays.channel.push_back(arrays.channel.empty() ? std::uint16_t(0) : std::uint16_t(arrays.channel[i]));
@@ -153,12 +160,12 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
 
 SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     const std::vector<NamedArray> arrays = read_npz(path);
-    const auto values = [&](const std::string& array_name) {
+    const auto read_values = [&](const std::string& array_name) {
         const NamedArray* array = find_array(arrays, array_name);
         return array ? array->to_doubles() : std::vector<double>{};
     };
-    const auto one = [&](const std::string& array_name) -> std::optional<double> {
-        const std::vector<double> numbers = values(array_name);
+    const auto read_number = [&](const std::string& array_name) -> std::optional<double> {
+        const std::vector<double> numbers = read_values(array_name);
         if (numbers.size() > 1)
             fail("{}: the array \"{}\" has {} numbers, expected one number", path, array_name,
                  numbers.size());
@@ -172,45 +179,47 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
         fail("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path,
              fmt::join(shape, ","));
     }
-    RayFileArrays c{.direction = values("directions"),
-                    .origin = values("origin"),
-                    .time_s = values("time"),
-                    .channel = values("ring")};
-    c.rows = shape.size() == 3 ? int(shape[0]) : 1;
-    c.columns = int(shape[shape.size() - 2]);
-    c.divergence_rad = choose_divergence(values("divergence"), one("divergence_mrad"), path);
-    c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
-    return make_ray_sensor(c, name, path);
+    RayFileArrays rays{.direction = read_values("directions"),
+                       .origin = read_values("origin"),
+                       .time_s = read_values("time"),
+                       .channel = read_values("ring")};
+    rays.rows = shape.size() == 3 ? int(shape[0]) : 1;
+    rays.columns = int(shape[shape.size() - 2]);
+    rays.divergence_rad = choose_divergence(read_values("divergence"), read_number("divergence_mrad"), path);
+    rays.limits = {read_number("min_range_m").value_or(rays.limits.min_m),
+                   read_number("max_range_m").value_or(rays.limits.max_m)};
+    return make_ray_sensor(rays, name, path);
 }
 
-/// The text has a header line, then one line per ray in firing order. An unknown column
-/// is an error.
+/// Parses a table of rays: a header line, then one line per ray in firing order. An
+/// unknown column is an error.
+/// @param where  path of the file, for messages
 SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where) {
     const std::vector<std::string> lines = split_lines(csv_text);
-    const std::vector<std::string_view> header =
-        lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
-    const std::vector<int> at = find_columns(header, kColumnNames, where + " line 1");
-    if (at[kAzimuth] < 0 || at[kElevation] < 0)
+    std::vector<std::string_view> header;
+    if (!lines.empty()) header = split_csv_cells(lines[0]);
+    const std::vector<int> column_of_field = find_columns(header, kColumnNames, where + " line 1");
+    if (column_of_field[kAzimuth] < 0 || column_of_field[kElevation] < 0)
         fail("{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray table",
              where);
     RayFileArrays rays;
-    RayCsvRow first{};
+    RayCsvRow first_row{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
         if (trim(lines[l]).empty()) continue;
         const std::string line = fmt::format("{} line {}", where, l + 1);
-        const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
-        if (rays.time_s.empty()) first = v;
-        for (const RayCsvField f : kOfSensor)
-            if (v[f] != first[f])
+        const RayCsvRow row = parse_ray_line(lines[l], column_of_field, header.size(), line);
+        if (rays.time_s.empty()) first_row = row;
+        for (const RayCsvField field : kOfSensor)
+            if (row[field] != first_row[field])
                 fail(
                     "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
                     "rays",
-                    line, kColumnNames[f], v[f], first[f]);
-        append_ray_row(rays, v);
+                    line, kColumnNames[field], row[field], first_row[field]);
+        append_ray_row(rays, row);
     }
     // A single row. make_ray_sensor() reports too many rays.
     rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
-    rays.limits = {first[kMinRange], first[kMaxRange]};
+    rays.limits = {first_row[kMinRange], first_row[kMaxRange]};
     return make_ray_sensor(rays, name, where);
 }
 

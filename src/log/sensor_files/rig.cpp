@@ -52,13 +52,13 @@ SensorModel read_rig_sensor(const Json& entry_json, const JsonField& entry, cons
         sensor_files::set_missing_range(model, kDefaultMaxRange_m, where);
         return model;
     }
-    // a file in the folder of the rig, a sensor name, or another path
     const std::string name_or_file = entry.at("sensor").text();
+    if (find_name(name_or_file, list_sensors())) return find_sensor(name_or_file);
+    // A file in the folder of the rig, which ":1024x10" may follow, or another path.
     const fs::path path = fs::path(rig_file).parent_path() / name_or_file;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    const bool is_beside_rig = !find_name(name_or_file, list_sensors()) &&
-                               (does_path_exist(path) || does_path_exist(without_columns));
-    return find_sensor(is_beside_rig ? path.string() : name_or_file);
+    const bool is_in_folder = does_path_exist(path) || does_path_exist(without_columns);
+    return find_sensor(is_in_folder ? path.string() : name_or_file);
 }
 
 /// Folders get the names of sensors, so names must be unique and valid in a path.
@@ -74,6 +74,22 @@ std::string read_sensor_name(const JsonField& name_field, const std::vector<Moun
     return name;
 }
 
+/// Reads the boxes of the vehicle. The origin is on the ground below the rear axle.
+std::vector<VehicleBox> parse_vehicle_boxes(const JsonField& boxes) {
+    check_count(boxes);
+    std::vector<VehicleBox> result;
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        const JsonField box = boxes.at(i), size = box.at("size_m");
+        box.check_members({"centre_m", "size_m"});
+        const glm::dvec3 size_m = read_vector(box, "size_m", kMaxOffset_m);
+        if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
+            size.reject("found a number that is not above 0", "expected three numbers above 0");
+        result.push_back({{.translation = read_vector(box, "centre_m", kMaxOffset_m)}, size_m});
+    }
+    return result;
+}
+
+/// Reads the body of the vehicle, which blocks rays. By default, it is one box.
 OwnVehicle parse_vehicle(const Json& json, const JsonField& field) {
     field.check_members(
         {"length_m", "width_m", "height_m", "rear_axle_to_front_m", "base_link_m", "boxes", "points"});
@@ -88,35 +104,21 @@ OwnVehicle parse_vehicle(const Json& json, const JsonField& field) {
     if (points != "drop" && points != "ego")
         field.at("points").reject(fmt::format("found \"{}\"", quote(points)), "expected drop or ego");
     vehicle.keeps_points = points == "ego";
-    const auto add_box = [&](const glm::dvec3& centre_m, const glm::dvec3& size_m) {
-        vehicle.boxes.push_back({{.translation = centre_m}, size_m});
-    };
-    if (!field.has_member("boxes")) {
-        // By default, one box on the ground. The origin is below the rear axle.
-        add_box({front_m - 0.5 * length_m, 0.0, 0.5 * height_m}, {length_m, width_m, height_m});
-        return vehicle;
-    }
-    const JsonField boxes = field.at("boxes");
-    check_count(boxes);
-    for (std::size_t i = 0; i < boxes.size(); ++i) {
-        const JsonField box = boxes.at(i), size = box.at("size_m");
-        box.check_members({"centre_m", "size_m"});
-        const glm::dvec3 size_m = read_vector(box, "size_m", kMaxOffset_m);
-        if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            size.reject("found a number that is not above 0", "expected three numbers above 0");
-        add_box(read_vector(box, "centre_m", kMaxOffset_m), size_m);
-    }
+    if (field.has_member("boxes")) vehicle.boxes = parse_vehicle_boxes(field.at("boxes"));
+    else
+        vehicle.boxes = {{{.translation = {front_m - 0.5 * length_m, 0.0, 0.5 * height_m}},
+                          {length_m, width_m, height_m}}};
     return vehicle;
 }
 
-/// Returns null if the file is not a rig.
+/// Reads the JSON object of a rig. Returns null if the file cannot be read or is not a
+/// rig, because the path may be a sensor, for which find_sensor() reports errors.
 Json read_rig_json(const std::string& path) {
     if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
         json = Json::parse(read_text_file(path));
     } catch (const std::exception&) {
-        // find_sensor() reports the error.
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
@@ -149,8 +151,9 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         const Pose rig_from_sensor{make_rotation(angle_rad.x, angle_rad.y, angle_rad.z),
                                    read_vector(sensor, "translation_m", kMaxOffset_m)};
         const auto returns = sensor.has_member("returns") ? sensor.at("returns").integer_in(1, 2) : 1;
-        rig.push_back({name, std::move(model), rig_from_sensor, int(returns),
-                       vehicle ? place_body(*vehicle, rig_from_sensor) : VehicleBody{}});
+        VehicleBody body;
+        if (vehicle) body = place_body(*vehicle, rig_from_sensor);
+        rig.push_back({name, std::move(model), rig_from_sensor, int(returns), std::move(body)});
     }
     return rig;
 }
@@ -165,18 +168,20 @@ VehicleBody place_body(const OwnVehicle& vehicle, const Pose& rig_from_sensor) {
 
 std::optional<BodyHit> find_body_hit(std::span<const VehicleBox> boxes, const glm::dvec3& origin_m,
                                      const glm::dvec3& direction) {
-    std::optional<BodyHit> first;
+    std::optional<BodyHit> nearest;
     for (const VehicleBox& box : boxes) {
-        const glm::dvec3 start = inverse(box.frame_from_box) * origin_m,
-                         way = glm::conjugate(box.frame_from_box.rotation) * direction;
-        const auto inside = cross_box(start, way, -0.5 * box.size_m, 0.5 * box.size_m);
+        const glm::dvec3 origin_in_box = inverse(box.frame_from_box) * origin_m,
+                         direction_in_box = glm::conjugate(box.frame_from_box.rotation) * direction;
+        const auto crossing = cross_box(origin_in_box, direction_in_box, -0.5 * box.size_m, 0.5 * box.size_m);
         // A ray that starts in the box or behind it does not enter it ahead.
-        if (!inside || inside->enter <= 0.0 || (first && first->range_m <= inside->enter)) continue;
-        glm::dvec3 normal(0.0);
-        normal[inside->axis] = -std::copysign(1.0, way[inside->axis]);
-        first = BodyHit{inside->enter, box.frame_from_box.rotation * normal};
+        if (!crossing || crossing->enter <= 0.0) continue;
+        if (nearest && nearest->range_m <= crossing->enter) continue;
+        // The normal of the crossed side points against the ray.
+        glm::dvec3 normal_in_box(0.0);
+        normal_in_box[crossing->axis] = -std::copysign(1.0, direction_in_box[crossing->axis]);
+        nearest = BodyHit{crossing->enter, box.frame_from_box.rotation * normal_in_box};
     }
-    return first;
+    return nearest;
 }
 
 }  // namespace relidar

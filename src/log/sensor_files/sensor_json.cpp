@@ -49,21 +49,26 @@ std::pair<int, double> ouster_mode(const JsonField& metadata) {
     const std::string text = find_text(metadata, "lidar_mode", "config_params");
     const std::size_t x = std::min(text.find('x'), text.size());
     const auto columns = parse_number(text.substr(0, x)),
-               rate = parse_number(text.substr(std::min(x + 1, text.size())));
-    if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
+               rate_hz = parse_number(text.substr(std::min(x + 1, text.size())));
+    const bool is_valid = columns && *columns >= 1 && *columns <= 65536 &&  //
+                          rate_hz && *rate_hz > 0.0 && *rate_hz <= 1000.0;
+    if (!is_valid)
         fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"",
              metadata.location(), quote(text));
-    return {int(*columns), *rate};
+    return {int(*columns), *rate_hz};
 }
 
+/// Makes a spinning sensor from the metadata of an Ouster: beam angles, mode, product.
+/// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the mode
 SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int columns_or_zero,
                          double rate_hz_or_zero) {
     const std::string where = metadata.location();
-    const auto list = [&](const char* key) {
+    const auto read_list = [&](const char* key) {
         const auto numbers = metadata.find(key, {"beam_intrinsics"});
         return numbers ? numbers->numbers() : std::vector<double>{};
     };
-    const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
+    const std::vector<double> altitude = read_list("beam_altitude_angles"),
+                              azimuth = read_list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size())
         fail(
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number of both "
@@ -101,7 +106,7 @@ SensorModel parse_json_sensor(const std::string& json_text, const std::string& s
                               const std::string& where, int columns_or_zero, double rate_hz_or_zero) {
     const Json json = parse_json(json_text, where);
     const JsonField root(json, where, "");
-    // It does not name the kind "rays".
+    // A table of rays may be the root object itself, without the key of its kind.
     if (root.has_member("directions")) return sensor::parse_ray_table(root, sensor_name);
     if (find_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);
