@@ -20,7 +20,7 @@ constexpr double kRounding_rad = 1e-5;        // shifts below this value are rou
 constexpr double kMaxMismatch_columns = 0.1;
 
 /// Calls visit_ray(ray, firing) for each ray of a scan. A firing is all lasers at one
-/// azimuth.
+/// azimuth of the head. Lasers with an azimuth offset are in other columns of the image.
 template <class Visit>
 void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);
@@ -31,18 +31,24 @@ void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
     }
 }
 
-/// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones.
-/// Clears the list if all are unknown.
+/// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones,
+/// and before the first and after the last known one by this one. Clears the list if all
+/// are unknown.
 void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
-    auto last = std::ranges::find_if(azimuth_shifts_rad, is_known);
-    if (last == azimuth_shifts_rad.end()) return azimuth_shifts_rad.clear();
-    std::fill(azimuth_shifts_rad.begin(), last, *last);
-    for (auto next = last; next != azimuth_shifts_rad.end(); last = next) {
-        next = std::find_if(last + 1, azimuth_shifts_rad.end(), is_known);
+    const auto end = azimuth_shifts_rad.end();
+    auto known = std::ranges::find_if(azimuth_shifts_rad, is_known);
+    if (known == end) {
+        azimuth_shifts_rad.clear();
+        return;
+    }
+    std::fill(azimuth_shifts_rad.begin(), known, *known);
+    while (known != end) {
+        const auto next_known = std::find_if(known + 1, end, is_known);
         const float step =
-            next == azimuth_shifts_rad.end() ? 0.0f : (*next - *last) / static_cast<float>(next - last);
-        for (auto gap = last + 1; gap != next; ++gap) *gap = *(gap - 1) + step;
+            next_known == end ? 0.0f : (*next_known - *known) / static_cast<float>(next_known - known);
+        for (auto unknown = known + 1; unknown != next_known; ++unknown) *unknown = *(unknown - 1) + step;
+        known = next_known;
     }
 }
 
@@ -63,16 +69,17 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
                        double(nominal.x) * measured.x + double(nominal.y) * measured.y);
         shifts_by_firing[firing].push_back(static_cast<float>(difference_rad));
     });
-    std::vector<float> shift_rad(shifts_by_firing.size(), NAN), off;
+    std::vector<float> shift_rad(shifts_by_firing.size(), NAN), deviations_rad;
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
         if (shifts_by_firing[firing].size() < kMinFiringReturns) continue;
         shift_rad[firing] = compute_median(shifts_by_firing[firing]);
-        for (const float shift : shifts_by_firing[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
+        for (const float shift : shifts_by_firing[firing])
+            deviations_rad.push_back(std::abs(shift - shift_rad[firing]));
     }
     fill_nan_shifts(shift_rad);
-    // The lasers disagree, so they do not rotate together.
-    if (shift_rad.empty() || compute_median(off) > kMaxMismatch_columns * 2.0 * kPi / sensor.columns)
-        return {};
+    if (shift_rad.empty()) return {};
+    // If the lasers of a firing disagree, they do not rotate together.
+    if (compute_median(deviations_rad) > kMaxMismatch_columns * 2.0 * kPi / sensor.columns) return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kRounding_rad; }))
         return {};
     return shift_rad;

@@ -30,14 +30,18 @@ struct ReturnPoint {
     CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
 };
 
+/// Returns the returns of a frame in the world, corrected by the range offsets of beams.
 std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnPoint> result;
-    visit_returns(sequence, frame, sequence.lidar_of(frame).sensor.max_range_m,
-                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& w) {
-                      result.push_back({w.point_m,
-                                        glm::vec3(w.direction),
-                                        {0, beam, surface_return(sequence, frame, ray).range_m, 0.0f,
-                                         frame.scan.intensity[ray]}});
+    const double max_range_m = sequence.lidar_of(frame).sensor.max_range_m;
+    visit_returns(sequence, frame, max_range_m,
+                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& place) {
+                      const CellReturn cell_return{.cell = 0,
+                                                   .beam = beam,
+                                                   .range_m = surface_return(sequence, frame, ray).range_m,
+                                                   .cosine = 0.0f,
+                                                   .intensity = frame.scan.intensity[ray]};
+                      result.push_back({place.point_m, glm::vec3(place.direction), cell_return});
                   });
     return result;
 }
@@ -58,9 +62,10 @@ std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
         if (double(items.items_of(cell).size()) < kMinPoints) return;
         PointMomentSums sums;
         // Coordinates relative to the cell keep the precision of their squares.
-        for (const std::uint32_t i : items.items_of(cell))
-            sums.add_point(returns[i].point_m -
-                           kNormalCell_m * glm::floor(returns[i].point_m / kNormalCell_m));
+        for (const std::uint32_t i : items.items_of(cell)) {
+            const glm::dvec3& point_m = returns[i].point_m;
+            sums.add_point(point_m - kNormalCell_m * glm::floor(point_m / kNormalCell_m));
+        }
         const PlaneFit fit = sums.fit_plane();
         // Axis 0 has the least variance. It is the normal of the plane.
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
@@ -69,25 +74,28 @@ std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
     return normals;
 }
 
+/// Computes the cosine of incidence of each return. Drops returns that are not on a
+/// plane, because their angle of incidence is unknown.
+void compute_cosines(std::vector<ReturnPoint>& returns) {
+    const ItemCellIndices cells = cells_of_returns(returns, kNormalCell_m);
+    const std::vector<glm::vec3> normals = estimate_normals(returns, cells);
+    parallel_blocks(returns.size(), [&](std::size_t index) {
+        returns[index].cell_return.cosine =
+            std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
+    });
+    std::size_t n_kept = 0;
+    for (std::size_t i = 0; i < returns.size(); ++i)
+        if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n_kept++] = returns[i];
+    returns.resize(n_kept);
+}
+
 }  // namespace
 
 CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
     std::vector<ReturnPoint> returns =
         concatenate(map_frames(sequence, frames, kMostCompared,
                                [&](const Frame& frame) { return collect_returns(sequence, frame); }));
-    {
-        const ItemCellIndices cells = cells_of_returns(returns, kNormalCell_m);
-        const std::vector<glm::vec3> normals = estimate_normals(returns, cells);
-        parallel_blocks(returns.size(), [&](std::size_t index) {
-            returns[index].cell_return.cosine =
-                std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
-        });
-        // Drops returns without a normal, because their angle of incidence is unknown.
-        std::size_t n = 0;
-        for (std::size_t i = 0; i < returns.size(); ++i)
-            if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n++] = returns[i];
-        returns.resize(n);
-    }
+    compute_cosines(returns);
     const ItemCellIndices cell_numbers = cells_of_returns(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);
     std::vector<CellReturn> returns_by_cell;  // cells with a single return are left out

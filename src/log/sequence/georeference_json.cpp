@@ -19,21 +19,24 @@ nlohmann::ordered_json georeference_json(const Georeference& g) {
             {"rotation", {g.rotation.w, g.rotation.x, g.rotation.y, g.rotation.z}}};
 }
 
+/// Reads what georeference_json() writes: a position on the earth, the same point in the
+/// dataset's world, and the rotation between both.
+/// @throws DataError naming the member that is wrong
 Georeference read_georeference(const JsonField& field) {
     constexpr double kMaxLength_m = 1e9;
     constexpr std::size_t kMaxCrsBytes = 4096;
     field.check_members({"latitude_deg", "longitude_deg", "height_m", "world_point_m", "crs", "rotation"});
-    Georeference g{
-        {field.at("latitude_deg").number_in(-90.0, 90.0), field.at("longitude_deg").number_in(-360.0, 360.0),
-         field.at("height_m").number_in(-kMaxLength_m, kMaxLength_m)},
-        {},
-        field.at("crs").short_text(kMaxCrsBytes)};
-    field.at("world_point_m").numbers<3>();
-    for (int axis = 0; axis < 3; ++axis)
-        g.point_m[axis] =
-            field.at("world_point_m").at(std::size_t(axis)).number_in(-kMaxLength_m, kMaxLength_m);
-    const auto q = field.at("rotation").numbers<4>();
-    g.rotation = {q[0], q[1], q[2], q[3]};
+    Georeference g;
+    g.position.latitude_deg = field.at("latitude_deg").number_in(-90.0, 90.0);
+    g.position.longitude_deg = field.at("longitude_deg").number_in(-360.0, 360.0);
+    g.position.height_m = field.at("height_m").number_in(-kMaxLength_m, kMaxLength_m);
+    g.crs = field.at("crs").short_text(kMaxCrsBytes);
+    const JsonField point = field.at("world_point_m");
+    point.numbers<3>();  // checks that there are three numbers
+    for (std::size_t axis = 0; axis < 3; ++axis)
+        g.point_m[int(axis)] = point.at(axis).number_in(-kMaxLength_m, kMaxLength_m);
+    const auto wxyz = field.at("rotation").numbers<4>();
+    g.rotation = {wxyz[0], wxyz[1], wxyz[2], wxyz[3]};
     if (std::abs(glm::length(g.rotation) - 1.0) > 1e-6)
         field.at("rotation")
             .reject(fmt::format("found a length of {}", glm::length(g.rotation)),

@@ -64,28 +64,29 @@ void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const 
     };
     parallel_for(static_cast<int>(kChunks), [&](int index) {
         const auto chunk = std::size_t(index);
-        const std::size_t last = find_end_of_cell(all.size() * (chunk + 1) / kChunks);
-        for (std::size_t begin = find_end_of_cell(all.size() * chunk / kChunks), end; begin < last;
-             begin = end) {
-            end = find_end_of_cell(begin + 1);
+        const std::size_t chunk_end = find_end_of_cell(all.size() * (chunk + 1) / kChunks);
+        std::size_t begin = find_end_of_cell(all.size() * chunk / kChunks);
+        while (begin < chunk_end) {
+            const std::size_t end = find_end_of_cell(begin + 1);
             process_cell_returns(all.subspan(begin, end - begin), chunk);
+            begin = end;
         }
     });
 }
 
-/// Computes the albedo of each cell by least squares, with all other variables fixed.
+/// Computes the albedo (brightness) of the surface in each cell by least squares, with
+/// all other variables fixed: intensity = albedo * x + offset.
 void fit_albedos(IntensityFit& model, const CellReturns& returns) {
-    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
-        double sum = 0.0, weight = 0.0;
-        for (const CellReturn& r : place) {
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t) {
+        double xy = 0.0, xx = 0.0;
+        for (const CellReturn& r : cell_returns) {
             const BeamGainOffset& beam = model.beams[r.beam];
-            // Least squares for the albedo in: intensity = albedo * x + offset.
             const double x =
                 beam.gain * model.shared.range_factor(r.range_m) * model.shared.incidence_factor(r.cosine);
-            sum += x * (double(r.intensity) - beam.offset);
-            weight += x * x;
+            xy += x * (double(r.intensity) - beam.offset);
+            xx += x * x;
         }
-        model.albedo[place.front().cell] = std::max(sum / std::max(weight, 1e-12), 0.0);
+        model.albedo[cell_returns.front().cell] = std::max(xy / std::max(xx, 1e-12), 0.0);
     });
 }
 
@@ -112,12 +113,13 @@ struct JacobianRow {
     double by_albedo, error;
 };
 
-/// Returns the derivatives and the error of one return.
+/// Returns the derivatives and the error of one return by the model
+///   intensity = gain * albedo * rho(range) * kappa(incidence) + offset.
 JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
                          const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // Finds the two sampled ranges around `range_m`. `s` is 0 at kKnots_m[knot] and 1 at
-    // the next one. Outside all sampled ranges, `s` is clamped.
+    // Finds the two sampled ranges (knots) around `range_m`. `s` is 0 at kKnots_m[knot]
+    // and 1 at the next one. Outside all sampled ranges, `s` is clamped.
     const double range_m = measured_return.range_m;
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
@@ -125,11 +127,12 @@ JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& varia
     const double s = std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0);
     const double rho = model.shared.range_factor(measured_return.range_m),
                  kappa = model.shared.incidence_factor(measured_return.cosine),
-                 albedo = model.albedo[measured_return.cell], mean_beam = albedo * rho * kappa;
-    JacobianRow row{{},
-                    0,
-                    beam.gain * rho * kappa,
-                    double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
+                 albedo = model.albedo[measured_return.cell];
+    const double mean_beam = albedo * rho * kappa;  // intensity that a beam with gain 1 expects
+    JacobianRow row{.by = {},
+                    .n = 0,
+                    .by_albedo = beam.gain * rho * kappa,
+                    .error = double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
     const auto append = [&](Eigen::Index variable, double derivative) {
         row.by[row.n++] = {variable, derivative};
     };
@@ -203,8 +206,8 @@ struct alignas(64) Sums {
 NormalEquations build_equations(const IntensityFit& model, const VariableIndices& variable_indices,
                                 const CellReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
-    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
-        sums[chunk].add_cell(model, variable_indices, place);
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
+        sums[chunk].add_cell(model, variable_indices, cell_returns);
     });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h;
@@ -212,15 +215,17 @@ NormalEquations build_equations(const IntensityFit& model, const VariableIndices
         sums[0].sum += sums[c].sum;
         sums[0].squares += sums[c].squares;
     }
-    NormalEquations sys = std::move(sums[0].system);
-    const double n = double(returns.sorted_returns.size());
-    sys.mean = sums[0].sum / n;
-    sys.spread = std::sqrt(std::max(sums[0].squares / n - sys.mean * sys.mean, 0.0));
-    return sys;
+    NormalEquations equations = std::move(sums[0].system);
+    const double n_returns = double(returns.sorted_returns.size());
+    const double mean = sums[0].sum / n_returns;
+    equations.mean = mean;
+    equations.spread = std::sqrt(std::max(sums[0].squares / n_returns - mean * mean, 0.0));
+    return equations;
 }
 
 /// Adds priors for variables that few returns determine.
 void add_priors(NormalEquations& equations, const IntensityFit& model, const VariableIndices& indices) {
+    // Adds a term weight (x_i - wanted value)^2. `error`: wanted minus current value
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight;
         equations.g[i] += weight * error;
@@ -231,13 +236,15 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
     // pulls the factor at range kKnots_m[k] towards linear interpolation between the
     // factors k - 1 and k + 1. It matters only at ranges with few returns.
     for (std::size_t k = 1; indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
-        const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
-        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
-                              now(model.shared.factor[k - 1], model.shared.factor[k],
-                                  model.shared.factor[k + 1]);
-        const auto at = Eigen::Index(k - 1);
-        equations.h.block<3, 3>(at, at) += prior * bend * bend.transpose();
-        equations.g.segment<3>(at) -= prior * bend * bend.dot(now);
+        const double before_m = kKnots_m[k] - kKnots_m[k - 1], after_m = kKnots_m[k + 1] - kKnots_m[k];
+        const Eigen::Vector3d factors(model.shared.factor[k - 1], model.shared.factor[k],
+                                      model.shared.factor[k + 1]);
+        // bend . factors: interpolated minus actual factor k
+        const Eigen::Vector3d bend =
+            Eigen::Vector3d(after_m, -(before_m + after_m), before_m) / (before_m + after_m);
+        const auto first = Eigen::Index(k - 1);
+        equations.h.block<3, 3>(first, first) += prior * bend * bend.transpose();
+        equations.g.segment<3>(first) -= prior * bend * bend.dot(factors);
     }
     if (indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
@@ -264,85 +271,87 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
 
 /// Adds a solution of the normal equations to the variables, and limits them.
 void apply_step(IntensityFit& model, const VariableIndices& variable_indices, const Eigen::VectorXd& step) {
+    IntensityResponse& shared = model.shared;
     if (variable_indices.parts.shared) {
-        for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
-            model.shared.factor[k] =
-                std::clamp(model.shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
-        model.shared.incidence =
-            std::clamp(model.shared.incidence + step[VariableIndices::kIncidenceChannel], 0.0, kMaxIncidence);
+        for (std::size_t k = 0; k < shared.factor.size(); ++k)
+            shared.factor[k] = std::clamp(shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
+        shared.incidence =
+            std::clamp(shared.incidence + step[VariableIndices::kIncidenceChannel], 0.0, kMaxIncidence);
     }
-    for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b) {
-        const Eigen::Index gain = variable_indices.gain_variable(b);
-        model.beams[b].gain = std::clamp(model.beams[b].gain + step[gain], kMinGain, kMaxGain);
-        model.beams[b].offset += step[gain + 1];
+    if (!variable_indices.parts.beams) return;
+    for (std::size_t b = 0; b < model.beams.size(); ++b) {
+        BeamGainOffset& beam = model.beams[b];
+        const Eigen::Index gain = variable_indices.gain_variable(b), offset = gain + 1;
+        beam.gain = std::clamp(beam.gain + step[gain], kMinGain, kMaxGain);
+        beam.offset += step[offset];
     }
 }
 
 /// Scales and shifts all beams so that the mean beam (weighted by number of returns) has
 /// gain 1 and offset 0. A common gain would look the same as brighter surfaces.
 void normalise_beams(std::vector<BeamGainOffset>& beams, const CellReturns& returns) {
-    std::vector<double> n(beams.size(), kResponsePrior);
-    for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;
-    double all = 0.0, gain = 0.0, offset = 0.0;
+    std::vector<double> weights(beams.size(), kResponsePrior);
+    for (const CellReturn& r : returns.sorted_returns) weights[r.beam] += 1.0;
+    double weight_sum = 0.0, gain_sum = 0.0, offset_sum = 0.0;
     for (std::size_t b = 0; b < beams.size(); ++b) {
-        all += n[b];
-        gain += n[b] * beams[b].gain;
-        offset += n[b] * beams[b].offset;
+        weight_sum += weights[b];
+        gain_sum += weights[b] * beams[b].gain;
+        offset_sum += weights[b] * beams[b].offset;
     }
-    for (BeamGainOffset& r : beams) {
-        r.gain *= all / gain;
-        r.offset -= r.gain * offset / all;
+    for (BeamGainOffset& beam : beams) {
+        beam.gain *= weight_sum / gain_sum;
+        beam.offset -= beam.gain * offset_sum / weight_sum;
     }
 }
 
+/// Returns the root mean square difference between measured and expected intensities.
 double rms_error(const IntensityFit& model, const CellReturns& returns) {
-    struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
-        double of = 0.0;
+    struct alignas(64) ChunkSum {  // a cache line each, because threads write to neighbouring sums
+        double squares = 0.0;
     };
-    std::array<Sum, kChunks> squares;
-    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
-        for (const CellReturn& r : place) {
+    std::array<ChunkSum, kChunks> sums;
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
+        for (const CellReturn& r : cell_returns) {
             const BeamGainOffset& beam = model.beams[r.beam];
-            // Expected: gain * albedo * range factor * incidence factor + offset.
             const double mean_beam = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
                                      model.shared.incidence_factor(r.cosine),
                          error = beam.gain * mean_beam + beam.offset - double(r.intensity);
-            squares[chunk].of += error * error;
+            sums[chunk].squares += error * error;
         }
     });
-    double all = 0.0;
-    for (const Sum& sum : squares) all += sum.of;
-    return std::sqrt(all / double(returns.sorted_returns.size()));
+    double squares = 0.0;
+    for (const ChunkSum& sum : sums) squares += sum.squares;
+    return std::sqrt(squares / double(returns.sorted_returns.size()));
 }
 
 /// Fits the model by Levenberg-Marquardt steps. A step that increases the error is undone
 /// and repeated with more damping.
 /// @param terms_to_fit parts of the model; the other parts keep their neutral values
 IntensityFit fit_intensity(const CellReturns& returns, std::size_t n_beams, FittedTerms terms_to_fit) {
-    IntensityFit m;
-    m.albedo.resize(returns.n_cells);
-    m.beams.resize(n_beams);
-    fit_albedos(m, returns);
-    m.rms = rms_error(m, returns);
-    const VariableIndices at{terms_to_fit, n_beams};
+    IntensityFit model;
+    model.albedo.resize(returns.n_cells);
+    model.beams.resize(n_beams);
+    fit_albedos(model, returns);
+    model.rms = rms_error(model, returns);
+    const VariableIndices indices{terms_to_fit, n_beams};
     double damping = kDamping;
-    for (int i = 0; i < kFitSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
-        NormalEquations sys = build_equations(m, at, returns);
-        add_priors(sys, m, at);
-        sys.h.diagonal() *= 1.0 + damping;
-        IntensityFit next = m;
-        apply_step(next, at, sys.h.ldlt().solve(sys.g));
-        fit_albedos(next, returns);
-        next.rms = rms_error(next, returns);
-        const bool is_better = next.rms < m.rms;
+    for (int step = 0; step < kFitSteps && indices.size() > 0; ++step) {
+        NormalEquations equations = build_equations(model, indices, returns);
+        add_priors(equations, model, indices);
+        equations.h.diagonal() *= 1.0 + damping;
+        IntensityFit candidate = model;
+        apply_step(candidate, indices, equations.h.ldlt().solve(equations.g));
+        fit_albedos(candidate, returns);
+        candidate.rms = rms_error(candidate, returns);
+        const bool is_better = candidate.rms < model.rms;
         damping *= is_better ? 0.1 : 10.0;
-        if (is_better) m = std::move(next);
+        if (is_better) model = std::move(candidate);
     }
     if (terms_to_fit.beams) {
-        normalise_beams(m.beams, returns);
-        fit_albedos(m, returns);
+        normalise_beams(model.beams, returns);
+        fit_albedos(model, returns);
     }
-    return m;
+    return model;
 }
 
 }  // namespace
@@ -369,24 +378,24 @@ IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<
     result.returns = returns.sorted_returns.size();
     if (returns.sorted_returns.empty()) return result;
     const std::size_t n = beams.size();
-    const auto better = [](const IntensityFit& first, const IntensityFit& second) {
-        return first.rms < kMaxErrorRatio * second.rms;
+    const auto is_clearly_better = [](const IntensityFit& complex, const IntensityFit& simple) {
+        return complex.rms < kMaxErrorRatio * simple.rms;
     };
     // Compares fits without terms, with each part, and with both. A more complex model
     // must reduce the error clearly.
-    IntensityFit best = fit_intensity(returns, n, {false, false});
+    IntensityFit best = fit_intensity(returns, n, {.shared = false, .beams = false});
     result.rms_before = best.rms;
-    const IntensityFit shared = fit_intensity(returns, n, {true, false}),
-                       each_beam = fit_intensity(returns, n, {false, true}),
-                       both = fit_intensity(returns, n, {true, true});
-    const bool first_shared = shared.rms <= each_beam.rms;
-    const IntensityFit& single = first_shared ? shared : each_beam;
-    if (better(single, best)) {
+    const IntensityFit shared = fit_intensity(returns, n, {.shared = true, .beams = false}),
+                       each_beam = fit_intensity(returns, n, {.shared = false, .beams = true}),
+                       both = fit_intensity(returns, n, {.shared = true, .beams = true});
+    const bool is_shared_better = shared.rms <= each_beam.rms;
+    const IntensityFit& single = is_shared_better ? shared : each_beam;
+    if (is_clearly_better(single, best)) {
         best = single;
-        result.shared = first_shared;
-        result.beams = !first_shared;
+        result.shared = is_shared_better;
+        result.beams = !is_shared_better;
     }
-    if (better(both, best)) {
+    if (is_clearly_better(both, best)) {
         best = both;
         result.shared = result.beams = true;
     }

@@ -22,13 +22,12 @@ void set_log_start(Log& sequence, std::int64_t unix_ns, const std::string& clock
 
 std::int64_t time_shift_of(const Log& sequence, double first_s) {
     const std::int64_t log_start_ns = sequence.start_unix_ns;
-    const bool has_first = std::isfinite(first_s);
-    for (const Frame& frame : sequence.frames)
-        // Rays are fired up to a sweep before the time of their frame. The first packet
-        // can begin slightly earlier.
-        if (!has_first)
+    if (!std::isfinite(first_s))
+        for (const Frame& frame : sequence.frames)
+            // Rays are fired up to a sweep before the time of their frame. The first
+            // packet can begin slightly earlier.
             first_s = std::min(first_s, frame.time_s - 1.01 * sequence.lidar_of(frame).sweep_period_s());
-    if (!std::isfinite(first_s)) return log_start_ns;
+    if (!std::isfinite(first_s)) return log_start_ns;  // The log has no frames.
     const double earliest_s = 1e-9 * double(log_start_ns) + first_s;
     return log_start_ns + kNsPerSecond * std::int64_t(std::ceil(std::max(0.0, -earliest_s)));
 }

@@ -24,19 +24,23 @@ std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& 
     // If the LiDARs sweep half a period apart, each sweep has two nearest sweeps. All use
     // the earlier one, so that rounding does not change the choice.
     constexpr double kTieShare = 0.05;  // in units of max_difference_s
-    std::vector<std::optional<std::size_t>> beside(main_times_s.size());
-    for (std::size_t i = 0; i < other_times_s.size(); ++i) {
-        const auto distance_s = [&](std::size_t index, std::size_t other) {
-            return std::abs(other_times_s[other] - main_times_s[index]);
-        };
-        const auto after = std::ranges::lower_bound(main_times_s, other_times_s[i]);
-        std::size_t k = std::min(std::size_t(after - main_times_s.begin()), main_times_s.size() - 1);
-        if (k > 0 && distance_s(k - 1, i) < distance_s(k, i) + kTieShare * max_difference_s) --k;
-        if (distance_s(k, i) <= max_difference_s &&
-            (!beside[k] || distance_s(k, i) < distance_s(k, *beside[k])))
-            beside[k] = i;
+    const auto distance_s = [&](std::size_t main_sweep, std::size_t other_sweep) {
+        return std::abs(other_times_s[other_sweep] - main_times_s[main_sweep]);
+    };
+    std::vector<std::optional<std::size_t>> matches(main_times_s.size());
+    for (std::size_t other_sweep = 0; other_sweep < other_times_s.size(); ++other_sweep) {
+        const auto after = std::ranges::lower_bound(main_times_s, other_times_s[other_sweep]);
+        std::size_t main_sweep = std::min(std::size_t(after - main_times_s.begin()), main_times_s.size() - 1);
+        const double tie_s = kTieShare * max_difference_s;
+        if (main_sweep > 0 &&
+            distance_s(main_sweep - 1, other_sweep) < distance_s(main_sweep, other_sweep) + tie_s)
+            --main_sweep;
+        if (distance_s(main_sweep, other_sweep) > max_difference_s) continue;
+        const bool is_nearest = !matches[main_sweep] || distance_s(main_sweep, other_sweep) <
+                                                            distance_s(main_sweep, *matches[main_sweep]);
+        if (is_nearest) matches[main_sweep] = other_sweep;
     }
-    return beside;
+    return matches;
 }
 
 }  // namespace relidar

@@ -46,17 +46,18 @@ DifferencesByBin collect_differences(const Frame& frame) {
         scan.rays.origin, scan.rays.direction,
         scan.range_m,     is_full_turn(scan.rays.rows, scan.rays.columns, scan.rays.direction)};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const double cosine = incidence_cosine(image, i);
-        const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns,
-                          right = row + (i + 1) % columns;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        const double cosine = incidence_cosine(image, ray);  // negative: unknown
+        const std::size_t row_begin = ray / columns * columns,
+                          left = row_begin + (ray + columns - 1) % columns,
+                          right = row_begin + (ray + 1) % columns;
         if (cosine < 0.0 || !(scan.range_m[left] > 0.0f && scan.range_m[right] > 0.0f)) continue;
         const float difference_m =
-            std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
+            std::abs(scan.range_m[left] - 2.0f * scan.range_m[ray] + scan.range_m[right]);
         if (difference_m > kMaxDifference_m) continue;
-        const std::size_t b = find_bin(kRangeBinEnds_m, double(scan.range_m[i])) * kCosineBinEnds.size() +
-                              find_bin(kCosineBinEnds, cosine);
-        result[b].push_back(difference_m);
+        const std::size_t range_bin = find_bin(kRangeBinEnds_m, double(scan.range_m[ray])),
+                          cosine_bin = find_bin(kCosineBinEnds, cosine);
+        result[range_bin * kCosineBinEnds.size() + cosine_bin].push_back(difference_m);
     }
     return result;
 }
@@ -64,37 +65,37 @@ DifferencesByBin collect_differences(const Frame& frame) {
 /// Fills bins that have too few returns, at the same incidence from the next nearer range
 /// or else from the next farther range. If neither exists, uses the maximum of all bins.
 void fill_empty_bins(RangeNoiseTable& noise) {
-    const std::size_t n_cosines = kCosineBinEnds.size();
-    for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
-        if (noise.sigma_m[i] == 0.0 && i >= n_cosines) noise.sigma_m[i] = noise.sigma_m[i - n_cosines];
-    for (std::size_t i = noise.sigma_m.size(); i-- > 0;)
-        if (noise.sigma_m[i] == 0.0 && i + n_cosines < noise.sigma_m.size())
-            noise.sigma_m[i] = noise.sigma_m[i + n_cosines];
-    for (std::size_t i = noise.sigma_m.size(); i-- > 0;)
-        if (noise.sigma_m[i] == 0.0)
-            noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
+    std::vector<double>& sigma_m = noise.sigma_m;  // [ranges, cosines] 0: too few returns
+    const std::size_t n_bins = sigma_m.size(), n_cosines = kCosineBinEnds.size();
+    for (std::size_t bin = n_cosines; bin < n_bins; ++bin)
+        if (sigma_m[bin] == 0.0) sigma_m[bin] = sigma_m[bin - n_cosines];
+    for (std::size_t bin = n_bins - n_cosines; bin-- > 0;)
+        if (sigma_m[bin] == 0.0) sigma_m[bin] = sigma_m[bin + n_cosines];
+    const double largest_m = *std::ranges::max_element(sigma_m);
+    std::ranges::replace(sigma_m, 0.0, largest_m);
 }
 
 /// Estimates the range noise of one LiDAR, and counts the returns that were used. Without
 /// a bin of enough returns, the table is empty.
+/// @param differences  [frames] see collect_differences()
 std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<DifferencesByBin>& differences) {
     RangeNoiseTable noise{{kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
                           {kCosineBinEnds.begin(), kCosineBinEnds.end()},
                           std::vector<double>(kBins, 0.0)};
-    std::size_t n = 0;
-    for (std::size_t b = 0; b < kBins; ++b) {
-        std::vector<float> all;
+    std::size_t n_returns = 0;
+    for (std::size_t bin = 0; bin < kBins; ++bin) {
+        std::vector<float> bin_differences_m;
         for (const DifferencesByBin& frame : differences)
-            all.insert(all.end(), frame[b].begin(), frame[b].end());
-        n += all.size();
+            bin_differences_m.insert(bin_differences_m.end(), frame[bin].begin(), frame[bin].end());
+        n_returns += bin_differences_m.size();
         // The second difference of three independent ranges has sqrt(1 + 4 + 1) times
         // their noise.
-        if (all.size() >= kFewestOfBin)
-            noise.sigma_m[b] = kOfMedian * double(compute_median(all)) / std::sqrt(6.0);
+        if (bin_differences_m.size() >= kFewestOfBin)
+            noise.sigma_m[bin] = kOfMedian * double(compute_median(bin_differences_m)) / std::sqrt(6.0);
     }
-    if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
+    if (*std::ranges::max_element(noise.sigma_m) == 0.0) return {};
     fill_empty_bins(noise);
-    return {std::move(noise), n};
+    return {std::move(noise), n_returns};
 }
 
 }  // namespace
@@ -105,18 +106,17 @@ double RangeNoiseTable::lookup_sigma_m(double measured_range_m, double incidence
 }
 
 std::size_t calibrate_noise(Log& sequence, const std::vector<int>& frame_indices) {
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < sequence.lidars.size(); ++i) {
-        std::vector<int> lidar_frame_indices;
-        for (const int position : frame_indices)
-            if (sequence.frames[std::size_t(position)].lidar == int(i))
-                lidar_frame_indices.push_back(position);
+    std::size_t n_used_returns = 0;
+    for (std::size_t lidar = 0; lidar < sequence.lidars.size(); ++lidar) {
+        std::vector<int> frames_of_lidar;
+        for (const int frame : frame_indices)
+            if (sequence.frames[std::size_t(frame)].lidar == int(lidar)) frames_of_lidar.push_back(frame);
         const auto [noise, n_returns] =
-            estimate_noise(map_frames(sequence, lidar_frame_indices, kMostNoiseReturns, collect_differences));
-        sequence.lidars[i].range_noise = noise;
-        n += n_returns;
+            estimate_noise(map_frames(sequence, frames_of_lidar, kMostNoiseReturns, collect_differences));
+        sequence.lidars[lidar].range_noise = noise;
+        n_used_returns += n_returns;
     }
-    return n;
+    return n_used_returns;
 }
 
 }  // namespace relidar

@@ -81,14 +81,15 @@ struct CellPlane {
 /// thick or too narrow.
 std::optional<CellPlane> fit_cell_plane(const std::vector<RawReturn>& cell_returns,
                                         const std::vector<double>& beam_offsets_m) {
-    const glm::dvec3 about = corrected_point(cell_returns[0], beam_offsets_m);
+    constexpr double kMaxVariance_m2 = kMaxThickness_m * kMaxThickness_m;
+    // Coordinates relative to a point of the cell keep the precision of their squares.
+    const glm::dvec3 reference_m = corrected_point(cell_returns[0], beam_offsets_m);
     PointMomentSums sums;
-    for (const RawReturn& o : cell_returns) sums.add_point(corrected_point(o, beam_offsets_m) - about);
+    for (const RawReturn& r : cell_returns) sums.add_point(corrected_point(r, beam_offsets_m) - reference_m);
+    // Axis 0 has the least variance. It is the normal of the plane.
     const PlaneFit fit = sums.fit_plane();
-    if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
-        fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
-        return std::nullopt;
-    return CellPlane{about + fit.mean, fit.axes[0]};
+    if (fit.variance[0] > kMaxVariance_m2 || fit.variance[1] < kMaxVariance_m2) return std::nullopt;
+    return CellPlane{reference_m + fit.mean, fit.axes[0]};
 }
 
 /// Least-squares sums of one beam, whose range offset is sum / weight. `weight` is the
@@ -157,18 +158,19 @@ RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& f
     // Alternates: planes are fitted with the current offsets, then offsets to these
     // planes.
     for (int round = 0; round < kMaxRounds; ++round) {
-        const BeamResiduals r = sum_residuals(cells, offset_m);
-        double mean = 0.0, weight = 0.0;
+        const BeamResiduals residuals = sum_residuals(cells, offset_m);
+        double weighted_sum_m = 0.0, weight_sum = 0.0;
         for (std::size_t b = 0; b < offset_m.size(); ++b) {
-            offset_m[b] = r.fits[b].sum / r.fits[b].weight;
-            mean += r.fits[b].weight * offset_m[b];
-            weight += r.fits[b].weight;
+            const auto& [weight, sum] = residuals.fits[b];
+            offset_m[b] = sum / weight;
+            weighted_sum_m += weight * offset_m[b];
+            weight_sum += weight;
         }
         // An offset of all beams moves planes and points together, so it cannot be
-        // measured.
-        for (double& offset : offset_m) offset -= mean / weight;
-        result.returns = r.n;
-        result.rms_after = std::sqrt(r.n > 0 ? r.squares / double(r.n) : 0.0);
+        // measured. The mean becomes 0.
+        for (double& offset : offset_m) offset -= weighted_sum_m / weight_sum;
+        result.returns = residuals.n;
+        result.rms_after = std::sqrt(residuals.n > 0 ? residuals.squares / double(residuals.n) : 0.0);
         if (round == 0) result.rms_before = result.rms_after;
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;

@@ -25,9 +25,8 @@ constexpr const char* kTestFramesSetting = "dataset.test_frames";
 std::pair<int, int> parse_frames(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = parse_stem(std::string(text.substr(0, colon)));
-    const std::optional<int> end = colon == std::string_view::npos
-                                       ? first.value_or(0) + 1
-                                       : parse_stem(std::string(text.substr(colon + 1)));
+    std::optional<int> end = first.value_or(0) + 1;
+    if (colon != std::string_view::npos) end = parse_stem(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
         fail<UsageError>("{}: found \"{}\", expected frame numbers or FIRST:END, for example 13,26,40:45",
                          kTestFramesSetting, quote(text));
@@ -68,7 +67,7 @@ std::set<int> parse_frame_list(const std::string& text, const std::vector<int>& 
 }  // namespace
 
 Split split_frames(const Log& sequence, int test_every_nth_frame, const std::string& test_frame_list) {
-    std::vector<int> sweeps;  // several LiDARs can have a frame with the same index
+    std::vector<int> sweeps;  // numbers of all frames; LiDARs of the same sweep share a number
     std::set<int> added_numbers;
     for (const Frame& frame : sequence.frames)
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
@@ -80,8 +79,11 @@ Split split_frames(const Log& sequence, int test_every_nth_frame, const std::str
         held_out = {sequence.test_frames.begin(), sequence.test_frames.end()};
     else held_out = select_nth_frames(test_every_nth_frame, sweeps);
     Split split;
-    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
-        (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);
+    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
+        const bool is_test = held_out.contains(sequence.frames[std::size_t(i)].index);
+        if (is_test) split.test.push_back(i);
+        else split.train.push_back(i);
+    }
     return split;
 }
 
