@@ -33,28 +33,31 @@ BoxTrack BoxTrack::labelled_part() const {
 }
 
 bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const {
-    const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
+    const glm::dvec3 half_m = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
     // For a moving box, first rejects points outside the bounding sphere. This fast test
     // avoids the slow interpolation of the rotation for most points.
     if (track.pose.size() > 1) {
         const TrackInterpolation at = track.find_segment(t_s);
-        const glm::dvec3 centre =
+        const glm::dvec3 centre_m =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
-        const glm::dvec3 d = point_m - centre;
-        if (glm::dot(d, d) > glm::dot(half, half)) return false;
+        const glm::dvec3 from_centre_m = point_m - centre_m;
+        if (glm::dot(from_centre_m, from_centre_m) > glm::dot(half_m, half_m)) return false;
     }
-    const glm::dvec3 local = glm::abs(inverse(track.pose_at(t_s)) * point_m);
-    return local.x <= half.x && local.y <= half.y && local.z <= half.z;
+    const glm::dvec3 local_m = glm::abs(inverse(track.pose_at(t_s)) * point_m);
+    return local_m.x <= half_m.x && local_m.y <= half_m.y && local_m.z <= half_m.z;
 }
 
+/// Returns the two neighbouring poses of a time: the index of the earlier one, and how
+/// far the time is between them, 0 to 1. Outside the track, it extrapolates from the
+/// first or the last two poses, so the share is below 0 or above 1.
+/// @throws DataError if the track is empty
 TrackInterpolation PoseTrack::find_segment(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size())
         fail("found a pose track with {} poses at {} times, expected the same number, at least one",
              pose.size(), time_s.size());
     if (pose.size() == 1) return {};
     const auto after = std::ranges::upper_bound(time_s, t_s) - time_s.begin();
-    // Outside the track, extrapolates from the first or the last segment.
     const auto left =
         std::size_t(std::clamp<std::ptrdiff_t>(after - 1, 0, std::ptrdiff_t(time_s.size()) - 2));
     const double span = time_s[left + 1] - time_s[left];
@@ -78,15 +81,18 @@ std::size_t Scan::count_returns() const {
 }
 
 void limit_ranges(Scan& scan, const RangeLimits& limits) {
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) {
-            scan.range_m[i] = scan.intensity[i] = 0.0f;
-            if (!scan.classes.empty()) scan.classes[i] = SurfaceClass::unknown;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (scan.range_m[ray] > 0.0f && !limits.contains(scan.range_m[ray])) {
+            scan.range_m[ray] = 0.0f;
+            scan.intensity[ray] = 0.0f;
+            if (!scan.classes.empty()) scan.classes[ray] = SurfaceClass::unknown;
         }
-        for (AdditionalReturns& f : scan.second_returns)
+        for (AdditionalReturns& second : scan.second_returns) {
             // A second return cannot exist without a first one.
-            if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i]))
-                f.range_m[i] = f.intensity[i] = 0.0f;
+            if (scan.range_m[ray] > 0.0f && limits.contains(second.range_m[ray])) continue;
+            second.range_m[ray] = 0.0f;
+            second.intensity[ray] = 0.0f;
+        }
     }
 }
 
@@ -164,13 +170,14 @@ PoseTrack subdivide_turns(const PoseTrack& track) {
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (i > 0) {
-            const Twist twist = compute_twist(track.pose[i - 1], track.pose[i]);
+            const Pose &before = track.pose[i - 1], &after = track.pose[i];
+            const double before_s = track.time_s[i - 1], step_s = track.time_s[i] - before_s;
+            const Twist twist = compute_twist(before, after);  // translation, then rotation vector
             const double rotation_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
-            const int n = 1 + static_cast<int>(rotation_rad / kMaxRotation_rad);
-            for (int k = 1; k < n; ++k) {
-                const double s = double(k) / n;
-                fine.append(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]),
-                            interpolate(track.pose[i - 1], track.pose[i], s));
+            const int n_steps = 1 + static_cast<int>(rotation_rad / kMaxRotation_rad);
+            for (int k = 1; k < n_steps; ++k) {
+                const double share = double(k) / n_steps;
+                fine.append(before_s + share * step_s, interpolate(before, after, share));
             }
         }
         fine.append(track.time_s[i], track.pose[i]);
@@ -194,12 +201,13 @@ bool BoxTrack::is_moving() const {
     const double drift_m = std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kMaxJitter_m, kMaxDrift_mps * window_s);
     const auto compute_window_mean = [&](double first_s) -> std::optional<glm::dvec3> {
+        const auto begin = std::ranges::lower_bound(t, first_s - kTimeTolerance_s);
+        const auto end = std::ranges::upper_bound(t, first_s + window_s + kTimeTolerance_s);
+        if (begin >= end) return std::nullopt;
         glm::dvec3 sum(0.0);
-        std::size_t n = 0;
-        for (auto i = std::size_t(std::ranges::lower_bound(t, first_s - kTimeTolerance_s) - t.begin());
-             i < t.size() && t[i] <= first_s + window_s + kTimeTolerance_s; ++i, ++n)
-            sum += world_from_box.pose[i].translation;
-        return n == 0 ? std::nullopt : std::optional(sum / double(n));
+        for (auto at = begin; at != end; ++at)
+            sum += world_from_box.pose[std::size_t(at - t.begin())].translation;
+        return sum / double(end - begin);
     };
     const std::optional<glm::dvec3> start = compute_window_mean(t.front());
     for (const double time_s : t) {
@@ -218,10 +226,9 @@ void set_trajectory(Log& sequence, PoseTrack world_from_vehicle) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            box.world_from_box.pose[k] =
-                // new vehicle pose * pose of the box relative to the old vehicle pose
-                world_from_vehicle.pose_at(t_s) *
-                (inverse(sequence.world_from_vehicle.pose_at(t_s)) * box.world_from_box.pose[k]);
+            Pose& world_from_box = box.world_from_box.pose[k];
+            const Pose vehicle_from_box = inverse(sequence.world_from_vehicle.pose_at(t_s)) * world_from_box;
+            world_from_box = world_from_vehicle.pose_at(t_s) * vehicle_from_box;
         }
     sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
@@ -249,42 +256,46 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
                         ray);
 }
 
+/// Returns azimuth and time of the first ray of a sweep, or nothing if it is the default
+/// (facing backward, half a period before time 0) or the head does not rotate evenly.
+/// Each ray gives the azimuth at time 0: its azimuth minus the rotation since then. Their
+/// mean is the direction of the sum of unit vectors.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Each ray gives an estimate of the head's azimuth at time 0, as a unit vector. If
-    // the mean of these vectors is shorter than this, the rays do not come from one
-    // rotating head.
+    // If the mean vector is shorter, the rays do not come from one rotating head.
     constexpr double kMinMeanLength = 0.9;
+    constexpr std::size_t kMaxUsedRays = 4096, kRaysPerPart = 256;  // enough for the mean
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
-    const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const auto sum_at_zero = parallel_sum(n, 256, [&](std::size_t begin, std::size_t end) {
+    const std::size_t step = 1 + rays.size() / kMaxUsedRays, n_used = (rays.size() + step - 1) / step;
+    const auto vector_sum = parallel_sum(n_used, kRaysPerPart, [&](std::size_t begin, std::size_t end) {
         std::complex<double> part = 0.0;
         for (std::size_t i = begin * step; i < std::min(end * step, rays.size()); i += step) {
-            const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
-            part += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+            const double azimuth_rad = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+            part += std::polar(1.0, azimuth_rad - rad_per_s * double(rays.time_offset_s[i]));
         }
         return part;
     });
+    if (std::abs(vector_sum) < kMinMeanLength * double(n_used)) return {};
     const double first_s = double(std::ranges::min(rays.time_offset_s));
-    if (std::abs(sum_at_zero) < kMinMeanLength * double(n)) return {};
-    const double at_zero = std::arg(sum_at_zero);
-    if (std::abs(at_zero) < 2.0 * kPi * kStartTolerance &&
-        std::abs(first_s + 0.5 * sensor.period_s) < kStartTolerance * sensor.period_s)
-        return {};
-    return SweepStart{std::remainder(at_zero + rad_per_s * first_s, 2.0 * kPi), first_s};
+    const double azimuth_at_zero_rad = std::arg(vector_sum);
+    const bool is_default = std::abs(azimuth_at_zero_rad) < 2.0 * kPi * kStartTolerance &&
+                            std::abs(first_s + 0.5 * sensor.period_s) < kStartTolerance * sensor.period_s;
+    if (is_default) return {};
+    return SweepStart{std::remainder(azimuth_at_zero_rad + rad_per_s * first_s, 2.0 * kPi), first_s};
 }
 
+/// As above. If the LiDAR does not spin, only the time of the first ray matters.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
     const double period_s = lidar.sweep_period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
-    const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
+    const auto [first_s, last_s] = std::ranges::minmax(rays.time_offset_s);
     // In a motion-compensated scan, all rays have the same time. So the time at which the
     // sweep starts is unknown.
-    if (first == last) return {};
-    const double first_s = double(first);
-    if (std::abs(first_s + 0.5 * period_s) < kStartTolerance * period_s) return {};
-    return SweepStart{0.0, first_s};
+    if (first_s == last_s) return {};
+    const bool is_default = std::abs(double(first_s) + 0.5 * period_s) < kStartTolerance * period_s;
+    if (is_default) return {};
+    return SweepStart{.azimuth_rad = 0.0, .time_s = double(first_s)};
 }
 
 void set_sensor(Lidar& lidar, const SensorModel& sensor) {
@@ -309,31 +320,41 @@ RayTable make_lidar_rays(const Lidar& lidar, double time_s) {
     return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
 }
 
-double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep) {
-    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
-    const SpinningSensor& sensor = lidar.sensor;
-    if (!sequence.rolling_shutter) return sweep.time_s;
-    const double azimuth = std::atan2(point_m.y, point_m.x);
-    if (lidar.pattern) {
-        const auto [n_rays, period_s, by_time, columns] = summarise_pattern(*lidar.pattern);
-        const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * period_s : 0.0;
-        // A rosette and a table of rays have no columns.
-        if (!columns || columns->columns < 2) return sweep.time_s + middle_s;
-        // Position of the point between the first (0) and the last column (1).
-        const double share =
-            glm::clamp((azimuth - columns->first_rad) / (columns->last_rad - columns->first_rad), 0.0, 1.0);
-        return sweep.time_s +
-               (middle_s + (share - 0.5) * period_s * (columns->columns - 1) / columns->columns);
-    }
+namespace {
+
+/// Returns the time at which the columns of a scanning window reach an azimuth.
+double pattern_facing_time_s(const SensorPattern& pattern, double azimuth_rad, const SweepTiming& sweep) {
+    const ScanPatternSummary summary = summarise_pattern(pattern);
+    const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * summary.period_s : 0.0;
+    // A rosette and a table of rays have no columns.
+    if (!summary.sweep || summary.sweep->columns < 2) return sweep.time_s + middle_s;
+    const auto [first_rad, last_rad, columns] = *summary.sweep;
+    // Position of the point between the first (0) and the last column (1).
+    const double share = glm::clamp((azimuth_rad - first_rad) / (last_rad - first_rad), 0.0, 1.0);
+    return sweep.time_s + (middle_s + (share - 0.5) * summary.period_s * (columns - 1) / columns);
+}
+
+/// Returns the time at which a rotating head reaches an azimuth.
+double head_facing_time_s(const SpinningSensor& sensor, double azimuth_rad, const SweepTiming& sweep) {
     if (sweep.start) {
         // Fraction of a turn between the start of the sweep and the point.
         const double turned =
-            (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
+            (sensor.clockwise ? -1.0 : 1.0) * (azimuth_rad - sweep.start->azimuth_rad) / (2.0 * kPi);
         return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
     }
     // By default, the head faces forward (azimuth 0) at the reference time.
-    const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
+    const double after_s = azimuth_rad / (2.0 * kPi) * sensor.period_s;
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
+}
+
+}  // namespace
+
+double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep) {
+    if (!sequence.rolling_shutter) return sweep.time_s;
+    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
+    const double azimuth_rad = std::atan2(point_m.y, point_m.x);
+    return lidar.pattern ? pattern_facing_time_s(*lidar.pattern, azimuth_rad, sweep)
+                         : head_facing_time_s(lidar.sensor, azimuth_rad, sweep);
 }
 
 SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index) {
