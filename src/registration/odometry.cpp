@@ -12,6 +12,7 @@
 #include <thread>
 #include <utility>
 
+#include "base/joined.hpp"
 #include "base/parallel.hpp"
 #include "registration/plane_maps.hpp"
 #include "registration/pose_equations.hpp"
@@ -215,10 +216,11 @@ Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& sc
     for (double step_m = -kMaxTrialReverse_m; step_m <= kMaxTrialMotion_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
         SectionOdometry follower(initial_track, options, section.begin, motion);
-        // Scans without points do not count as trial scans.
-        int n = 0;
-        for (std::size_t k = section.begin; k < section.end && n < kTrialScans; n += !scans[k++].empty())
+        int n_trials = 0;
+        for (std::size_t k = section.begin; k < section.end && n_trials < kTrialScans; ++k) {
             follower.add_pose(k, scans[k]);
+            if (!scans[k].empty()) ++n_trials;  // A scan without points shows nothing.
+        }
         if (follower.total_share() <= best_share) continue;
         best_share = follower.total_share();
         best = motion;
@@ -232,10 +234,9 @@ Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& sc
 std::vector<Pose> track_section(const PoseTrack& initial_track, const SubsampledScans& scans,
                                 const OdometryOptions& options, const LogSection& section,
                                 const std::function<bool()>& should_continue) {
-    SectionOdometry follower(initial_track, options, section.begin,
-                             options.use_pose_motion
-                                 ? std::nullopt
-                                 : std::optional(find_first_motion(initial_track, scans, options, section)));
+    std::optional<Pose> first_motion;
+    if (!options.use_pose_motion) first_motion = find_first_motion(initial_track, scans, options, section);
+    SectionOdometry follower(initial_track, options, section.begin, first_motion);
     for (std::size_t k = section.begin; k < section.end; ++k) {
         if (!should_continue()) return {};
         follower.add_pose(k, scans[k]);
@@ -244,21 +245,36 @@ std::vector<Pose> track_section(const PoseTrack& initial_track, const Subsampled
     return {first + std::ptrdiff_t(section.begin), first + std::ptrdiff_t(section.end)};
 }
 
-/// Joins the sections to one track. Two sections agree at the last scan that they share.
+/// Divides the log into overlapping sections, so that several threads and processes can
+/// share the work. The last section can be up to twice as long as the others.
+std::vector<LogSection> divide_log(std::size_t n_scans) {
+    std::vector<LogSection> sections{{0, n_scans}};
+    for (std::size_t begin = kPosesPerSection; begin + kPosesPerSection <= n_scans;
+         begin += kPosesPerSection) {
+        sections.back().end = begin;
+        sections.push_back({begin - kSectionOverlap, n_scans});
+    }
+    return sections;
+}
+
+/// Joins the sections, which overlap, to one track. Moves each section as a rigid body,
+/// so that it agrees with the track at the last scan that both share.
+/// @param section_poses  poses of all sections, one section after the other
 std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
                                 const std::vector<Pose>& section_poses, const SubsampledScans& scans) {
-    auto section_begin = section_poses.begin();  // first pose of the current section in `section_poses`
+    auto section_begin = section_poses.begin();  // first pose of the current section
     std::vector<Pose> track(section_begin, section_begin + std::ptrdiff_t(sections.front().end));
     for (std::size_t i = 1; i < sections.size(); ++i) {
         section_begin += std::ptrdiff_t(sections[i - 1].end - sections[i - 1].begin);
         const auto [begin, end] = sections[i];
         // The pose of a scan without points is only a prediction, so it cannot connect
         // two sections.
-        std::size_t last = track.size() - 1;
-        while (last > begin && scans[last].empty()) --last;
-        const Pose track_from_section = track[last] * inverse(section_begin[std::ptrdiff_t(last - begin)]);
-        track.resize(last + 1);
-        for (std::size_t k = last + 1; k < end; ++k) {
+        std::size_t shared = track.size() - 1;
+        while (shared > begin && scans[shared].empty()) --shared;
+        const Pose track_from_section =
+            track[shared] * inverse(section_begin[std::ptrdiff_t(shared - begin)]);
+        track.resize(shared + 1);
+        for (std::size_t k = shared + 1; k < end; ++k) {
             track.push_back(track_from_section * section_begin[std::ptrdiff_t(k - begin)]);
             track.back().rotation = glm::normalize(track.back().rotation);
         }
@@ -270,40 +286,30 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
 
 PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options) {
-    // Divides the log into overlapping sections, so that several threads and processes
-    // can share the work. The last section can be up to twice as long as the previous
-    // sections.
-    std::vector<LogSection> stretches{{0, scans.size()}};
-    for (std::size_t begin = kPosesPerSection; begin + kPosesPerSection <= scans.size();
-         begin += kPosesPerSection) {
-        stretches.back().end = begin;
-        stretches.push_back({begin - kSectionOverlap, scans.size()});
-    }
-    const ProcessGroup::PartRange share = options.group.part_range(stretches.size());
-    std::size_t n = 0;
-    for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
+    const std::vector<LogSection> sections = divide_log(scans.size());
+    const ProcessGroup::PartRange share = options.group.part_range(sections.size());
+    std::size_t n_scans = 0;  // of this process
+    for (std::size_t i = share.begin; i < share.end; ++i) n_scans += sections[i].end - sections[i].begin;
     // `options.proceed` may be called only from the calling thread. All other threads
-    // read from `ended` whether it has stopped the estimation.
+    // read from `is_stopped` whether it has stopped the estimation.
     const std::thread::id caller = std::this_thread::get_id();
-    std::atomic<std::size_t> done = 0;
-    std::atomic<bool> ended = false;
+    std::atomic<std::size_t> n_done = 0;
+    std::atomic<bool> is_stopped = false;
     const auto proceed = [&] {
-        const std::size_t before = done++;
-        if (std::this_thread::get_id() == caller && !options.proceed(double(before) / double(n)))
-            ended = true;
-        return !ended;
+        const std::size_t n_before = n_done++;
+        if (std::this_thread::get_id() == caller && !options.proceed(double(n_before) / double(n_scans)))
+            is_stopped = true;
+        return !is_stopped;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
     parallel_for(static_cast<int>(parts.size()), [&](int index) {
-        parts[std::size_t(index)] = track_section(initial_track, scans, options,
-                                                  stretches[share.begin + std::size_t(index)], proceed);
+        const LogSection& section = sections[share.begin + std::size_t(index)];
+        parts[std::size_t(index)] = track_section(initial_track, scans, options, section, proceed);
     });
-    if (ended) return initial_track;
-    std::vector<Pose> section_poses;
-    for (const std::vector<Pose>& part : parts)
-        section_poses.insert(section_poses.end(), part.begin(), part.end());
-    return {initial_track.time_s,
-            join_sections(stretches, options.group.gather(std::move(section_poses)), scans)};
+    if (is_stopped) return initial_track;
+    // Each process gets the sections of all processes, so that all have the same track.
+    const std::vector<Pose> section_poses = options.group.gather(concatenate(std::move(parts)));
+    return {initial_track.time_s, join_sections(sections, section_poses, scans)};
 }
 
 }  // namespace relidar

@@ -16,13 +16,13 @@ constexpr double kThinningCell_m = 0.1;
 // Scale of the robust kernel: a point that is farther than this from the rendered surface
 // has a weight below 1/4.
 constexpr double kKernelScale_m = 0.05;
-constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::move_pose()
+constexpr double kPosePriorWeight = 1e-4;  // pulls the pose to its start, relative to the points
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;
 
 /// Selected rays of one frame, and their returns.
 struct FrameRays {
-    int position;
+    int frame_index;  ///< in Log::frames
     std::vector<std::size_t> rays;
     std::vector<SubsampledPoint> points;
 };
@@ -33,13 +33,14 @@ std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const Regi
     std::vector<FrameRays> frames;
     for (int i = 0; i < static_cast<int>(log.frames.size()); ++i) {
         if (log.frames[std::size_t(i)].time_s != log.world_from_vehicle.time_s[pose]) continue;
-        FrameRays f{i, select_returns(log, i, options, kThinningCell_m), {}};
-        if (f.rays.empty()) continue;
-        f.points.resize(f.rays.size());
-        parallel_blocks(f.rays.size(), [&](std::size_t index) {
-            f.points[index] = make_point(log, log.world_from_vehicle, pose, f.position, f.rays[index]);
+        FrameRays selected{
+            .frame_index = i, .rays = select_returns(log, i, options, kThinningCell_m), .points = {}};
+        if (selected.rays.empty()) continue;
+        selected.points.resize(selected.rays.size());
+        parallel_blocks(selected.rays.size(), [&](std::size_t k) {
+            selected.points[k] = make_point(log, log.world_from_vehicle, pose, i, selected.rays[k]);
         });
-        frames.push_back(std::move(f));
+        frames.push_back(std::move(selected));
     }
     return frames;
 }
@@ -52,31 +53,32 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     const Pose before = track.pose[pose_index];
     ScanAlignment result{before, 0.0, 0.0, false};
     const std::vector<FrameRays> frames = rays_at_pose(sequence, pose_index, options);
-    std::size_t n = 0;
-    for (const FrameRays& f : frames) n += f.rays.size();
-    if (n == 0) return result;
-    // starts above the limit, so that the loop runs at least once
+    std::size_t n_rays = 0;
+    for (const FrameRays& frame : frames) n_rays += frame.rays.size();
+    if (n_rays == 0) return result;
+    // Starts above the limit, so that the loop runs at least once.
     double step_m = 2.0 * kConvergedStep_m;
     for (int i = 0; i < kMaxAlignmentSteps && step_m > kConvergedStep_m; ++i) {
         SinglePoseEquations equations;
-        for (const FrameRays& f : frames) {
+        for (const FrameRays& frame : frames) {
             // Rays are cast again after each step, because they then hit other surfaces.
-            const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
+            const std::vector<SurfaceHit> surfaces = scene_view(frame.frame_index, frame.rays, track);
             equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
-                if (surfaces[k].normal == glm::dvec3(0.0)) return;
-                part.add_residual(make_residual(point_to_world(track, f.points[k]),
-                                                {surfaces[k].point_m, surfaces[k].normal}, kKernelScale_m),
-                                  weight_of_pose(f.points[k], pose_index));
+                if (surfaces[k].normal == glm::dvec3(0.0)) return;  // The ray hits no surface.
+                const LocalPlane plane{.point_m = surfaces[k].point_m, .normal = surfaces[k].normal};
+                part.add_residual(
+                    make_residual(point_to_world(track, frame.points[k]), plane, kKernelScale_m),
+                    weight_of_pose(frame.points[k], pose_index));
             });
         }
-        result.on_surfaces = double(equations.count_on_planes()) / double(n);
+        result.on_surfaces = double(equations.count_on_planes()) / double(n_rays);
         if (equations.empty()) return result;
         // The prior pulls the pose towards its value before the alignment.
         Pose& pose = track.pose[pose_index];
         step_m = equations.move_pose(pose, kPosePriorWeight, compute_twist(before, pose));
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
-    if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)
+    if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n_rays) || moved_m > options.largest_m)
         return result;
     return {track.pose[pose_index], moved_m, result.on_surfaces, true};
 }

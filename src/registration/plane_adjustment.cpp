@@ -48,12 +48,14 @@ PlaneMap fit_cell_planes(const std::vector<SubsampledPoint>& points,
                          double grid_shift_cells) {
     PlaneMap map{PointCellGrid(world_points, round.cell_m, grid_shift_cells), {}};
     map.planes.resize(map.cells.size());
-    parallel_blocks(map.cells.size(), [&](std::size_t c) {
-        const std::span<const std::uint32_t> members = map.cells.points_in_cell(c);
+    parallel_blocks(map.cells.size(), [&](std::size_t cell) {
+        const std::span<const std::uint32_t> point_indices = map.cells.points_in_cell(cell);
         // The points of a cell are sorted by pose. A plane that only one sweep observes
         // moves with the pose of this sweep, so it contributes nothing.
-        if (points[members.front()].pose != points[members.back()].pose)
-            map.planes[c] = fit_plane(world_points, members, round.cell_m, round.scale_m);
+        const bool has_several_sweeps =
+            points[point_indices.front()].pose != points[point_indices.back()].pose;
+        if (has_several_sweeps)
+            map.planes[cell] = fit_plane(world_points, point_indices, round.cell_m, round.scale_m);
     });
     return map;
 }
@@ -89,12 +91,13 @@ std::vector<FitRound> PoseAdjustment::adjust_poses(
     const std::function<bool(double finished_fraction)>& should_continue) {
     constexpr int kRounds = kShrinkingRounds + kLastRounds;
     std::vector<FitRound> rounds;
-    for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i)
+    for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i) {
         // The settings stop changing in round kShrinkingRounds. The grid moves in each
         // round, so that cell borders change.
-        rounds.push_back(run_round(blend_rounds(first_round_settings, last_round_settings,
-                                                std::min(1.0, i / double(kShrinkingRounds - 1))),
-                                   kGridShift_cells * i));
+        const double fraction = std::min(1.0, i / double(kShrinkingRounds - 1));
+        const FitRound settings = blend_rounds(first_round_settings, last_round_settings, fraction);
+        rounds.push_back(run_round(settings, kGridShift_cells * i));
+    }
     return rounds;
 }
 
@@ -150,22 +153,23 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
 /// Moves the track like one rigid body, so that the mean correction of the gauge poses is
 /// zero. The points cannot determine this common motion.
 void PoseAdjustment::centre_poses() {
-    const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
+    const auto n_gauge = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
     // Each pass removes most of the remaining mean.
-    for (int i = 0; i < 3; ++i) {
-        glm::dvec3 centre(0.0), v(0.0), w(0.0);
+    for (int pass = 0; pass < 3; ++pass) {
+        glm::dvec3 centre_m(0.0), mean_shift_m(0.0), mean_rotation(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
-            const Twist c = compute_twist(initial_track_.pose[k], track_.pose[k]);
-            centre += initial_track_.pose[k].translation / n;
-            v += glm::dvec3(c[0], c[1], c[2]) / n;
-            w += glm::dvec3(c[3], c[4], c[5]) / n;
+            const Twist correction = compute_twist(initial_track_.pose[k], track_.pose[k]);
+            centre_m += initial_track_.pose[k].translation / n_gauge;
+            mean_shift_m += glm::dvec3(correction[0], correction[1], correction[2]) / n_gauge;
+            mean_rotation += glm::dvec3(correction[3], correction[4], correction[5]) / n_gauge;
         }
-        const glm::dquat inverse_mean_rotation = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+        const glm::dquat back =
+            apply_twist(Pose{}, {0, 0, 0, -mean_rotation.x, -mean_rotation.y, -mean_rotation.z}).rotation;
         for (Pose& pose : track_.pose)
-            pose = {glm::normalize(inverse_mean_rotation * pose.rotation),
-                    centre + inverse_mean_rotation * (pose.translation - v - centre)};
+            pose = {glm::normalize(back * pose.rotation),
+                    centre_m + back * (pose.translation - mean_shift_m - centre_m)};
     }
 }
 
@@ -192,13 +196,13 @@ void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_kno
 
 double PoseAdjustment::share_on_planes(const PlaneMap& map, const std::vector<SubsampledPoint>& points,
                                        double kernel_scale_m) const {
-    std::size_t n_placed = 0;
+    std::size_t n_on_planes = 0;
     for (const SubsampledPoint& point : points) {
         const WorldPointWithOrigin placed = point_to_world(track_, point);
         const LocalPlane* plane = map.find_plane_at(placed.point_m);
-        n_placed += plane && make_residual(placed, *plane, kernel_scale_m).is_on_plane();
+        if (plane && make_residual(placed, *plane, kernel_scale_m).is_on_plane()) ++n_on_planes;
     }
-    return points.empty() ? 0.0 : double(n_placed) / double(points.size());
+    return points.empty() ? 0.0 : double(n_on_planes) / double(points.size());
 }
 
 bool PoseAdjustment::has_enough_planes(double fraction_on_planes, std::size_t n_points) {
@@ -230,9 +234,10 @@ std::vector<std::size_t> PoseAdjustment::interpolate_lost(const SubsampledScans&
     std::vector<std::size_t> lost;
     std::vector<bool> is_registered = pose_has_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
-        if (!pose_has_points[k] || (has_enough_planes(shares_on_planes[k], scans[k].size()) &&
-                                    deviation_m(k, pose_has_points) <= max_deviation_m))
-            continue;
+        if (!pose_has_points[k]) continue;
+        const bool has_failed = !has_enough_planes(shares_on_planes[k], scans[k].size()) ||
+                                deviation_m(k, pose_has_points) > max_deviation_m;
+        if (!has_failed) continue;
         lost.push_back(k);
         is_registered[k] = false;
     }

@@ -36,6 +36,7 @@ const LocalPlane* VoxelPlaneMap::find_plane_at(const glm::dvec3& point_m) const 
     const auto cell_entry = cells_.find(grid_key(point_m, cell_m_));
     if (cell_entry == cells_.end() || cell_entry->second.sums.n < kFewestOfVoxel) return nullptr;
     const VoxelPlaneCell& cell = cell_entry->second;
+    // Planes are fitted when they are first needed after the cell has grown.
     if (cell.is_outdated()) {
         const std::scoped_lock lock(cell_mutex(&cell));
         // Another thread may have fitted the plane while this thread waited for the lock.

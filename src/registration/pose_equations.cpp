@@ -64,19 +64,23 @@ SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& 
 double SinglePoseEquations::move_pose(Pose& pose, double prior_weight,
                                       const Twist& current_correction) const {
     if (empty()) return 0.0;
-    // Solves (H + P) x = -(g + P c). P is the diagonal prior, c the current correction.
+    // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: diagonal prior, c:
+    // current correction. Metres and radians differ in size, so the prior has one weight
+    // for each.
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
-    const double pulls[] = {prior_weight * stiffness_.diagonal().head<3>().mean(),
-                            prior_weight * stiffness_.diagonal().tail<3>().mean()};
-    // Metres and radians differ in size, so the prior has one weight for each.
+    const double prior_m = prior_weight * stiffness_.diagonal().head<3>().mean(),
+                 prior_rad = prior_weight * stiffness_.diagonal().tail<3>().mean();
     for (int i = 0; i < 6; ++i) {
-        stiffness(i, i) += pulls[i / 3];
-        gradient[i] += pulls[i / 3] * current_correction[std::size_t(i)];
+        const double prior = i < 3 ? prior_m : prior_rad;
+        stiffness(i, i) += prior;
+        gradient[i] += prior * current_correction[std::size_t(i)];
     }
-    const Vector6 x = -stiffness.llt().solve(gradient);
-    pose = apply_twist(pose, to_twist(x));
-    return glm::length(glm::dvec3(x[0], x[1], x[2])) + 10.0 * glm::length(glm::dvec3(x[3], x[4], x[5]));
+    const Vector6 step = -stiffness.llt().solve(gradient);
+    pose = apply_twist(pose, to_twist(step));
+    constexpr double kArm_m = 10.0;  // distance of the points whose motion is returned
+    return glm::length(glm::dvec3(step[0], step[1], step[2])) +
+           kArm_m * glm::length(glm::dvec3(step[3], step[4], step[5]));
 }
 
 Matrix6 twist_transfer(const glm::dvec3& offset_m) {
@@ -86,24 +90,25 @@ Matrix6 twist_transfer(const glm::dvec3& offset_m) {
     return m;
 }
 
+/// Equations of `n_poses` poses without any points.
 PoseEquations::PoseEquations(std::size_t n_poses)
     : diagonal_(n_poses, Matrix6::Zero()),
       next_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
-    // a and b are the two poses with their interpolation weights. The residual's
-    // derivative by the twist of a pose is its weight times j.
-    const auto [a, b] = poses_of_point(point);
+    // The two poses with their interpolation weights. The residual's derivative by the
+    // twist of a pose is its weight times j.
+    const auto [before, after] = poses_of_point(point);
     const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
-    for (const auto& [pose, share] : {a, b}) {
+    for (const auto& [pose, share] : {before, after}) {
         if (share == 0.0) continue;
         block_of(gradient_, pose) +=
             plane_residual.weight * plane_residual.residual_m * share * plane_residual.j;
         diagonal_[pose] += share * share * square;
     }
     // The block below the diagonal is the transpose, so it is not stored.
-    next_[a.first] += a.second * b.second * square;
+    next_[before.first] += before.second * after.second * square;
     cost_ += plane_residual.weight * plane_residual.residual_m * plane_residual.residual_m;
     weight_ += plane_residual.weight;
 }
@@ -151,6 +156,7 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
     ++n_planes_;
 }
 
+/// Adds the sums over other cells.
 void PoseEquations::add_equations(PoseEquations&& other) {
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         diagonal_[k] += other.diagonal_[k];
@@ -181,6 +187,7 @@ void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, c
 
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
+    // Points connect only neighbouring poses.
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         block_of(y, k) += diagonal_[k] * block_of(x, k);
         if (k + 1 == diagonal_.size()) break;
@@ -188,6 +195,7 @@ Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
         block_of(y, k + 1) += next_[k].transpose() * block_of(x, k);
     }
     if (n_planes_ == 0) return y;
+    // Planes connect all poses that see them.
     y -= parallel_sum(
         n_planes_, std::max(kMinPlanesPerPart, n_planes_ / kMaxPlaneParts + 1),
         [&](std::size_t first, std::size_t last) {

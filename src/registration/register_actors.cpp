@@ -78,40 +78,46 @@ std::vector<BoxFramePoints> collect_in_boxes(const Log& sequence, const std::vec
     return actors;
 }
 
-/// Fits a parabola over time to poses near `pose_index`: up to three before it and three
-/// after it. Uses only poses with points, at most one second away. Returns the pose on
-/// the parabola at the time of `pose_index`, or nothing if one side has no such pose.
+/// Returns up to kPosesPerSide poses with points before a pose and as many after it, at
+/// most kLongestGap_s away. Returns an empty list if one side has no such pose.
+std::vector<std::size_t> find_near_poses(const PoseTrack& track, const std::vector<bool>& pose_has_points,
+                                         std::size_t pose_index) {
+    std::vector<std::size_t> near;
+    for (const int step : {-1, 1}) {
+        int n_on_side = 0;
+        for (auto k = std::ptrdiff_t(pose_index) + step; k >= 0 && k < std::ssize(track.pose); k += step) {
+            const auto pose = std::size_t(k);
+            if (std::abs(track.time_s[pose] - track.time_s[pose_index]) > kLongestGap_s) break;
+            if (!pose_has_points[pose]) continue;
+            near.push_back(pose);
+            if (++n_on_side == kPosesPerSide) break;
+        }
+        if (n_on_side == 0) return {};
+    }
+    return near;
+}
+
+/// Fits a parabola over time to the poses near `pose_index`. Returns the pose on the
+/// parabola at the time of `pose_index`, or nothing if one side has no poses with points.
 std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>& pose_has_points,
                                  std::size_t pose_index) {
-    const double time_s = track.time_s[pose_index];
-    std::vector<std::size_t> used;
-    for (const int step : {-1, 1}) {
-        int n = 0;
-        for (auto k = std::ptrdiff_t(pose_index) + step;
-             k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kPosesPerSide; k += step) {
-            if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
-            if (pose_has_points[std::size_t(k)]) {
-                used.push_back(std::size_t(k));
-                ++n;
-            }
-        }
-        if (n == 0) return std::nullopt;
-    }
+    const std::vector<std::size_t> near = find_near_poses(track, pose_has_points, pose_index);
+    if (near.empty()) return std::nullopt;
     // A parabola through three poses would follow their noise, so they get a line.
-    const int n_terms = used.size() >= 4 ? 3 : 2;
-    const Pose& reference = track.pose[used.front()];
-    Eigen::MatrixXd powers(Eigen::Index(used.size()), n_terms), twists(Eigen::Index(used.size()), 6);
-    for (std::size_t i = 0; i < used.size(); ++i) {
-        const double t = track.time_s[used[i]] - time_s;
-        for (int p = 0; p < n_terms; ++p) powers(Eigen::Index(i), p) = std::pow(t, p);
-        const Twist twist = compute_twist(reference, track.pose[used[i]]);
-        for (int c = 0; c < 6; ++c) twists(Eigen::Index(i), c) = twist[std::size_t(c)];
+    const int n_terms = near.size() >= 4 ? 3 : 2;
+    const auto n_poses = Eigen::Index(near.size());
+    const Pose& reference = track.pose[near.front()];
+    // Least squares for the coefficients of each of the six values of a twist.
+    Eigen::MatrixXd time_powers(n_poses, n_terms), twists(n_poses, 6);
+    for (Eigen::Index i = 0; i < n_poses; ++i) {
+        const std::size_t pose = near[std::size_t(i)];
+        const double t = track.time_s[pose] - track.time_s[pose_index];
+        for (int power = 0; power < n_terms; ++power) time_powers(i, power) = std::pow(t, power);
+        twists.row(i) = to_vector(compute_twist(reference, track.pose[pose])).transpose();
     }
-    const Eigen::MatrixXd fit = powers.colPivHouseholderQr().solve(twists);
-    Twist twist;
+    const Eigen::MatrixXd coefficients = time_powers.colPivHouseholderQr().solve(twists);
     // The constant term is the value at t = 0, the time of `pose_index`.
-    for (int c = 0; c < 6; ++c) twist[std::size_t(c)] = fit(0, c);
-    return apply_twist(reference, twist);
+    return apply_twist(reference, to_twist(coefficients.row(0).transpose()));
 }
 
 double actor_share(const PoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
@@ -126,11 +132,12 @@ PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint>
     const std::vector<double>& time_s = box.world_from_box.time_s;
     const PoseTrack identity{time_s, std::vector<Pose>(time_s.size())};
     PoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
-    // Weights relative to a point, whose standard deviation is 0.05 m: (0.05 / standard
-    // deviation in m or rad)^2. Label errors (pull): 0.15 m and 2 degrees. Changes of
-    // label errors within 0.1 s (link): 0.05 m and 1 degree.
-    const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
-    const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
+    // Weights relative to a point, whose standard deviation is 0.05 m.
+    const auto weight_of = [](double sigma) { return std::pow(0.05 / sigma, 2); };
+    // Label errors (pull): 0.15 m and 2 degrees. Changes of label errors within 0.1 s
+    // (link): 0.05 m and 1 degree.
+    const double pull_m = weight_of(0.15), pull_rad = weight_of(0.035);
+    const double link_m = weight_of(0.05), link_rad = weight_of(0.017);
     PoseCorrectionPrior prior;
     prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
     prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
@@ -139,6 +146,7 @@ PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint>
 }
 
 /// Returns true if the points of an actor fit a fixed box about as well as a moving box.
+/// @param moving_box_fraction_on_planes  share of the points on planes of the moving box
 bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
                    const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
     const PoseTrack& track = box.world_from_box;
@@ -204,7 +212,7 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
 
 ActorRegistrationResult register_actors(Log& log, const std::vector<int>& frames, const Progress& progress) {
     ActorRegistrationResult result;
-    std::vector<double> moved_m;
+    std::vector<double> moved_m;  // typical correction of each registered box
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : log.boxes)
         if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kMinObjectSize_m)

@@ -39,8 +39,8 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
                                            const SubsampledScans& test_scans, const FitRound& first_round,
                                            double max_deviation_m) {
     std::vector<std::size_t> lost;
-    const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
+    const std::vector<Pose> interpolated_poses = adjustment.track().pose;
     for (int level = 0; level < kTestLevels; ++level) {
         const FitRound round = blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
         const double scale_m = round.scale_m;
@@ -54,7 +54,7 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
             const bool is_registered = PoseAdjustment::has_enough_planes(
                 adjustment.share_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
             if (is_registered && adjustment.deviation_m(k, is_training_sweep) <= max_deviation_m) continue;
-            adjustment.set_pose(k, as_neighbours[k]);
+            adjustment.set_pose(k, interpolated_poses[k]);
             lost.push_back(k);
         }
     }
@@ -63,12 +63,12 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
 
 /// Returns for each sweep whether one of the given frames belongs to it.
 std::vector<bool> flag_sweeps(const SweepSet& sweeps, const std::vector<int>& frames, std::size_t n_frames) {
-    std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
-    for (const int position : frames) among[std::size_t(position)] = true;
-    for (std::size_t k = 0; k < is.size(); ++k)
-        is[k] =
-            std::ranges::any_of(sweeps.frames[k], [&](int position) { return among[std::size_t(position)]; });
-    return is;
+    std::vector<bool> is_given(n_frames, false), has_given_frame(sweeps.frames.size(), false);
+    for (const int frame : frames) is_given[std::size_t(frame)] = true;
+    for (std::size_t k = 0; k < sweeps.frames.size(); ++k)
+        for (const int frame : sweeps.frames[k])
+            if (is_given[std::size_t(frame)]) has_given_frame[k] = true;
+    return has_given_frame;
 }
 
 /// Returns one flag per sweep. Only the flag of the middle selected sweep is true.

@@ -9,27 +9,35 @@
 
 namespace relidar {
 
+namespace {
+
+/// Returns the index of the LiDAR with the most returns in the log.
+int find_main_lidar(const Log& sequence) {
+    if (sequence.lidars.size() < 2) return 0;
+    std::vector<std::size_t> n_returns(sequence.lidars.size(), 0);
+    for (const Frame& frame : sequence.frames)
+        n_returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
+    return static_cast<int>(std::ranges::max_element(n_returns) - n_returns.begin());
+}
+
+}  // namespace
+
 SweepSet group_sweeps(const Log& sequence) {
+    const int main_lidar = find_main_lidar(sequence);
     const PoseTrack& vehicle_track = sequence.world_from_vehicle;
-    std::vector<std::vector<int>> frames(vehicle_track.pose.size());
-    std::vector<bool> leads(vehicle_track.pose.size(), false);
-    // The LiDAR with the most returns determines the sweeps.
-    std::vector<std::size_t> returns(sequence.lidars.size(), 0);
-    if (returns.size() > 1)
-        for (const Frame& frame : sequence.frames)
-            returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
-    const int leader = static_cast<int>(std::ranges::max_element(returns) - returns.begin());
+    std::vector<std::vector<int>> frames_at_pose(vehicle_track.pose.size());
+    std::vector<bool> has_main_frame(vehicle_track.pose.size(), false);
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::size_t pose = sequence.find_pose_index(sequence.frames[i]);
-        frames[pose].push_back(static_cast<int>(i));
-        if (sequence.frames[i].lidar == leader) leads[pose] = true;
+        frames_at_pose[pose].push_back(static_cast<int>(i));
+        if (sequence.frames[i].lidar == main_lidar) has_main_frame[pose] = true;
     }
     SweepSet sweeps;
-    for (std::size_t pose = 0; pose < leads.size(); ++pose) {
-        if (!leads[pose]) continue;
+    for (std::size_t pose = 0; pose < has_main_frame.size(); ++pose) {
+        if (!has_main_frame[pose]) continue;
         sweeps.track.append(vehicle_track.time_s[pose], vehicle_track.pose[pose]);
         sweeps.pose.push_back(pose);
-        sweeps.frames.push_back(std::move(frames[pose]));
+        sweeps.frames.push_back(std::move(frames_at_pose[pose]));
     }
     return sweeps;
 }
@@ -39,7 +47,8 @@ PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, c
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
         // Keeps the motion of this pose relative to the interpolated track of the sweeps.
-        all.pose[pose] = corrected.pose_at(t_s) * (inverse(sweeps.track.pose_at(t_s)) * initial.pose[pose]);
+        const Pose relative_pose = inverse(sweeps.track.pose_at(t_s)) * initial.pose[pose];
+        all.pose[pose] = corrected.pose_at(t_s) * relative_pose;
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
     for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected.pose[k];
@@ -74,14 +83,14 @@ SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::siz
     const Frame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
     const TrackInterpolation at = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
-    // Position in the sensor frame. surface_return() corrects the range for the beam.
-    const glm::vec3 in_sensor_m =
-        rays.origin[ray_index] +
-        surface_return(sequence, frame, ray_index).range_m * rays.direction[ray_index];
-    // position in the vehicle frame, interpolation weight, pose before the point, sweep
-    return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
-            static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
-            static_cast<std::uint32_t>(pose_index)};
+    // surface_return() corrects the range for the beam.
+    const float range_m = surface_return(sequence, frame, ray_index).range_m;
+    const glm::vec3 in_sensor_m = rays.origin[ray_index] + range_m * rays.direction[ray_index];
+    const Pose& vehicle_from_sensor = sequence.lidar_of(frame).vehicle_from_sensor;
+    return {.point_m = glm::vec3(vehicle_from_sensor * glm::dvec3(in_sensor_m)),
+            .s = static_cast<float>(at.s),
+            .left = static_cast<std::uint32_t>(at.left),
+            .pose = static_cast<std::uint32_t>(pose_index)};
 }
 
 WorldPointWithOrigin point_to_world(const PoseTrack& track, const SubsampledPoint& point) {
