@@ -7,6 +7,7 @@
 namespace relidar::python {
 namespace {
 
+/// Returns a shape for messages: "[n,3]". Names unknown lengths n, or n and m.
 std::string format_shape(const NumpyShape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i) {
@@ -77,9 +78,9 @@ void check_array(const py::handle& object, const std::string& where, const py::d
     const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     const auto array = py::reinterpret_borrow<py::array>(object);
     // C order and aligned, so that the data can be read as a plain C array.
-    const bool ordered = (array.flags() & py::array::c_style) != 0,
-               aligned = array.attr("flags").attr("aligned").cast<bool>();
-    if (!ordered || !aligned)
+    const bool is_c_order = (array.flags() & py::array::c_style) != 0,
+               is_aligned = array.attr("flags").attr("aligned").cast<bool>();
+    if (!is_c_order || !is_aligned)
         fail(
             "{}: found an array that is not contiguous, expected {} in C order; "
             "numpy.ascontiguousarray() converts it",

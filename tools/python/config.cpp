@@ -71,6 +71,8 @@ void set_values(Config& config, const py::dict& settings) {
     }
 }
 
+/// Adds relidar.Config, a dict-like class. Here and in the other bind_ functions, the
+/// texts are the documentation of the Python module.
 void bind_config(py::module_& module) {
     py::class_<Config>(module, "Config",
                        "All settings of a run. They have the names that `relidar list settings` prints, for "

@@ -18,6 +18,7 @@ SharedDevice& default_device() {
     return device;
 }
 
+/// Opens a device for Python. The help text of relidar.Device describes the arguments.
 SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string& traversal,
                          IntegerArgument<std::uint64_t, "memory_limit_bytes"> memory_limit_bytes,
                          bool enable_validation, bool share_memory) {

@@ -39,6 +39,12 @@ std::int32_t dlpack_type(MemoryAddress::Interface interface) {
     return interface == MemoryAddress::Interface::hip ? kDlRocm : kDlCpu;
 }
 
+/// Returns the type code of DLPack: 0 int, 1 uint, 2 float.
+std::uint8_t dlpack_type_code(char kind) {
+    if (kind == 'f') return 2;
+    return kind == 'u' ? 1 : 0;
+}
+
 py::dtype dtype_of(const DeviceArray& array) { return py::dtype(std::string(1, array.kind) + "4"); }
 
 NumpyShape byte_strides(const DeviceArray& array) {
@@ -65,17 +71,20 @@ py::array to_host(const py::object& object) {
     if (address.interface == MemoryAddress::Interface::host)
         return py::array(dtype_of(array), array.shape, byte_strides(array),
                          address.pointer + array.offset_bytes, object);
-    const auto n_bytes = span_bytes(array);
+    // The memory is not visible to the host, so the bytes are copied.
+    const std::size_t n_bytes = span_bytes(array);
     py::array bytes(py::dtype::of<std::uint8_t>(), NumpyShape{static_cast<py::ssize_t>(n_bytes)});
-    {
-        void* data = bytes.mutable_data();
+    if (n_bytes > 0) {
+        void* data = bytes.mutable_data();  // Needs the GIL, which DeviceLock releases.
         const DeviceLock use(*array.device);
-        if (n_bytes) array.buffer.download(data, n_bytes, array.offset_bytes);
+        array.buffer.download(data, n_bytes, array.offset_bytes);
     }
     return py::array(dtype_of(array), array.shape, byte_strides(array), bytes.mutable_data(), bytes);
 }
 
-/// Writes values of another object into the array.
+/// Replaces the values of an array by those of another object. On a CPU device, to_host()
+/// is a view, so numpy writes to the array. Otherwise the changed copy is uploaded.
+/// @param source a numpy array or a DLPack tensor of the same shape and dtype
 void copy_values(const py::object& object, const py::object& source) {
     auto& array = object.cast<DeviceArray&>();
     const py::object values = to_numpy(source);
@@ -84,38 +93,48 @@ void copy_values(const py::object& object, const py::object& source) {
     py::module_::import("numpy").attr("copyto")(host, values);
     const std::size_t n_bytes = span_bytes(array);
     if (array.buffer.address_for_others().interface == MemoryAddress::Interface::host || n_bytes == 0) return;
-    const void* data = host.data();
+    const void* data = host.data();  // Needs the GIL, which DeviceLock releases.
     const DeviceLock use(*array.device);
     array.buffer.upload(data, n_bytes, array.offset_bytes);
 }
 
+/// Returns a DLPack capsule, with which other libraries use the memory of an array
+/// without a copy. The capsule keeps the array alive until its user calls the deleter.
 py::object to_capsule(const py::object& object, const py::object& copy) {
     const auto& array = object.cast<const DeviceArray&>();
     const MemoryAddress address = array.buffer.address_for_others();
     if (address.interface == MemoryAddress::Interface::none) return to_host(object).attr("__dlpack__")();
     if (!copy.is_none() && copy.cast<bool>())
         throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
-    auto* made = new ExportedTensor{
-        {},
-        {array.device, array.buffer.share(), array.offset_bytes, array.shape, array.strides, array.kind},
-        {},
-        {}};
-    made->shape.assign(array.shape.begin(), array.shape.end());
-    made->strides.assign(array.strides.begin(), array.strides.end());
-    const std::uint8_t type_code = array.kind == 'f' ? 2 : array.kind == 'u' ? 1 : 0;
+    auto* exported = new ExportedTensor{.managed = {},
+                                        .array = {array.device, array.buffer.share(), array.offset_bytes,
+                                                  array.shape, array.strides, array.kind},
+                                        .shape = {array.shape.begin(), array.shape.end()},
+                                        .strides = {array.strides.begin(), array.strides.end()}};
+    DLTensor& tensor = exported->managed.tensor;
     // Adds the offset to the pointer, because PyTorch before 2.0 ignores `byte_offset`.
-    made->managed = {{address.pointer + array.offset_bytes, dlpack_type(address.interface),
-                      address.device_index, static_cast<std::int32_t>(made->shape.size()), type_code, 32, 1,
-                      made->shape.data(), made->strides.data(), 0},
-                     made,
-                     [](DLManagedTensor* managed) { delete static_cast<ExportedTensor*>(managed->context); }};
+    tensor = {.data = address.pointer + array.offset_bytes,
+              .device_type = dlpack_type(address.interface),
+              .device_id = address.device_index,
+              .ndim = static_cast<std::int32_t>(exported->shape.size()),
+              .type_code = dlpack_type_code(array.kind),
+              .type_bits = 32,
+              .type_lanes = 1,
+              .shape = exported->shape.data(),
+              .strides = exported->strides.data(),
+              .byte_offset = 0};
+    exported->managed.context = exported;
+    exported->managed.deleter = [](DLManagedTensor* managed) {
+        delete static_cast<ExportedTensor*>(managed->context);
+    };
     // The library that uses the tensor renames the capsule and calls the deleter later.
-    return py::reinterpret_steal<py::object>(
-        PyCapsule_New(&made->managed, kCapsuleName, [](PyObject* capsule) {
-            if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
-            auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
-            managed->deleter(managed);
-        }));
+    // If nobody used it, it still has its name, and the capsule calls the deleter.
+    const auto free_unused = [](PyObject* capsule) {
+        if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
+        auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
+        managed->deleter(managed);
+    };
+    return py::reinterpret_steal<py::object>(PyCapsule_New(&exported->managed, kCapsuleName, free_unused));
 }
 
 std::string array_repr(const DeviceArray& array) {

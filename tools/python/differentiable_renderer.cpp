@@ -36,6 +36,8 @@ struct PythonRenderer {
     }
 };
 
+/// Creates a renderer for Python. Its constructor's help text describes the arguments.
+/// @param margin  factor and metres by which the boxes of surfels in the tree are larger
 std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
                                               bool for_poses, bool for_rays, bool sparse,
                                               const std::optional<std::pair<float, float>>& margin,
@@ -49,12 +51,12 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     if (margin) std::tie(options.accel.margin_scale, options.accel.margin_m) = *margin;
     const GradientOptions gradients{
         backward_options(settings), {.rays = for_rays, .poses = for_poses}, !sparse};
-    auto held = std::make_unique<PythonRenderer>();
-    held->differentiable = DeviceObject<DifferentiableRenderer>::create(device_or_default(std::move(device)),
-                                                                        scene, image, options, gradients);
-    held->placed.resize(scene.instances.size());
-    if (options.trace.likelihood) held->likelihood_scale_m = options.trace.likelihood->scale_m;
-    return held;
+    auto renderer = std::make_unique<PythonRenderer>();
+    renderer->differentiable = DeviceObject<DifferentiableRenderer>::create(
+        device_or_default(std::move(device)), scene, image, options, gradients);
+    renderer->placed.resize(scene.instances.size());
+    if (options.trace.likelihood) renderer->likelihood_scale_m = options.trace.likelihood->scale_m;
+    return renderer;
 }
 
 glm::vec3 read_view(const py::object& view_origin) {
@@ -74,7 +76,9 @@ void place_instances(PythonRenderer& renderer, std::vector<InstancePose>&& place
     renderer.placed = std::move(placed);
 }
 
-/// Values that are None keep their previous values.
+/// Sets the poses and the presence of all instances, and the origin of the view. Values
+/// that are None keep their previous values.
+/// @param refit if true, also updates the acceleration structure
 void set_poses(PythonRenderer& renderer, const py::object& poses, const py::object& view_origin,
                const std::optional<std::vector<bool>>& present, bool refit) {
     std::vector<InstancePose> placed = renderer.placed;
@@ -120,20 +124,20 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     if (rays.origin.size() != rays.direction.size())
         fail("directions: found {} directions and {} origins, expected the same number",
              rays.direction.size(), rays.origin.size());
-    RenderedRayValues r = renderer.use([&](Renderer& drawn) { return drawn.render_rays(rays); });
+    RenderedRayValues rendered = renderer.use([&](Renderer& drawn) { return drawn.render_rays(rays); });
     // backward() needs this number for the shape of its gradients.
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
     // One array [n] for each value of the image, for example dict["depth"].
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = move_to_numpy<float>(std::move(r.name), shape);
+    dict[#name] = move_to_numpy<float>(std::move(rendered.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] = move_to_numpy<float>(std::move(r.transmittance), shape);
-    dict["median_depth"] = move_to_numpy<float>(std::move(r.median_depth), shape);
-    dict["hits"] = move_to_numpy<std::uint32_t>(std::move(r.hits), shape);
-    dict["instance"] = move_to_numpy<std::int32_t>(std::move(r.instance), shape);
+    dict["transmittance"] = move_to_numpy<float>(std::move(rendered.transmittance), shape);
+    dict["median_depth"] = move_to_numpy<float>(std::move(rendered.median_depth), shape);
+    dict["hits"] = move_to_numpy<std::uint32_t>(std::move(rendered.hits), shape);
+    dict["instance"] = move_to_numpy<std::int32_t>(std::move(rendered.instance), shape);
     return dict;
 }
 
@@ -145,8 +149,8 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
 /// Reads the gradients dL/d(value) of the rendered values, one array per value with one
 /// number per ray. Missing gradients stay empty and count as 0.
 RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
-    RenderedGradients d;
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
+    RenderedGradients gradients;
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &gradients.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
@@ -162,18 +166,18 @@ RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
         *match->second =
             copy_array<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
-    return d;
+    return gradients;
 }
 
 /// Computes the gradients of the last forward pass from dL/d(value) of each ray.
 py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values) {
-    const RenderedGradients d = read_gradients(gradients_of_values, renderer.n_rays);
-    HostGradients gradients =
-        renderer.differentiable.use([&](DifferentiableRenderer& both) { return both.backpropagate(d); });
+    const RenderedGradients d_values = read_gradients(gradients_of_values, renderer.n_rays);
+    HostGradients gradients = renderer.differentiable.use(
+        [&](DifferentiableRenderer& both) { return both.backpropagate(d_values); });
     const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
-    const std::size_t n = gradients.surfels.size();
+    const std::size_t n_surfels = gradients.surfels.size();
     py::dict dict = to_array_dict(std::move(gradients.surfels));
-    dict["touched"] = move_to_numpy<std::uint32_t>(std::move(gradients.touched), {rows(n)});
+    dict["touched"] = move_to_numpy<std::uint32_t>(std::move(gradients.touched), {rows(n_surfels)});
     // Gradients that were not enabled are empty. The six numbers of a row belong to
     // shift and rotation, or to origin and direction of a ray.
     if (!gradients.poses.empty())
@@ -243,13 +247,18 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     if (columns != 0 && n % columns != 0)
         fail<UsageError>("cannot render {} rays in {} columns: expected a multiple", n.value, columns.value);
     renderer.use([&](Renderer& drawn) {
-        // 0, 1: the first ray is ray 0, and the stride between rays is 1.
-        drawn.record_forward({&renderer.rays, 0, 1, n, columns, measured ? &renderer.measured : nullptr});
+        drawn.record_forward({.rays = &renderer.rays,
+                              .first = 0,
+                              .stride = 1,
+                              .n_rays = n,
+                              .columns = columns,
+                              .targets = measured ? &renderer.measured : nullptr});
         drawn.stream().submit_and_wait();
         check_truncation(drawn);
     });
     renderer.n_rays = n;
     const RenderedBatch batch = renderer.differentiable->last_batch();
+    // Returns a view of a member. The value of type Number only selects the type.
     const auto member = [&]<class Number>(Number, std::size_t member_bytes) {
         return wrap_member<Number>(renderer.device(), *batch.rendered, member_bytes, n);
     };

@@ -26,6 +26,9 @@ Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optiona
     });
 }
 
+/// Scores the held-out frames of a run, and returns the means and the values of each
+/// frame.
+/// @param log  null: read the log from the path in the settings of the run
 py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
@@ -51,6 +54,7 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
 
 }  // namespace
 
+/// Adds relidar.evaluate().
 void bind_evaluate(py::module_& module) {
     module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),

@@ -53,17 +53,19 @@ void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, c
     if (!call()) throw UsageError("training was stopped by an exception of a loss");
 }
 
-/// Calls the function with the arrays of a batch, and adds its gradients and its value.
+/// Calls the Python function with views of the arrays of a batch. relidar/_losses.py adds
+/// its gradients to `upstream`, and its value to the term "custom" of the log.
 void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch& targets,
                                const LossTermRow& terms) const {
     using shared::DeviceRay, shared::DeviceTarget;
+    // Views of one member of the measured values, and of the rays, of all rays of the batch.
     const auto target = [&](std::size_t member_bytes) {
         return wrap_rows(device_, targets, *targets.targets, member_bytes);
     };
     const auto ray = [&](std::size_t member_bytes, py::ssize_t width = 0) {
         return wrap_rows(device_, rendered.rays, *rendered.rays.rays, member_bytes, width);
     };
-    py::dict values;
+    py::dict values;  // depth, weight and the other blended values of the table
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning)                                        \
     values[#name] = wrap_member<float>(device_, *rendered.rendered, offsetof(shared::RenderedRay, name), \
                                        targets.n_rays);

@@ -23,7 +23,8 @@ py::object add_error(py::module_& module, const char* name, const char* doc, con
     return type;
 }
 
-/// Other errors have their own exit codes.
+/// Converts errors that are not one of the classes below to relidar.Error, with their
+/// exit code. pybind11 calls this function with the current exception.
 void raise_error(std::exception_ptr exception) {
     try {
         if (exception) std::rethrow_exception(exception);
@@ -58,6 +59,9 @@ void bind_errors(py::module_& module) {
 }  // namespace
 }  // namespace relidar::python
 
+/// Builds the module when Python imports it. Errors come first, because the other parts
+/// raise them. A class must be added before the functions that have it in their
+/// arguments.
 PYBIND11_MODULE(_relidar, module) {
     using namespace relidar::python;
     module.doc() =

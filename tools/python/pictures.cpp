@@ -42,6 +42,7 @@ RenderedScan to_rendered_scan(const py::dict& scan_dict) {
 
 }  // namespace
 
+/// Adds relidar.write_picture().
 void bind_pictures(py::module_& module) {
     module.def(
         "write_picture",

@@ -64,7 +64,7 @@ std::vector<Pose> to_poses(const py::handle& matrices, const std::string& where)
 /// Converts a single pose [4,4] or a pair (times [n], poses [n,4,4]) to a track. A single
 /// pose gets the time `time_s`.
 PoseTrack to_track(const py::handle& object, const std::string& where, double time_s) {
-    if (!py::isinstance<py::tuple>(object)) return {{time_s}, {to_pose(object, where)}};
+    if (!py::isinstance<py::tuple>(object)) return {.time_s = {time_s}, .pose = {to_pose(object, where)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
         fail("{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", where,
@@ -98,6 +98,7 @@ py::tuple to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_
                           move_to_numpy<double>(std::move(numbers), {n, 4, 4}));
 }
 
+/// Adds relidar.pose(), which makes a matrix from a position and angles.
 void bind_poses(py::module_& module) {
     module.def(
         "pose",

@@ -51,17 +51,19 @@ void check_time(const PoseTrack& track, double time_s, double tolerance_s, const
         fail<UsageError>("{}: found {} s, expected a time from {} to {} s", where, time_s, begin_s, end_s);
 }
 
+/// Converts the argument `actors` of render(): a dict of actor -> pose or (times, poses).
+/// @param time_of_single_poses_s  time of the scan
 ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_single_poses_s) {
     // An actor may be rendered this long before its first pose or after its last pose. A
     // sweep begins before its nominal time and ends after it, so the limit is not 0.
     constexpr double kTimeMargin_s = 1.0;
     ActorTracksByName poses;
     for (const auto& [name, pose] : poses_by_actor) {
-        const std::string track = py::str(name);
-        const std::string what = fmt::format("actors[\"{}\"]", track);
-        const PoseTrack& added = poses[track] = to_track(pose, what, time_of_single_poses_s);
-        check_time(added, time_of_single_poses_s, kTimeMargin_s,
-                   fmt::format("the scan time does not match the poses of {}", what));
+        const std::string actor = py::str(name);
+        const std::string where = fmt::format("actors[\"{}\"]", actor);
+        poses[actor] = to_track(pose, where, time_of_single_poses_s);
+        check_time(poses[actor], time_of_single_poses_s, kTimeMargin_s,
+                   fmt::format("the scan time does not match the poses of {}", where));
     }
     return poses;
 }
@@ -74,13 +76,14 @@ int find_nearest_frame(const Log& sequence, double time_s) {
 /// Returns the request for a scan. Without a pose, the sensor follows the recorded path
 /// of the log.
 ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar) {
+    const Log& log = run.sequence;
+    const bool follows_log = arguments.pose.is_none();
     ScanRequest request;
-    request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
-    request.dataset_from_sensor =
-        arguments.pose.is_none() ? shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m)
-                                 : to_track(arguments.pose, "pose", request.time_s);
+    request.time_s = arguments.time.value_or(log.frames.front().time_s);
+    if (follows_log) request.dataset_from_sensor = shift_track(log.lidar_track(lidar), log.world_offset_m);
+    else request.dataset_from_sensor = to_track(arguments.pose, "pose", request.time_s);
     check_time(request.dataset_from_sensor, request.time_s, 0.0,
-               arguments.pose.is_none() ? "time in the log" : "time on the poses");
+               follows_log ? "time in the log" : "time on the poses");
     if (arguments.actors) request.dataset_from_actor = to_tracks(*arguments.actors, request.time_s);
     return request;
 }
@@ -182,6 +185,7 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     });
     using shared::ReturnedPoint;
     const SharedDevice& device = loaded.device;
+    // Adds a view of a member. The value of type Number only selects the type.
     const auto add = [&]<class Number>(py::dict& arrays, const char* name, Number, std::size_t member_bytes,
                                        py::ssize_t width = 0) {
         arrays[name] = wrap_member<Number>(device, points.points, member_bytes, points.n_points, width);
@@ -207,20 +211,21 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
             "cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
             "same frames in both",
             position.value, scans.size(), frames.size());
-    // Pose of the run, scan of the log.
+    // The run has the registered poses, but no scans.
     Frame frame = frames[position];
     frame.scan = scans[position].scan;
-    TrainingRays made = make_training_rays(run, frame);
-    const auto n = static_cast<py::ssize_t>(made.rays.size());
+    TrainingRays training = make_training_rays(run, frame);
+    const auto n = static_cast<py::ssize_t>(training.rays.size());
+    constexpr py::ssize_t kRayNumbers = sizeof(shared::DeviceRay) / sizeof(float),
+                          kTargetNumbers = sizeof(shared::DeviceTarget) / sizeof(float);
     py::dict dict;
-    dict["rays"] = move_to_numpy<float>(std::move(made.rays), {n, sizeof(shared::DeviceRay) / sizeof(float)});
-    dict["measured"] =
-        move_to_numpy<float>(std::move(made.targets), {n, sizeof(shared::DeviceTarget) / sizeof(float)});
-    const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    dict["rays"] = move_to_numpy<float>(std::move(training.rays), {n, kRayNumbers});
+    dict["measured"] = move_to_numpy<float>(std::move(training.targets), {n, kTargetNumbers});
     // Position of the sensor in the frame of the scene at the time of the frame.
-    const glm::dvec3 view =
+    const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    const glm::dvec3 sensor_m =
         run.sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
-    dict["view_origin"] = move_to_numpy<double>(std::vector{view.x, view.y, view.z}, {3});
+    dict["view_origin"] = move_to_numpy<double>(std::vector{sensor_m.x, sensor_m.y, sensor_m.z}, {3});
     dict["shape"] = py::make_tuple(frame.scan.rays.rows, frame.scan.rays.columns);
     return dict;
 }
@@ -237,7 +242,7 @@ void despawn_actor(LoadedRun& run, const std::string& name) {
     run.get_renderer().use([&](ScanRenderer& renderer) { renderer.despawn(name); });
 }
 
-/// Returns a copy of a run with other surfels of the same number and kind.
+/// Returns a copy of a run with other surfels, of the same number and primitive.
 std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
     Surfels surfels = read_surfels(arrays);
@@ -446,6 +451,7 @@ DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     return renderer;
 }
 
+/// Adds relidar.Run, a trained scene with everything that rendering needs.
 void bind_run_class(py::module_& module) {
     py::class_<LoadedRun> type(module, "Run",
                                "A trained scene with the sensor, poses and tracks of its log, as written by "

@@ -15,7 +15,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Returns the sizes and times of the files that contain a run. Empty without a folder.
+/// Returns names, sizes and times of the files that contain a run, to detect later
+/// whether they have changed. Empty without a folder.
 std::string list_run_files(const fs::path& folder) {
     std::vector<std::string> files;
     std::error_code missing;
@@ -48,7 +49,8 @@ std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict&
     return loaded;
 }
 
-/// Saves a run. After an error, the run keeps its previous folder.
+/// Saves a run to a folder, which becomes the folder of the run. After an error, the run
+/// keeps its previous folder.
 void save_run_in(LoadedRun& loaded, const fs::path& folder, bool overwrite) {
     Run& run = loaded.run;
     if (!overwrite && is_run_folder(folder))
@@ -87,6 +89,9 @@ py::tuple pickle_run(const LoadedRun& loaded) {
     return py::make_tuple(absolute, settings, "", files);
 }
 
+/// Makes a run from a state of pickle_run(): reads its folder, or, if the state has the
+/// content of the files, a temporary folder with these files.
+/// @throws DataError if the files in the folder have changed
 std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
     // The state has the folder, the settings, the list of files, and their content or
     // None.

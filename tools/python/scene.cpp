@@ -37,10 +37,11 @@ std::uint32_t read_uint32(const py::dict& dict, const char* entry_name, const ch
     return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", where, entry_name));
 }
 
-/// Creates a scene from surfels.
+/// Creates a scene from surfels. Model 0 is the background.
 /// @param models dicts with name, first and count; without them, all surfels form one
 /// model
-/// @param instances dicts with model and track; without them, each model has one instance
+/// @param instances dicts with model and track; without them, each model has one
+/// instance, whose track has the name of the model
 Scene make_scene(const py::dict& arrays, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
     Scene scene = wrap_background(read_surfels(arrays));
@@ -53,13 +54,15 @@ Scene make_scene(const py::dict& arrays, const std::optional<std::vector<py::dic
                  .count = read_uint32(model, "count", "models"),
                  .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
-    if (models || instances) {
+    if (instances) {
         scene.instances.clear();
-        for (std::uint32_t i = 0; !instances && i < scene.models.size(); ++i)
-            scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
-        for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
-            scene.instances.push_back(
-                {read_uint32(instance, "model", "instances"), instance["track"].cast<std::string>()});
+        for (const py::dict& instance : *instances)
+            scene.instances.push_back({.model = read_uint32(instance, "model", "instances"),
+                                       .track = instance["track"].cast<std::string>()});
+    } else if (models) {
+        scene.instances.clear();
+        for (std::uint32_t model = 0; model < scene.models.size(); ++model)
+            scene.instances.push_back({.model = model, .track = model == 0 ? "" : scene.models[model].name});
     }
     return scene;
 }
@@ -81,6 +84,8 @@ py::list instance_dicts(const Scene& scene) {
 
 }  // namespace
 
+/// Converts a dict of float arrays, one for each parameter, to surfels.
+/// @throws UsageError for an unknown name, DataError for a missing or wrong array
 Surfels read_surfels(const py::dict& arrays) {
     std::vector<std::string> names;
     for (const SurfelParameterGroup& group : kParameterGroups) names.emplace_back(group.name);
@@ -124,6 +129,7 @@ py::dict to_array_dict(Surfels&& surfels) {
     return dict;
 }
 
+/// Adds relidar.Scene, which holds surfels, models and instances.
 void bind_scene(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
         module, "Scene",

@@ -65,21 +65,21 @@ RayTable read_rays(const py::dict& dict) {
 
 }  // namespace
 
-SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const Run& run, int lidar) {
-    if (sensor_name_or_ray_dict.is_none()) return make_sensor(run.config, run.sequence, lidar);
-    if (py::isinstance<py::str>(sensor_name_or_ray_dict))
-        return choose_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence, lidar);
-    if (!py::isinstance<py::dict>(sensor_name_or_ray_dict))
+SimulatedSensor sensor_for_run(const py::handle& sensor, const Run& run, int lidar) {
+    if (sensor.is_none()) return make_sensor(run.config, run.sequence, lidar);
+    if (py::isinstance<py::str>(sensor))
+        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+    if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of a sensor "
             "file, or a dict with \"directions\"");
-    SimulatedSensor choice;
-    choice.rays = read_rays(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
+    SimulatedSensor simulated;
+    simulated.rays = read_rays(py::reinterpret_borrow<py::dict>(sensor));
     // The rays have no range limits, so only the limits of the dataset apply.
-    choice.limits = intersect({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
-    choice.name = "rays";
-    choice.lidar = lidar;
-    return choice;
+    simulated.limits = intersect({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
+    simulated.name = "rays";
+    simulated.lidar = lidar;
+    return simulated;
 }
 
 py::dict to_array_dict(const RayTable& rays) {
@@ -92,6 +92,7 @@ py::dict to_array_dict(const RayTable& rays) {
     return dict;
 }
 
+/// Adds relidar.sensors() and relidar.rays().
 void bind_sensors(py::module_& module) {
     module.def("sensors", &list_sensors,
                "Returns the names of the sensors that rays() and Run.render() accept in addition to "

@@ -18,26 +18,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Reads a log for Python, with its settings. Returns the settings with the path of the
+/// log and its maximum range, because a training continues with them.
 LoadedLog load_dataset(const std::string& path, const std::optional<Config>& config,
                        const PythonProgressCallback& progress) {
-    LoadedLog log{{}, config.value_or(make_preset("default"))};
+    LoadedLog log{.sequence = {}, .config = config.value_or(make_preset("default"))};
     log.config.dataset.path = absolute_dataset(path);
     // Releases the interpreter. The progress callback locks it again for each call.
     const py::gil_scoped_release others_run;
-    // MiB to bytes
-    limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << 20);
+    constexpr int kMibShift = 20;
+    limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << kMibShift);
     log.sequence = load_log(log.config, wrap_progress(progress));
     log.config = with_max_range(std::move(log.config), log.sequence);
     return log;
 }
 
+/// Returns the scan of a frame as arrays: its rays, ranges, intensities and classes.
+/// @param position  index of the frame in the log
 py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> position) {
-    const int index_of_frame_in_log = position;
     const std::vector<Frame>& frames = log.sequence.frames;
-    if (index_of_frame_in_log < 0 || index_of_frame_in_log >= static_cast<int>(frames.size()))
-        throw py::index_error(fmt::format("cannot read scan {}: the log has only {} frames",
-                                          index_of_frame_in_log, frames.size()));
-    const Scan& scan = frames[static_cast<std::size_t>(index_of_frame_in_log)].scan;
+    if (position < 0 || position >= static_cast<int>(frames.size()))
+        throw py::index_error(
+            fmt::format("cannot read scan {}: the log has only {} frames", position.value, frames.size()));
+    const Scan& scan = frames[static_cast<std::size_t>(position.value)].scan;
     const NumpyShape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
     // In a motion-compensated log, all points of a frame have the same time, so all time
@@ -156,6 +159,7 @@ void bind_class(py::module_& module) {
              "position: 0 ... len(sequence) - 1");
 }
 
+/// Adds relidar.load_sequence() and relidar.save_street().
 void bind_loading(py::module_& module) {
     module.def(
         "load_sequence",

@@ -67,17 +67,17 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
     const DeviceLock use(*device);
     // The progress of this step only checks for Ctrl-C and earlier exceptions.
-    prepare_log(run.sequence, run.split, run.config,
-                {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
+    const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
+    prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
     if (start) check_resume(*start, run.sequence, run.split, run.config);
     // Returns false, which stops the training, after an exception or if the callback
     // returned False.
     const auto report = [&](const TrainProgress& line) {
-        bool go_on = true;
-        return python_calls([&] {
-                   if (arguments.callback) go_on = !(*arguments.callback)(line).is(py::bool_(false));
-               }) &&
-               go_on;
+        bool has_returned_false = false;
+        const bool has_succeeded = python_calls([&] {
+            if (arguments.callback) has_returned_false = (*arguments.callback)(line).is(py::bool_(false));
+        });
+        return has_succeeded && !has_returned_false;
     };
     return train(device->device, run.sequence, run.split, run.config, report,
                  {.checkpoints = arguments.checkpoints.value_or(""),
@@ -131,11 +131,10 @@ void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& 
 /// frees its scans at the end.
 std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
     const Config config = merge_settings(log, arguments.config);
-    Run run{{},
-            config,
-            log.sequence,
-            split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
-            {}};
+    Run run;
+    run.config = config;
+    run.sequence = log.sequence;
+    run.split = split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames);
     const SharedDevice device = device_or_default(arguments.device);
     PythonCallGuard python;
     TrainResult result;
