@@ -92,7 +92,7 @@ class Runs(TestCase):
         for name, array in run().surfels.items():
             self.assert_same(again.surfels[name], array)
         self.assertEqual(again.held_out, run().held_out)
-        self.assert_fails(relidar.UsageError, "again ... contains", run().save, FOLDER / "again")
+        self.assert_fails(relidar.UsageError, "/again: ", run().save, FOLDER / "again")
         run().save(FOLDER / "again", overwrite=True)
         run().save(FOLDER / "run", overwrite=True)   # saves the run into its current folder
 

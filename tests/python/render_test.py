@@ -204,7 +204,7 @@ class Render(TestCase):
         expected = "pose: found float32 [4,4] ... float64 [4,4]"
         self.assert_fails(relidar.DataError, expected, render, time=time, pose=single)
         self.assert_fails(relidar.DataError, "pose ... float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
-        self.assert_fails(relidar.DataError, "pose ... list", render, time=time, pose=np.eye(4).tolist())
+        self.assert_fails(relidar.DataError, "list ... float64 [4,4]", render, time=time, pose=np.eye(4).tolist())
         self.assert_fails(relidar.DataError, "C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
         self.assert_fails(relidar.DataError, "rigid", render, time=time, pose=2 * np.eye(4))
         self.assert_fails(relidar.DataError, "mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))

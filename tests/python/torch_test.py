@@ -73,7 +73,7 @@ class Arrays(TestCase):
     def test_bad_input(self):
         self.assert_fails(relidar.DataError, "found float64 [32,4] ... float32 [32,4]", self.array.copy_from, np.zeros((32, 4)))
         self.assert_fails(relidar.DataError, "found float32 [32] ... [32,4]", self.array.copy_from, np.zeros(32, np.float32))
-        self.assert_fails(relidar.DataError, "type list", self.array.copy_from, [1, 2])
+        self.assert_fails(relidar.DataError, "list ... float32 [32,4]", self.array.copy_from, [1, 2])
         renderer = self.case.renderer
         self.assert_fails(relidar.UsageError, "cannot render 9000 rays", renderer.forward_device, 9000)
         renderer.device_rays(40)

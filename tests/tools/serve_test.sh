@@ -109,7 +109,7 @@ stop
 
 # After the asset is removed, its name must be free.
 bad 3 "nowhere: " serve run --assets nowhere
-bad 3 "street .*asset" serve run --assets street
+bad 3 "street" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
 serve run --assets assets
 for round in first second; do

@@ -282,10 +282,10 @@ TEST(Rigs, TheVehicleBlocksRays) {
     EXPECT_EQ(read_rig_vehicle(rig(size + boxes)).value().boxes.at(0).size_m, glm::dvec3(1, 2, 0.5));
     EXPECT_FALSE(read_rig_vehicle("VLP-16"));
     for (const auto& [text, parts] : std::vector<std::pair<std::string, const char*>>{
-             {"3", "vehicle ... object"},
+             {"3", "vehicle: ... 3"},
              {size + R"(, "hight_m": 2})", "'hight_m' ... 'height_m'"},
              {R"({"length_m": 4.5})", "width_m"},
-             {size + R"(, "points": "all"})", "points ... drop or ego"},
+             {size + R"(, "points": "all"})", "points: ... \"all\""},
              {size + R"(, "boxes": []})", "boxes"},
              {size + R"(, "boxes": [{"centre_m": [0, 0, 0]}]})", "boxes[0].size_m"}})
         EXPECT_THAT([&] { read_sensor_rig(rig(text)); }, testing::ThrowsMessage<Error>(Names(parts))) << text;
