@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render_queue.hpp"
 
-#include <algorithm>
 #include <utility>
 
 #include <relidar/base/error.hpp>
@@ -22,6 +21,7 @@ private:
 
 }  // namespace
 
+/// Starts the render thread. The call that is rendered needs a slot too.
 RenderQueue::RenderQueue(std::size_t n_pending)
     : slots_(n_pending + 1), thread_([this] { run_render_loop(); }) {}
 
@@ -41,6 +41,7 @@ std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     return QueueSlot(this);
 }
 
+/// Rejects new calls, and waits until all slots are released, but at most `max_wait`.
 void RenderQueue::drain(std::chrono::milliseconds max_wait) {
     draining_ = true;
     const auto end = std::chrono::steady_clock::now() + max_wait;
@@ -90,45 +91,44 @@ void RenderQueue::QueueSlot::run_function(const std::function<void()>& function)
 /// request is pending, because work on the device cannot be cancelled.
 void RenderQueue::wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock) {
     using State = QueuedRequest::RequestState;
-    while (request.state_ == State::pending && !request.changed_.wait_for(lock, kPollInterval, [&] {
-        return request.state_ != State::pending;
-    })) {
-        if (!request.is_cancelled()) continue;
+    while (request.state_ == State::pending) {
+        request.changed_.wait_for(lock, kPollInterval);
+        if (request.state_ != State::pending || !request.is_cancelled()) continue;
         request.state_ = State::cancelled;
-        pending_.erase(std::find(pending_.begin(), pending_.end(), &request));
+        std::erase(pending_, &request);
     }
-    request.changed_.wait(
-        lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
+    request.changed_.wait(lock, [&] { return request.state_ != State::in_flight; });
 }
 
 /// Removes the next request that is not cancelled from the queue and returns it. Returns
 /// null if there is none.
 /// @param scene if set, also returns null if the next request is for another scene
 QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene) {
+    using State = QueuedRequest::RequestState;
     while (!pending_.empty()) {
         QueuedRequest* request = pending_.front();
         if (scene && request->scene != scene) return nullptr;
         pending_.pop_front();
-        request->state_ = request->is_cancelled() ? QueuedRequest::RequestState::cancelled
-                                                  : QueuedRequest::RequestState::in_flight;
+        const bool is_cancelled = request->is_cancelled();
+        request->state_ = is_cancelled ? State::cancelled : State::in_flight;
         request->changed_.notify_one();
-        if (request->state_ == QueuedRequest::RequestState::in_flight) return request;
+        if (!is_cancelled) return request;
     }
     return nullptr;
 }
 
-/// Executes one step of a request without holding the lock. Step 1 submits the request to
-/// the device. Step 2 waits for the device and stores the response; only requests with a
-/// scene need it. If a step fails, the request is done.
-/// @param is_last selects step 1, and is passed to submit(); no value selects step 2
+/// Executes one step of a request without holding the lock: submit() or finish(). Only
+/// requests with a scene need finish(). If a step fails, the request is done.
+/// @param is_last argument of submit(); no value selects finish()
 void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last,
                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
-    if (is_last) request.submitted_at_ = QueuedRequest::Clock::now();
+    const bool is_submission = is_last.has_value();
+    if (is_submission) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (is_last) request.submit(*is_last);
+        if (is_submission) request.submit(*is_last);
         else request.finish();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
@@ -139,23 +139,27 @@ void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is
     request.finished_at_ = QueuedRequest::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
-    if (is_last && request.scene && !failure) return;
+    const bool needs_finish = is_submission && request.scene && !failure;
+    if (needs_finish) return;
     request.failure_ = failure;
     request.state_ = QueuedRequest::RequestState::done;
     request.changed_.notify_one();
 }
 
 /// Submits a request together with requests for the same scene that follow in the queue,
-/// up to the batch size.
+/// up to the batch size. A request must know whether it is the last of its batch, so the
+/// next one is taken before it is submitted.
 /// @return requests whose results must still be read from the device
 RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first,
                                                     std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;
-    for (std::size_t n = 1; first; ++n) {
-        QueuedRequest* following = first->scene && n < batch_size_ ? take_request(first->scene) : nullptr;
-        process_request(*first, !following, lock);
-        if (first->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first);
-        first = following;
+    QueuedRequest* request = first;
+    for (std::size_t n_taken = 1; request; ++n_taken) {
+        const bool may_continue = request->scene && n_taken < batch_size_;
+        QueuedRequest* next = may_continue ? take_request(request->scene) : nullptr;
+        process_request(*request, !next, lock);
+        if (request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(request);
+        request = next;
     }
     return batch;
 }
@@ -178,9 +182,9 @@ void RenderQueue::run_render_loop() {
         }
         // Batches overlap only if both use the same scene. Another scene could unload the
         // first scene before its results are read.
-        const bool overlaps =
+        const bool may_overlap =
             request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
-        if (!overlaps) finish_batch(std::exchange(in_flight, {}), lock);
+        if (!may_overlap) finish_batch(std::exchange(in_flight, {}), lock);
         if (!request) continue;
         const RequestBatch submitted = submit_batch(request, lock);
         finish_batch(std::exchange(in_flight, submitted), lock);

@@ -9,7 +9,7 @@ namespace relidar::serve {
 namespace {
 
 /// Calls a function with the renderer of the requested scene, which is loaded if
-/// necessary. Converts a run that cannot be read to an error of the server.
+/// necessary. A run that cannot be read is an error of the server, not of the client.
 template <class Function>
 SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request, const Function& use) {
     try {
@@ -73,14 +73,15 @@ PointsRequest::PointsRequest(SceneSet& scenes, const ServerContext& context,
 /// Submits all scans. If a scan fails, finish() still reads the earlier scans, because
 /// the device returns scans in the order of their submission.
 void PointsRequest::submit(bool is_last) {
-    using Send = ScanRenderer::SubmissionTiming;
+    using Timing = ScanRenderer::SubmissionTiming;
     try {
         for (const RenderRequest& scan : render_requests_) {
             // Only the last scan of a batch is submitted immediately. The earlier scans
             // wait for it, so that the device receives all of them together.
-            const Send when = is_last && &scan == &render_requests_.back() ? Send::now : Send::with_next;
+            const bool is_last_scan = is_last && &scan == &render_requests_.back();
+            const Timing timing = is_last_scan ? Timing::now : Timing::with_next;
             load_ = with_renderer(scenes_, scan, [&](ScanRenderer& renderer) {
-                renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
+                renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, timing);
             });
             ++n_submitted_;
         }

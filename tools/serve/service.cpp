@@ -22,6 +22,7 @@ void write_times(const QueuedRequest& request, v1::LidarScan& answer) {
 
 }  // namespace
 
+/// Renders one scan with its image and writes it to the answer.
 void RenderService::render_scan(QueueSlot& slot, const RenderRequest& render_request,
                                 const ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
@@ -33,6 +34,7 @@ void RenderService::render_scan(QueueSlot& slot, const RenderRequest& render_req
     write_times(request, answer);
 }
 
+/// Renders the points of several scans of the same scene together and writes the answers.
 void RenderService::render_points(QueueSlot& slot, std::span<const RenderRequest> requests,
                                   const ServerContext& context, std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
@@ -44,6 +46,7 @@ void RenderService::render_points(QueueSlot& slot, std::span<const RenderRequest
     }
 }
 
+/// Lists the scenes with their actors, and the assets and built-in sensors of the server.
 Status RenderService::ListScenes(ServerContext*, const v1::ListScenesRequest*,
                                  v1::ListScenesResponse* answer) {
     return call_handler([&] {
@@ -59,6 +62,7 @@ Status RenderService::ListScenes(ServerContext*, const v1::ListScenesRequest*,
     });
 }
 
+/// Writes the path of a LiDAR and of actors in the log.
 Status RenderService::GetTracks(ServerContext*, const v1::GetTracksRequest* request,
                                 v1::GetTracksResponse* answer) {
     return call_handler([&] {
@@ -68,13 +72,14 @@ Status RenderService::GetTracks(ServerContext*, const v1::GetTracksRequest* requ
     });
 }
 
+/// Adds actors to a scene, for all clients. The render thread loads them.
 Status RenderService::SpawnActors(ServerContext* context, const v1::SpawnActorsRequest* request,
                                   v1::SpawnActorsResponse* answer) {
     return call_handler([&] {
         QueueSlot slot = reserve_slot(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
-        const std::vector<ActorToSpawn> wishes = reader_.read_spawn(*request, scene);
-        SpawnRequest spawn(scenes_, *context, scene, wishes);
+        const std::vector<ActorToSpawn> actors = reader_.read_spawn(*request, scene);
+        SpawnRequest spawn(scenes_, *context, scene, actors);
         spawn.run_checked(slot);
         for (const SpawnSlot& spawn_slot : spawn.occupied_slots)
             write_spawned(spawn_slot, scenes_.runs()[scene], *answer->add_actors());
@@ -90,6 +95,7 @@ Status RenderService::DespawnActors(ServerContext*, const v1::DespawnActorsReque
     });
 }
 
+/// Stores a sensor of the client, who can use its handle in later requests.
 Status RenderService::UploadSensor(ServerContext*, const v1::UploadSensorRequest* request,
                                    v1::UploadSensorResponse* answer) {
     return call_handler([&] {
@@ -103,20 +109,22 @@ Status RenderService::UploadSensor(ServerContext*, const v1::UploadSensorRequest
     });
 }
 
+/// Renders one scan.
 Status RenderService::RenderLidar(ServerContext* context, const v1::RenderLidarRequest* request,
                                   v1::LidarScan* answer) {
     return call_handler([&] {
+        // Rejects the call here if too many calls are waiting.
         QueueSlot slot = reserve_slot(queue_);
         const RenderRequest render_request = reader_.read_request(*request);
         // Points without an image can be rendered together with other requests.
-        if (!has_range_image(render_request))
-            return render_points(slot, {&render_request, 1}, *context, {&answer, 1});
-        render_scan(slot, render_request, *context, *answer);
+        if (has_range_image(render_request)) render_scan(slot, render_request, *context, *answer);
+        else render_points(slot, {&render_request, 1}, *context, {&answer, 1});
     });
 }
 
 /// Renders the scans of all sensors of a rig and sends each scan when it is ready.
-/// Successive sensors that need only points are rendered together.
+/// Successive sensors that need only points are rendered together, up to kMostAtOnce. A
+/// sensor that needs an image is rendered alone.
 Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigRequest* request,
                                 grpc::ServerWriter<v1::RigScan>* writer) {
     return call_handler([&] {
@@ -124,24 +132,22 @@ Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigReque
         // after some scans.
         QueueSlot slot = reserve_slot(queue_);
         const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
-        for (std::size_t first = 0, n = 1; first < render_requests.size(); first += n) {
-            // Counts the next sensors that need only points. A sensor that needs an image
-            // is rendered alone.
-            for (n = 0; n < kMostAtOnce && first + n < render_requests.size() &&
-                        !has_range_image(render_requests[first + n]);)
-                ++n;
-            const bool of_points = n > 0;
-            n = std::max<std::size_t>(n, 1);
-            std::vector<v1::RigScan> scans(n);
+        std::span<const RenderRequest> remaining = render_requests;
+        while (!remaining.empty()) {
+            const auto first_image = std::ranges::find_if(remaining, has_range_image);
+            const auto n_points = std::size_t(first_image - remaining.begin());
+            const std::size_t n_scans = std::clamp<std::size_t>(n_points, 1, kMostAtOnce);
+            const std::size_t first_sensor = render_requests.size() - remaining.size();
+            std::vector<v1::RigScan> scans(n_scans);
             std::vector<v1::LidarScan*> answers;
             for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
-            if (of_points)
-                render_points(slot, std::span(render_requests).subspan(first, n), *context, answers);
-            else render_scan(slot, render_requests[first], *context, *answers.front());
-            for (std::size_t i = 0; i < n; ++i) {
-                scans[i].set_name(request->sensors(int(first + i)).name());
+            if (n_points > 0) render_points(slot, remaining.first(n_scans), *context, answers);
+            else render_scan(slot, remaining.front(), *context, *answers.front());
+            for (std::size_t i = 0; i < n_scans; ++i) {
+                scans[i].set_name(request->sensors(int(first_sensor + i)).name());
                 if (!writer->Write(scans[i])) fail_cancelled(*context);
             }
+            remaining = remaining.subspan(n_scans);
         }
     });
 }
