@@ -27,6 +27,8 @@ constexpr int kReservedDescriptors = 256;
     fail<UsageError>("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason);
 }
 
+/// Opens a socket that listens at one address.
+/// @param failed output: the error if this is not possible
 tcp::acceptor open_listener(boost::asio::io_context& io, const tcp::endpoint& endpoint, ErrorCode& failed) {
     tcp::acceptor listener(io);
     listener.open(endpoint.protocol(), failed);
@@ -52,12 +54,14 @@ bool is_too_high(int descriptor) {
 
 }  // namespace
 
+/// Opens a socket for each address of the host. A name such as localhost has an IPv4 and
+/// an IPv6 address, and at least one must work.
 Acceptor::Acceptor(const std::string& text) {
     const HostPort host_port = parse_host_port(text, "--listen", 0);
     ErrorCode failed;
     const auto addresses = tcp::resolver(io_).resolve(host_port.host, "", tcp::resolver::passive, failed);
     if (failed) fail_listen(text, failed.message());
-    port_ = host_port.port;
+    port_ = host_port.port;  // If it is 0, the first socket selects the port of all.
     for (const auto& entry : addresses) {
         ErrorCode error;
         const tcp::endpoint endpoint(entry.endpoint().address(), std::uint16_t(port_));
@@ -90,12 +94,14 @@ void Acceptor::stop() {
     listeners_.clear();
 }
 
+/// Accepts a connection, passes it on, and waits for the next one.
 void Acceptor::accept_next(tcp::acceptor& listener) {
     listener.async_accept([this, &listener](ErrorCode failed, tcp::socket connection) {
-        // After a failure, for example if no file descriptor is free, tries again later.
-        if (failed) std::this_thread::sleep_for(kRetryPause);
-        else if (!is_too_high(connection.native_handle())) {
-            connection.native_non_blocking(true, failed);
+        if (failed) {
+            // For example, no file descriptor is free. Tries again later.
+            std::this_thread::sleep_for(kRetryPause);
+        } else if (!is_too_high(connection.native_handle())) {
+            connection.native_non_blocking(true, failed);  // gRPC expects this mode.
             receive_(listener.native_handle(), connection.release());
         }
         accept_next(listener);

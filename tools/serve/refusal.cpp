@@ -8,10 +8,12 @@
 
 namespace relidar::serve {
 
+/// Rejects a request because of the value of a field.
 void reject_field(const std::string& field, const std::string& found, const std::string& expected) {
     refuse(Code::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found, expected);
 }
 
+/// Rejects a request because a name is unknown, and suggests a similar name.
 void reject_name(const std::string& field, const std::string& name, const std::vector<std::string>& names) {
     const std::string nearest = nearest_name(name.substr(0, 80), names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
@@ -25,8 +27,12 @@ void reject_name(const std::string& field, const std::string& name, const std::v
 std::string quote_client_text(const std::string& text) {
     constexpr std::size_t kMaxQuotedBytes = 80;
     std::size_t n = std::min(text.size(), kMaxQuotedBytes);
-    // Cuts the text before a UTF-8 character, not in the middle of it.
-    while (n < text.size() && n > 0 && (static_cast<unsigned char>(text[n]) & 0xc0) == 0x80) --n;
+    // Cuts the text before a UTF-8 character, not in the middle of it: its bytes after
+    // the first have the bits 10xxxxxx.
+    const auto continues_character = [](char byte) {
+        return (static_cast<unsigned char>(byte) & 0xc0) == 0x80;
+    };
+    while (n < text.size() && n > 0 && continues_character(text[n])) --n;
     std::string shown = text.substr(0, n);
     std::replace_if(
         shown.begin(), shown.end(),
@@ -51,8 +57,8 @@ grpc::Status call_handler(const std::function<void()>& handle_request) {
     } catch (const DeviceLost& error) {
         return {Code::UNAVAILABLE,
                 fmt::format("{}; this server process is ending; restart the server", error.what())};
-        // Other causes: a device error, a run folder modified on disk, or a bug.
     } catch (const std::exception& error) {
+        // A device error, a run folder that was modified on disk, or a bug.
         return {Code::INTERNAL, error.what()};
     }
 }

@@ -66,6 +66,7 @@ void SceneSet::reuse_scene(std::size_t scene, SceneLoadNumber load, const Render
     call_renderer(scene, use);
 }
 
+/// Calls a function with the renderer of a loaded scene.
 void SceneSet::call_renderer(std::size_t scene, const RendererTask& use) {
     try {
         count_bytes(scene, [&] { use(*loaded_[scene].renderer); });
@@ -88,23 +89,26 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     count_bytes(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         // Rendering a single ray uploads the complete scene to the device.
-        const SimulatedSensor sensor{.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}},
-                                     .name = "one ray"};
-        const PoseTrack track = run.sequence.lidar_track(0);
-        Pose pose = track.pose.front();
-        // From the frame of the scene to the world frame of the dataset.
-        pose.translation += run.sequence.world_offset_m;
-        loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
+        RayTable one_ray;
+        one_ray.rows = one_ray.columns = 1;
+        one_ray.origin.push_back(glm::vec3(0.0f));
+        one_ray.direction.push_back(glm::vec3(1.0f, 0.0f, 0.0f));
+        one_ray.time_offset_s.push_back(0.0f);
+        one_ray.channel.push_back(0);
+        const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
+        const double time_s = path.time_s.front();
+        loaded.renderer->render({.rays = one_ray, .name = "one ray"},
+                                ScanRequest{time_s, {{time_s}, {path.pose.front()}}});
     });
-    const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Each further parallel scan needs a copy of the scene. No other scene is unloaded
     // for such copies.
-    const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
-    const int side_by_side = loaded.renderer->max_parallel();
-    loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
+    const std::uint64_t free_bytes = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
+    const std::uint64_t n_copies = free_bytes / std::max<std::uint64_t>(loaded.bytes, 1);
+    const auto n_supported = std::uint64_t(loaded.renderer->max_parallel());
+    loaded.renderer->set_parallel(int(std::min(1 + n_copies, n_supported)));
 }
 
-/// Adds the slots that the loaded scene does not have yet.
+/// Adds the slots for spawned actors that the loaded scene does not have yet.
 void SceneSet::spawn_missing(std::size_t scene) {
     const std::vector<SpawnSlot> slots = spawned_.list_all_slots(scene);
     SceneInMemory& loaded = loaded_[scene];
@@ -112,13 +116,14 @@ void SceneSet::spawn_missing(std::size_t scene) {
     loaded.n_slots = slots.size();
 }
 
-/// Assigns slots to the new actors. If this fails, frees the slots, so that the request
-/// has no effect.
+/// Assigns a slot, an additional instance of a model, to each new actor, and loads the
+/// models. If this fails, frees the slots, so that the request has no effect.
 std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.list_all_slots(scene).size();
     std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.list_all_slots(scene).size()) return occupied_slots;
+    const bool reuses_slots = loaded.n_slots == spawned_.list_all_slots(scene).size();
+    if (loaded.renderer && reuses_slots) return occupied_slots;
     // Also unloads the scene. The next request loads it again, without the actors that
     // could not be added.
     const auto undo = [&] {

@@ -85,6 +85,14 @@ struct ScanServer::Impl {
     void set_health(bool is_serving);
 };
 
+/// Returns the certificate of the server, or no encryption if the user has given none.
+std::shared_ptr<grpc::ServerCredentials> server_credentials(const ServerOptions& options) {
+    if (options.tls_cert.empty()) return grpc::InsecureServerCredentials();
+    grpc::SslServerCredentialsOptions tls;
+    tls.pem_key_cert_pairs.push_back({read_pem_file(options.tls_key), read_pem_file(options.tls_cert)});
+    return grpc::SslServerCredentials(tls);
+}
+
 /// Starts the gRPC server. Accepts connections with an Acceptor, because gRPC stops
 /// permanently when no file descriptor is free.
 void ScanServer::Impl::start_listening(const ServerOptions& options) {
@@ -92,6 +100,8 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     // Opens the sockets first, so that an unusable address is reported before gRPC starts
     // its threads.
     acceptor.emplace(options.listen);
+
+    // Sets the limits of the server.
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
@@ -102,16 +112,11 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kPingInterval_ms);
     builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeout_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
-    std::shared_ptr<grpc::ServerCredentials> credentials;
-    if (options.tls_cert.empty()) {
-        credentials = grpc::InsecureServerCredentials();
-    } else {
-        grpc::SslServerCredentialsOptions tls;
-        tls.pem_key_cert_pairs.push_back({read_pem_file(options.tls_key), read_pem_file(options.tls_cert)});
-        credentials = grpc::SslServerCredentials(tls);
-    }
-    using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
-    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials);
+
+    // Starts the services. Their connections come from the acceptor.
+    using ConnectionSource = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
+    connections = builder.experimental().AddExternalConnectionAcceptor(ConnectionSource::FROM_FD,
+                                                                       server_credentials(options));
     builder.RegisterService(&*service);
     for (const auto& named : sensorsim) builder.RegisterService(named.get());
     server = builder.BuildAndStart();

@@ -4,7 +4,6 @@
 #include <algorithm>
 
 #include <relidar/simulate/render.hpp>
-#include "base/fail.hpp"
 
 #include "asset_catalogue.hpp"
 #include "refusal.hpp"
@@ -52,13 +51,13 @@ std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
     // Changes a copy of the slots, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene];
     std::vector<SpawnSlot> occupied_slots;
-    for (const ActorToSpawn& wish : actors) {
-        if (find_slot(slots, wish.name) != slots.end())
+    for (const ActorToSpawn& actor : actors) {
+        if (find_slot(slots, actor.name) != slots.end())
             refuse(Code::ALREADY_EXISTS, "cannot spawn {}: an actor with this name exists; use another name",
-                   quote_client_text(wish.name));
-        const std::size_t position = free_slot(slots, wish);
-        slots[position] = wish;
-        occupied_slots.push_back({position, wish});
+                   quote_client_text(actor.name));
+        const std::size_t position = free_slot(slots, actor);
+        slots[position] = actor;
+        occupied_slots.push_back({position, actor});
     }
     scenes_[scene] = std::move(slots);
     return occupied_slots;
@@ -91,19 +90,23 @@ void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<Spaw
 /// it different from all track names of the run.
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
-/// A slot whose asset has an earlier slot is a copy of the actor there, so that each
-/// asset is read only once.
+/// Adds an actor to the renderer for each slot from index `first` on. If an earlier slot
+/// has the same asset, copies its actor, so that each asset is read only once.
 void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, std::size_t first,
                  const AssetCatalogue& assets) {
     for (std::size_t i = first; i < slots.size(); ++i) {
         const SpawnedModelSource& source = slots[i].actor.source;
         const std::string track = slot_track_name(slots[i].position);
-        const auto earlier = std::ranges::find(
-            slots, source, [](const SpawnSlot& slot) -> const auto& { return slot.actor.source; });
-        if (!source.is_asset) renderer.spawn(source.name, track);
-        else if (earlier < slots.begin() + std::ptrdiff_t(i))
-            renderer.spawn(slot_track_name(earlier->position), track);
-        else {
+        if (!source.is_asset) {
+            renderer.spawn(source.name, track);
+            continue;
+        }
+        const auto first_with_asset =
+            std::ranges::find_if(slots, [&](const SpawnSlot& slot) { return slot.actor.source == source; });
+        const bool is_first = first_with_asset == slots.begin() + std::ptrdiff_t(i);
+        if (!is_first) {
+            renderer.spawn(slot_track_name(first_with_asset->position), track);
+        } else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
             Run run = load_run(asset.folder);
             // The output channel "class" reads the kind of the actor from its box.

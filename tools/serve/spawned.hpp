@@ -47,7 +47,7 @@ public:
     std::vector<SpawnSlot> list_all_slots(std::size_t scene) const;
     std::vector<SpawnSlot> list_occupied(std::size_t scene) const;
 
-    /// Adds a slot if all slots of a model are occupied.
+    /// Assigns a slot to each actor. Adds a slot if all slots of its model are occupied.
     /// @return the slots in the order of `actors`
     /// @throws RejectedRequest if a name is in use or there are too many slots; nothing
     /// changes
@@ -63,7 +63,6 @@ private:
 
 std::string slot_track_name(std::size_t slot_index);
 
-/// Spawns an actor in the renderer for each slot from index `first` on.
 /// @param slots  all slots of the scene
 /// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
 /// the run
