@@ -56,6 +56,7 @@ std::size_t count_firsts(const LidarPoints& points) {
     return std::size_t(std::ranges::count(points.return_number, 1));
 }
 
+/// Describes an actor: its class, size, and the length and times of its path.
 void write_actor(const Run& run, const std::string& actor_name, v1::Actor& message) {
     message.set_name(actor_name);
     const BoxTrack* box = find_box(run.sequence, actor_name);
@@ -110,11 +111,12 @@ void write_scan(const RenderedScan& scan, const RenderRequest& request, const Co
 void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
                  v1::LidarScan& message) {
     ScanOutputOptions format = default_options(run, *request.sensor);
-    std::map<std::string, std::string> names;  // of the actors by track
+    std::map<std::string, std::string> name_of_track;
+    // Without poses in the request, actors are visible at their recorded poses.
     if (request.request.dataset_from_actor) {
         format.actors.clear();
         for (const VisibleActor& actor : request.placed) {
-            names[actor.track] = actor.name;
+            name_of_track[actor.track] = actor.name;
             format.instance_names.resize(std::max(format.instance_names.size(), actor.instance + 1));
             format.instance_names[actor.instance] = actor.track;
             format.actors.push_back({actor.track, actor.category, actor.size_m, {}});
@@ -123,8 +125,8 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
     }
     for (const ActorBox& box : actor_boxes_of(scan, format)) {
         v1::ActorBox& written = *message.add_boxes();
-        const auto name = names.find(box.track);
-        written.set_name(name == names.end() ? box.track : name->second);
+        const auto name = name_of_track.find(box.track);
+        written.set_name(name == name_of_track.end() ? box.track : name->second);
         written.set_category(box.category);
         write_vector(box.size_m, *written.mutable_size_m());
         written.set_time_s(box.time_s);
@@ -138,6 +140,7 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
     }
 }
 
+/// Describes a scene: its times, LiDARs and actors.
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message) {
     const Log& log = run.sequence;
     message.set_name(scene_name);
@@ -176,6 +179,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     }
 }
 
+/// Describes an asset that clients can spawn.
 void write_asset(const AssetDescription& asset, v1::Asset& message) {
     message.set_name(asset.name);
     message.set_category(asset.category);
@@ -197,16 +201,16 @@ void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& mess
     message.set_surfels(slot.actor.surfels);
 }
 
-/// Writes the names of the actors that have too few surfels for their distance from the
-/// sensor. Their scans are then too coarse.
+/// Warns the client about actors that have too few surfels for their distance from the
+/// sensor, so that their scans are too coarse.
 void write_sparse(const RenderRequest& request, v1::LidarScan& message) {
     if (request.placed.empty()) return;
     const SimulatedSensor& sensor = *request.sensor;
     const double time_s = request.request.time_s;
-    // The rays are computed here if they change from scan to scan.
-    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
-    const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
-    const RayTable& rays = makes_rays ? made : sensor.rays;
+    // Rays that change from scan to scan are not stored in the sensor.
+    const bool has_rays = sensor.rays.size() > 0 || !sensor.pattern;
+    const RayTable computed_rays = has_rays ? RayTable{} : make_rays(*sensor.pattern, time_s);
+    const RayTable& rays = has_rays ? sensor.rays : computed_rays;
     const Pose dataset_from_sensor = request.request.dataset_from_sensor.pose_at(time_s);
     for (const VisibleActor& actor : request.placed) {
         const Pose dataset_from_actor = request.request.dataset_from_actor->at(actor.track).pose_at(time_s);

@@ -18,7 +18,7 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
 
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message);
 
-/// In the world frame of the dataset.
+/// Writes the paths of a LiDAR and of actors in the world frame of the dataset.
 /// @param actors if the list is empty, all actors are written
 /// @throws RejectedRequest if an actor is unknown
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,

@@ -2,10 +2,7 @@
 #include "request_messages.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <set>
-
-#include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
 
@@ -13,7 +10,6 @@
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
-#include "sensor_messages.hpp"
 
 namespace relidar::serve {
 namespace {
@@ -58,19 +54,19 @@ std::size_t find_index_of_name(const Items& items, const std::string& name, cons
 /// Reads the names and poses of the actors in a request. Rejects an actor whose poses end
 /// before the scan or begin after it, except for a tolerance of one second.
 std::vector<RequestedActor> read_actors(const v1::ActorTracks& message, double scan_time_s) {
-    std::vector<RequestedActor> wishes;
+    std::vector<RequestedActor> actors;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
-        wishes.push_back({field + ".name", message.actors(i).name(),
+        actors.push_back({field + ".name", message.actors(i).name(),
                           read_track(message.actors(i).poses(), field + ".poses")});
-        const PoseTrack& track = wishes.back().dataset_from_actor;
+        const PoseTrack& track = actors.back().dataset_from_actor;
         if (is_far_from_path(scan_time_s, track))
             reject_field(field + ".poses",
                          fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
                                      track.time_s.back(), scan_time_s),
                          fmt::format("poses at most {} s away from the scan", kBeyondPath_s));
     }
-    return wishes;
+    return actors;
 }
 
 std::vector<std::string> list_asset_names(const AssetCatalogue& assets) {
@@ -149,10 +145,10 @@ SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::siz
     // another LiDAR or another number of returns.
     const int returns = int(request.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
-    SimulatedSensor placed = *sensor;
-    placed.lidar = lidar;
-    placed.returns = returns;
-    return std::make_shared<const SimulatedSensor>(std::move(placed));
+    SimulatedSensor copy = *sensor;
+    copy.lidar = lidar;
+    copy.returns = returns;
+    return std::make_shared<const SimulatedSensor>(std::move(copy));
 }
 
 /// Returns all actors of a scene: first the actors of its run, then the actors that
@@ -166,17 +162,25 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
     std::vector<VisibleActor> actors;
     for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
         const ModelInstance& instance = run.scene.instances[i];
-        if (instance.track.empty()) continue;
+        if (instance.track.empty()) continue;  // the background
         const BoxTrack box = find_actor_box(instance.track);
-        actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
-                          run.scene.models[instance.model].count});
+        actors.push_back({.name = instance.track,
+                          .track = instance.track,
+                          .category = box.category,
+                          .instance = i,
+                          .size_m = box.size_m,
+                          .surfels = run.scene.models[instance.model].count});
     }
     for (const SpawnSlot& slot : spawned_.list_occupied(scene)) {
         const auto& [is_asset, source] = slot.actor.source;
-        actors.push_back(
-            {slot.actor.name, slot_track_name(slot.position),
-             is_asset ? assets_.find_asset(source)->facts.category : find_actor_box(source).category,
-             run.scene.instances.size() + slot.position, slot.actor.size_m, slot.actor.surfels});
+        const std::string category =
+            is_asset ? assets_.find_asset(source)->facts.category : find_actor_box(source).category;
+        actors.push_back({.name = slot.actor.name,
+                          .track = slot_track_name(slot.position),
+                          .category = category,
+                          .instance = run.scene.instances.size() + slot.position,
+                          .size_m = slot.actor.size_m,
+                          .surfels = slot.actor.surfels});
     }
     return actors;
 }
@@ -190,11 +194,12 @@ void RequestReader::set_visible(const std::vector<RequestedActor>& actors,
     std::map<std::string_view, const VisibleActor*> by_name;
     for (const VisibleActor& actor : visible_actors) by_name.emplace(actor.name, &actor);
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
-    for (const RequestedActor& wish : actors) {
-        const auto match = by_name.find(wish.name);
-        if (match == by_name.end()) reject_name(wish.field, wish.name, list_names(visible_actors));
-        if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
-            reject_field(wish.field, quote_client_text(wish.name) + " a second time",
+    for (const RequestedActor& actor : actors) {
+        const auto match = by_name.find(actor.name);
+        if (match == by_name.end()) reject_name(actor.field, actor.name, list_names(visible_actors));
+        const bool is_new = poses.emplace(match->second->track, actor.dataset_from_actor).second;
+        if (!is_new)
+            reject_field(actor.field, quote_client_text(actor.name) + " a second time",
                          "each actor at most once");
         render_request.placed.push_back(*match->second);
     }
@@ -207,62 +212,64 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
     if (message.actors().empty()) reject_field("actors", "none", "at least one actor");
     const std::vector<std::string> run_actors = run_actor_names(outlines_[scene]);
     const std::vector<VisibleActor> visible_actors = scene_actors(scene);
-    std::vector<ActorToSpawn> wishes;
+    std::vector<ActorToSpawn> actors;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
             reject_field(field + ".name", quote_client_text(spawn.name()),
                          fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
-        if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
+        if (std::ranges::count(run_actors, spawn.name()) > 0)
             refuse(Code::ALREADY_EXISTS,
                    "cannot spawn {}: an actor of the run already has the name {}; use another name", field,
                    quote_client_text(spawn.name()));
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
             if (!asset) reject_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
-            wishes.push_back(
-                {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
-            continue;
+            actors.push_back({.name = spawn.name(),
+                              .source = {.is_asset = true, .name = spawn.asset()},
+                              .size_m = asset->facts.size_m,
+                              .surfels = asset->facts.surfels});
+        } else if (spawn.has_actor()) {
+            const auto actor = std::ranges::find(run_actors, spawn.actor());
+            if (actor == run_actors.end()) reject_name(field + ".actor", spawn.actor(), run_actors);
+            // `visible_actors` begins with `run_actors`, in the same order.
+            const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
+            actors.push_back({.name = spawn.name(),
+                              .source = {.is_asset = false, .name = spawn.actor()},
+                              .size_m = model.size_m,
+                              .surfels = model.surfels});
+        } else {
+            reject_field(field, "neither an actor nor an asset", "one of them");
         }
-        if (!spawn.has_actor()) reject_field(field, "neither an actor nor an asset", "one of them");
-        const auto actor = std::ranges::find(run_actors, spawn.actor());
-        if (actor == run_actors.end()) reject_name(field + ".actor", spawn.actor(), run_actors);
-        // `visible_actors` begins with `run_actors`, in the same order.
-        const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
-        wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
-    return wishes;
+    return actors;
 }
 
 /// Reads a request for one scan. If the time of the scan is missing, the first ray is
-/// fired at the first pose of the path.
+/// fired at the first pose of the path. By default, points are in the last sensor frame.
 RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,
                                       const std::optional<Pose>& rig_from_sensor) {
-    RenderRequest render_request;
-    render_request.scene = find_scene(message.scene());
-    render_request.sensor =
-        requested_sensor(sensor, render_request.scene, find_lidar(render_request.scene, message.lidar()));
+    RenderRequest scan;
+    scan.scene = find_scene(message.scene());
+    scan.sensor = requested_sensor(sensor, scan.scene, find_lidar(scan.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
-    render_request.request.time_s = message.has_time_s()
-                                        ? time_near_path(message.time_s(), path, "time_s")
-                                        : path.time_s.front() - firing_span(*render_request.sensor).first_s;
-    render_request.points_at_s = message.has_points_at_s()
-                                     ? time_near_path(message.points_at_s(), path, "points_at_s")
-                                     : path.time_s.back();
-    render_request.request.dataset_from_sensor =
+    scan.request.time_s = message.has_time_s() ? time_near_path(message.time_s(), path, "time_s")
+                                               : path.time_s.front() - firing_span(*scan.sensor).first_s;
+    scan.points_at_s = message.has_points_at_s() ? time_near_path(message.points_at_s(), path, "points_at_s")
+                                                 : path.time_s.back();
+    scan.request.dataset_from_sensor =
         rig_from_sensor ? mount_track(std::move(path), *rig_from_sensor) : std::move(path);
-    if (message.has_actors())
-        set_visible(read_actors(message.actors(), render_request.request.time_s), render_request);
-    if (message.has_sample_seed()) render_request.sample = message.sample_seed();
-    if (!message.weather().empty()) render_request.weather = read_weather(message.weather());
+    if (message.has_actors()) set_visible(read_actors(message.actors(), scan.request.time_s), scan);
+    if (message.has_sample_seed()) scan.sample = message.sample_seed();
+    if (!message.weather().empty()) scan.weather = read_weather(message.weather());
     if (message.has_wanted()) {
-        render_request.points = message.wanted().points();
-        render_request.range_image = message.wanted().range_image();
-        render_request.drop_probability = message.wanted().drop_probability();
-        render_request.boxes = message.wanted().boxes();
+        scan.points = message.wanted().points();
+        scan.range_image = message.wanted().range_image();
+        scan.drop_probability = message.wanted().drop_probability();
+        scan.boxes = message.wanted().boxes();
     }
-    return render_request;
+    return scan;
 }
 
 RenderRequest RequestReader::read_request(const v1::RenderLidarRequest& message) {

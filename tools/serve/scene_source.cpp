@@ -25,23 +25,21 @@ Run SceneSource::load() const {
 }
 
 /// Parses command line arguments of the form RUN or NAME=RUN. Without a name, the scene
-/// has the name of its folder.
+/// has the name of its folder. A path that contains '=' is RUN if it exists.
 std::vector<SceneSource> parse_sources(const std::vector<std::string>& arguments,
                                        const std::optional<std::string>& channels, const Weather& weather) {
     std::vector<SceneSource> sources;
     for (const std::string& word : arguments) {
         const std::size_t equals = word.find('=');
-        const bool named = equals != std::string::npos && !fs::exists(word);
-        const std::string folder = named ? word.substr(equals + 1) : word;
-        sources.push_back(
-            {named ? word.substr(0, equals) : last_component(folder), folder, channels, weather});
-        const SceneSource& added = sources.back();
-        const auto same = std::find_if(sources.begin(), sources.end() - 1,
-                                       [&](const SceneSource& s) { return s.name == added.name; });
-        if (added.name.empty()) fail<UsageError>("cannot serve {}: it has no name, expected NAME=RUN", word);
-        if (same != sources.end() - 1)
+        const bool has_name = equals != std::string::npos && !fs::exists(word);
+        const std::string folder = has_name ? word.substr(equals + 1) : word;
+        const std::string name = has_name ? word.substr(0, equals) : last_component(folder);
+        if (name.empty()) fail<UsageError>("cannot serve {}: it has no name, expected NAME=RUN", word);
+        const auto same = std::ranges::find(sources, name, &SceneSource::name);
+        if (same != sources.end())
             fail<UsageError>("cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN",
-                             same->folder.string(), folder, added.name);
+                             same->folder.string(), folder, name);
+        sources.push_back({name, folder, channels, weather});
     }
     return sources;
 }

@@ -57,23 +57,24 @@ std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::st
     return values;
 }
 
-/// Checks every ray. The conditions are negated comparisons (`!(x <= limit)`), so that
-/// they also reject NaN.
+/// Checks every ray of a client. Negated comparisons (`!(x <= limit)`) also reject NaN.
 void check_rays(const RayTable& rays, const std::string& field) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const auto fail = [&](const char* name, float found, const std::string& expected) {
+        const auto reject = [&](const char* name, float found, const std::string& expected) {
             reject_field(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
         };
         const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
-        if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
+        if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) reject("direction", length, "a length of 1");
         for (int axis = 0; axis < 3; ++axis)
-            if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
-                fail("origin_m", x, fmt::format("a distance of at most {} metres", kFarthestOrigin_m));
-        if (const double angle = rays.divergence_of_rad(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
-            fail("divergence_rad", float(angle),
-                 fmt::format("an angle from 0 to {} radians", kWidestBeam_rad));
+            if (!(std::abs(double(rays.origin[i][axis])) <= kFarthestOrigin_m))
+                reject("origin_m", rays.origin[i][axis],
+                       fmt::format("a distance of at most {} metres", kFarthestOrigin_m));
+        const double angle_rad = rays.divergence_of_rad(i);
+        if (!(angle_rad >= 0.0 && angle_rad <= kWidestBeam_rad))
+            reject("divergence_rad", float(angle_rad),
+                   fmt::format("an angle from 0 to {} radians", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s))
-            fail("time_s", time_s, fmt::format("a time of at most {} seconds", kLongestScan_s));
+            reject("time_s", time_s, fmt::format("a time of at most {} seconds", kLongestScan_s));
     }
 }
 
@@ -134,8 +135,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // Starts half a turn away from azimuth 0, so that azimuth 0 is in the middle of the
-    // image.
+    // Half a turn away from azimuth 0, which is then in the middle of the image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
@@ -198,37 +198,38 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             reject_field(field, "no pattern", "the pattern rays, spinning, window or rosette");
     }
     const double divergence_rad = read("divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
+    // Copies the common values to the pattern. A ray table has no name.
     std::visit(
         [&](auto& pattern) {
             if constexpr (requires { pattern.name; }) pattern.name = sensor.name;
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // If the rays change from scan to scan, computes them once here. Invalid rays are
-    // then reported immediately instead of during rendering.
+    // If the rays change from scan to scan, computes them once. Called only for its
+    // error: invalid rays are reported here instead of during rendering.
     if (summarise_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return simulate_sensor(sensor);
 }
 
-SimulatedSensor find_known_sensor(const std::string& sensor_name_or_native, const Run& run, int lidar) {
-    if (sensor_name_or_native.empty()) return make_sensor(run.config, run.sequence, lidar);
-    if (find_name(sensor_name_or_native, {"native", kitti360_grid().name}))
-        return choose_sensor(sensor_name_or_native, run.config, run.sequence, lidar);
+SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int lidar) {
+    if (name.empty()) return make_sensor(run.config, run.sequence, lidar);
+    if (find_name(name, {"native", kitti360_grid().name}))
+        return choose_sensor(name, run.config, run.sequence, lidar);
     // The name may end with a resolution and a rate, for example "VLP-16:900x20".
-    const std::size_t colon = sensor_name_or_native.rfind(':');
-    const bool sized = colon != std::string::npos && sensor_name_or_native.find_first_not_of(
-                                                         "0123456789x.", colon + 1) == std::string::npos;
-    const std::string base_name = sized ? sensor_name_or_native.substr(0, colon) : sensor_name_or_native;
-    std::vector<std::string> sensor_names = list_sensors();
-    if (!find_name(base_name, sensor_names)) {
-        sensor_names.push_back("native");
-        reject_field("sensor.name", quote_client_text(sensor_name_or_native),
+    const std::size_t colon = name.rfind(':');
+    const bool has_size =
+        colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
+    const std::string base_name = has_size ? name.substr(0, colon) : name;
+    std::vector<std::string> known_names = list_sensors();
+    if (!find_name(base_name, known_names)) {
+        known_names.push_back("native");
+        constexpr std::size_t kMaxCompared = 80;  // The comparison is slow for long texts.
+        reject_field("sensor.name", quote_client_text(name),
                      fmt::format("a name that ListScenes returns, such as {}",
-                                 nearest_name(sensor_name_or_native.substr(0, 80), sensor_names)));
+                                 nearest_name(name.substr(0, kMaxCompared), known_names)));
     }
-    const SensorModel sensor = find_sensor(sensor_name_or_native);
-    check_ray_count("sensor.name " + quote_client_text(sensor_name_or_native),
-                    summarise_pattern(sensor.pattern).n_rays);
+    const SensorModel sensor = find_sensor(name);
+    check_ray_count("sensor.name " + quote_client_text(name), summarise_pattern(sensor.pattern).n_rays);
     return simulate_sensor(sensor, lidar);
 }
 

@@ -24,10 +24,11 @@ inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& name);
 
-/// "native" and "" mean the sensor of the log. File names are rejected, because clients
+/// Returns the sensor that a client has named. "native" and "" mean the sensor of the
+/// log, and other names are built-in sensors. File names are rejected, because clients
 /// must not read files of the server.
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
-SimulatedSensor find_known_sensor(const std::string& sensor_name_or_native, const Run& run, int lidar);
+SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int lidar);
 
 /// In seconds relative to the time of the scan.
 struct FiringTimeSpan {

@@ -9,7 +9,6 @@
 
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
-#include "sensor_messages.hpp"
 
 namespace relidar::serve {
 namespace {
@@ -56,8 +55,8 @@ void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Tr
 
 }  // namespace
 
-/// Returns the requested sensor. Stretches its firing times, so that one scan takes
-/// exactly as long as the requested interval.
+/// Returns the requested sensor: a LiDAR of the log, or a built-in sensor. Stretches its
+/// firing times, so that one scan takes exactly as long as the requested interval.
 SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
                                                std::size_t scene) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
@@ -83,6 +82,7 @@ SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderReque
     return sensors_.add_sensor(key, std::move(sensor));
 }
 
+/// Reads a pose in the order that the client uses (PoseTransformOrder).
 Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field) const {
     if (!message.has_translation() || !message.has_rotation())
         reject_field(field,
@@ -122,6 +122,7 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
                                    checked_number(double(end_us) * kMicrosecond_s, "frame_end_us"),
                                    outlines_[render_request.scene].sequence.world_offset_m};
     render_request.sensor = find_or_make_sensor(message, render_request.scene);
+
     // The time of the scan is the middle of the interval, because firing times are
     // relative to the middle of a sweep.
     render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
@@ -142,16 +143,17 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
 /// client may read either of them.
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message) {
     message.set_count(std::uint32_t(points.size()));
-    const auto write = [&](const auto& values, std::string& bytes,
-                           google::protobuf::RepeatedField<float>& numbers) {
+    const auto write_both = [&](const auto& values, std::string& bytes,
+                                google::protobuf::RepeatedField<float>& numbers) {
         bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(values[0]));
         numbers.Resize(int(bytes.size() / sizeof(float)), 0.0f);
         std::memcpy(numbers.mutable_data(), bytes.data(), bytes.size());
     };
-    write(points.position_m, *message.mutable_xyz_buffer(), *message.mutable_xyz());
-    write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
+    write_both(points.position_m, *message.mutable_xyz_buffer(), *message.mutable_xyz());
+    write_both(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
+/// Writes the tracks of all actors of a run that have a box.
 void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
         const BoxTrack* box = find_box(run.sequence, name);
@@ -161,13 +163,14 @@ void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicOb
         object.set_semantic_class(label_of(*box));
         write_vector(box->size_m, *object.mutable_object_size());
         // Leaves out poses before 0 s, because the message format has no negative times.
-        PoseTrack track;
-        for (std::size_t i = 0; i < box->world_from_box.pose.size(); ++i)
-            if (box->world_from_box.time_s[i] >= 0.0) {
-                track.time_s.push_back(box->world_from_box.time_s[i]);
-                track.pose.push_back(box->world_from_box.pose[i]);
-            }
-        write_track(track, order, *object.mutable_trajectory());
+        const PoseTrack& track = box->world_from_box;
+        PoseTrack written;
+        for (std::size_t i = 0; i < track.pose.size(); ++i) {
+            if (!(track.time_s[i] >= 0.0)) continue;
+            written.time_s.push_back(track.time_s[i]);
+            written.pose.push_back(track.pose[i]);
+        }
+        write_track(written, order, *object.mutable_trajectory());
     }
 }
 

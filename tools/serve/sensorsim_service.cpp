@@ -20,6 +20,7 @@ constexpr int kMostScans = 64;
 
 }  // namespace
 
+/// Registers all methods under the given name of the service.
 SensorsimService::SensorsimService(const std::string& name, RenderQueue& queue, SceneSet& scenes,
                                    PoseTransformOrder order)
     : queue_(queue),
@@ -42,6 +43,8 @@ SensorsimService::SensorsimService(const std::string& name, RenderQueue& queue, 
 
 SensorsimService::~SensorsimService() = default;
 
+/// Registers a method with gRPC at run time, because the generated service class has only
+/// one service name, and this service has two (kNames).
 template <class Request, class Answer>
 void SensorsimService::add_call(const std::string& full_name, Call<Request, Answer> call) {
     using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
@@ -71,6 +74,7 @@ void SensorsimService::get_available_scenes(const ServerContext&, const sensorsi
     for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
 }
 
+/// Lists the scenes that are on the device now.
 void SensorsimService::get_loaded_scenes(const ServerContext&, const sensorsim::Empty&,
                                          sensorsim::LoadedScenes& answer) {
     // Only the render thread may use the scenes, so the queue runs this function.
@@ -122,6 +126,7 @@ void SensorsimService::render_lidar(const ServerContext& context,
     render_points(slot, reader_->read_request(request), context, answer);
 }
 
+/// Renders several scans in one call.
 void SensorsimService::render_aggregated(const ServerContext& context,
                                          const sensorsim::AggregatedRenderRequest& request,
                                          sensorsim::AggregatedRenderReturn& answer) {
