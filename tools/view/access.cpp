@@ -20,17 +20,15 @@ bool is_port(std::string_view text) {
 /// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
 /// Returns an empty text for any other form.
 std::string_view host_name(std::string_view host_and_port) {
-    std::size_t end = host_and_port.find(':');
-    if (host_and_port.starts_with('[')) {
-        const std::size_t bracket = host_and_port.find(']');
-        if (bracket == std::string_view::npos) return {};
-        end = bracket + 1;
-        if (end == host_and_port.size()) return host_and_port.substr(1, bracket - 1);
-        if (host_and_port[end] != ':' || !is_port(host_and_port.substr(end + 1))) return {};
-        return host_and_port.substr(1, bracket - 1);
-    }
-    if (end == std::string_view::npos) return host_and_port;
-    return is_port(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end) : std::string_view{};
+    // An IPv6 address contains colons and is therefore in brackets.
+    const bool has_brackets = host_and_port.starts_with('[');
+    const std::size_t bracket = host_and_port.find(']');
+    if (has_brackets && bracket == std::string_view::npos) return {};
+    const std::size_t host_end =
+        has_brackets ? bracket + 1 : std::min(host_and_port.find(':'), host_and_port.size());
+    const std::string_view port_part = host_and_port.substr(host_end);  // ":port" or empty
+    if (!port_part.empty() && (port_part.front() != ':' || !is_port(port_part.substr(1)))) return {};
+    return has_brackets ? host_and_port.substr(1, bracket - 1) : host_and_port.substr(0, host_end);
 }
 
 }  // namespace
@@ -61,15 +59,13 @@ bool is_foxglove_origin(std::string_view origin) {
     return is_same_text(name, "localhost") || name == "127.0.0.1" || name == "::1";
 }
 
-/// Always compares all characters of `expected`, so that the duration does not show how
-/// many characters of `given` are right.
 bool is_same_secret(std::string_view given, std::string_view expected) {
-    unsigned differs = given.size() == expected.size() ? 0u : 1u;
+    unsigned different_bits = given.size() == expected.size() ? 0u : 1u;
     for (std::size_t i = 0; i < expected.size(); ++i) {
-        const char shown = i < given.size() ? given[i] : '\0';
-        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(expected[i]);
+        const char given_char = i < given.size() ? given[i] : '\0';
+        different_bits |= static_cast<unsigned char>(given_char) ^ static_cast<unsigned char>(expected[i]);
     }
-    return differs == 0u;
+    return different_bits == 0u;
 }
 
 std::string_view find_list_value(std::string_view list, std::string_view name, char separator) {

@@ -17,9 +17,10 @@ namespace http = boost::beast::http;
 
 namespace {
 
-constexpr std::size_t kDrainedAtOnce = 65536;
-constexpr int kMaxDrains = 16;
-constexpr std::chrono::milliseconds kDrainTime{500};
+// Limits of discard_rest().
+constexpr std::size_t kDiscardedAtOnce = 65536;
+constexpr int kMaxDiscards = 16;
+constexpr std::chrono::milliseconds kDiscardTime{500};
 
 std::string_view to_view(boost::beast::string_view text) { return {text.data(), text.size()}; }
 
@@ -29,19 +30,23 @@ std::string_view url_query(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
+/// Returns the HTTP status for a request that cannot be parsed. No value if nothing
+/// should be sent, because the client has closed the connection or the network failed.
 std::optional<http::status> parse_status(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
     if (parse_error == http::error::header_limit || parse_error == http::error::buffer_overflow)
         return http::status::request_header_fields_too_large;
     if (parse_error == http::error::end_of_stream) return {};
-    if (parse_error.category() == make_error_code(http::error::bad_method).category())
-        return http::status::bad_request;
-    return {};
+    // All other errors of the HTTP parser have this category.
+    const bool is_parser_error =
+        parse_error.category() == make_error_code(http::error::bad_method).category();
+    return is_parser_error ? std::optional(http::status::bad_request) : std::nullopt;
 }
 
 }  // namespace
 
+/// Takes over an accepted connection. read_request() or send_overload() starts it.
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
@@ -62,21 +67,27 @@ void HttpSession::read_request() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
     parser_->body_limit(0);  // Rejects requests with a body, because no request to this server needs one.
+    // The callback keeps this session alive.
     start_timeout(hub_.options.request_time);
     http::async_read(stream_, buffer_, *parser_,
                      [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
+/// Answers a request, or sends an error if it is late or invalid. A client that has sent
+/// nothing is disconnected: the session ends, because no callback refers to it any more.
 void HttpSession::on_read(Error error) {
     timer_.cancel();
-    if (late_) return parser_->got_some() ? send_error(Status::request_timeout) : void();
+    if (late_) {
+        if (parser_->got_some()) send_error(Status::request_timeout);
+        return;
+    }
     if (!error) return answer_request(parser_->get());
     if (const std::optional<Status> status = parse_status(error)) send_error(*status);
 }
 
-/// Returns the first Foxglove subprotocol that a WebSocket handshake requests. Returns an
-/// empty text if the request is no such handshake, or if this server does not offer
-/// Foxglove.
+/// Returns the first Foxglove subprotocol that a WebSocket handshake requests. A
+/// subprotocol is the format of the messages. Returns an empty text if the request is no
+/// such handshake, or if this server does not offer Foxglove.
 std::string_view HttpSession::offered_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
@@ -86,23 +97,29 @@ std::string_view HttpSession::offered_protocol(const Request& request) const {
 }
 
 /// Returns the HTTP status if a request is rejected, otherwise no value. The order of the
-/// checks reveals as little as possible to a client without access.
+/// checks reveals as little as possible to a client without access (see server.hpp).
 std::optional<HttpSession::Status> HttpSession::access_error(const Request& request, bool foxglove) const {
+    // The host name that the client has used must be one of this machine.
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const auto field = [&](http::field name) { return to_view(request[name]); };
-    const std::string_view host = field(http::field::host), origin = field(http::field::origin);
+    const std::string_view host = to_view(request[http::field::host]);
     if (!is_this_machine(host, hub_.host_name)) return Status::forbidden;
+
+    // The page that sends the request must come from this server, or be Foxglove.
     const std::string& token = hub_.options.token;
-    const std::string_view shown = find_list_value(url_query(to_view(request.target())), "token", '&');
-    const bool knows_token = !token.empty() && is_same_secret(shown, token);
+    const std::string_view url_token = find_list_value(url_query(to_view(request.target())), "token", '&');
+    const bool has_url_token = !token.empty() && is_same_secret(url_token, token);
+    if (request.count(http::field::origin) > 1) return Status::forbidden;
+    const std::string_view origin = to_view(request[http::field::origin]);
     const bool is_foreign = !is_same_origin(origin, host);
-    const bool may_be_foreign = foxglove && (is_foxglove_origin(origin) || knows_token);
-    if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
-    // A page of another origin (`is_foreign`) must send the token in the address, because
-    // browsers also send cookies with requests of pages from other local servers.
-    const std::string_view cookie = find_list_value(field(http::field::cookie), hub_.cookie_name, ';');
-    if (!token.empty() && !knows_token && (is_foreign || !is_same_secret(cookie, token)))
-        return Status::unauthorized;
+    const bool may_be_foreign = foxglove && (is_foxglove_origin(origin) || has_url_token);
+    if (is_foreign && !may_be_foreign) return Status::forbidden;
+
+    // The client must know the token, if there is one. A foreign page must send it in the
+    // address, because browsers also send cookies with requests of foreign pages.
+    const std::string_view cookie =
+        find_list_value(to_view(request[http::field::cookie]), hub_.cookie_name, ';');
+    const bool has_cookie = !is_foreign && is_same_secret(cookie, token);
+    if (!token.empty() && !has_url_token && !has_cookie) return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
     return {};
@@ -115,7 +132,8 @@ void HttpSession::answer_request(const Request& request) {
     if (const std::optional<Status> status = access_error(request, !foxglove.empty()))
         return send_error(*status);
     const std::string_view target = to_view(request.target()), path = url_path(target);
-    if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
+    const bool is_socket = path == kSocketPath || (path == "/" && !foxglove.empty());
+    if (is_socket) {
         if (!boost::beast::websocket::is_upgrade(request)) return send_error(Status::upgrade_required);
         // A client must not send data before the WebSocket handshake is complete.
         if (buffer_.size() > 0) return send_error(Status::bad_request);
@@ -123,15 +141,15 @@ void HttpSession::answer_request(const Request& request) {
             ->accept_handshake(request, foxglove);
         return;
     }
-    const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
-                                    [&](const WebPageFile& a) { return a.path == path; });
+    const auto asset = std::ranges::find(hub_.options.assets, path, &WebPageFile::path);
     if (asset == hub_.options.assets.end()) return send_error(Status::not_found);
     response_ = make_response(Status::ok, std::string(to_view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
     // Stores the token in a cookie, so that the page can load its other files without the
     // token in their addresses.
-    if (!find_list_value(url_query(target), "token", '&').empty() && !hub_.options.token.empty())
+    const bool has_url_token = !find_list_value(url_query(target), "token", '&').empty();
+    if (has_url_token && !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
@@ -146,7 +164,8 @@ void HttpSession::answer_request(const Request& request) {
 /// @param host for the WebSocket address in the security policy, or empty. Needed because
 /// some browsers do not include WebSockets in 'self'.
 HttpSession::Response HttpSession::make_response(Status status, const std::string& host) const {
-    Response response{status, 11};
+    constexpr unsigned kHttpVersion = 11;  // 1.1
+    Response response{status, kHttpVersion};
     response.set(http::field::server, "relidar");
     response.set(http::field::content_type, "text/plain; charset=utf-8");
     response.set(http::field::cache_control, "no-cache");
@@ -163,6 +182,7 @@ HttpSession::Response HttpSession::make_response(Status status, const std::strin
     return response;
 }
 
+/// Sends an error page and closes the connection.
 void HttpSession::send_error(Status status) {
     response_ = make_response(status, "");
     response_->body() = std::string(to_view(http::obsolete_reason(status))) + "\n";
@@ -178,6 +198,8 @@ void HttpSession::send_error(Status status) {
 
 void HttpSession::send_overload() { send_error(Status::service_unavailable); }
 
+/// Sends the response and reads the next request, if the client keeps the connection
+/// open. Otherwise closes the connection when the client has read the response.
 void HttpSession::write_response() {
     start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {
@@ -186,7 +208,7 @@ void HttpSession::write_response() {
         if (self->response_->keep_alive()) return self->read_request();
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
-        self->start_timeout(kDrainTime);
+        self->start_timeout(kDiscardTime);
         self->discard_rest();
     });
 }
@@ -195,9 +217,9 @@ void HttpSession::write_response() {
 /// connection is closed with unread data, the client does not receive the response.
 void HttpSession::discard_rest() {
     buffer_.consume(buffer_.size());
-    stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
+    stream_.async_read_some(buffer_.prepare(kDiscardedAtOnce),
                             [self = shared_from_this()](Error failed, std::size_t) {
-                                if (!failed && ++self->n_drains_ < kMaxDrains) self->discard_rest();
+                                if (!failed && ++self->n_discards_ < kMaxDiscards) self->discard_rest();
                             });
 }
 

@@ -21,6 +21,7 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub);
     void read_request();
+    /// Rejects the client, because too many connections are open.
     void send_overload();
 
 private:
@@ -43,8 +44,8 @@ private:
     CountedConnection counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    bool late_ = false;
-    int n_drains_ = 0;
+    bool late_ = false;  ///< True if the timer has cancelled a read or write.
+    int n_discards_ = 0;
     boost::beast::flat_buffer buffer_;
     std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;
     std::optional<Response> response_;
