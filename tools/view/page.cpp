@@ -6,6 +6,7 @@
 
 namespace relidar {
 
+/// Names and contents of the files in page/. The build generates this function.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {
@@ -20,16 +21,17 @@ std::string_view content_type(std::string_view file) {
 }  // namespace
 
 const std::vector<WebPageFile>& web_page_files() {
-    static std::deque<std::string> paths;
-    static const std::vector<WebPageFile> assets = [] {
+    // The files refer to these texts. A deque does not move its elements when it grows.
+    static std::deque<std::string> url_paths;
+    static const std::vector<WebPageFile> files = [] {
         std::vector<WebPageFile> all;
         for (const auto& [name, text] : view_page_texts()) {
-            paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
-            all.push_back({paths.back(), content_type(name), text});
+            url_paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
+            all.push_back({url_paths.back(), content_type(name), text});
         }
         return all;
     }();
-    return assets;
+    return files;
 }
 
 }  // namespace view

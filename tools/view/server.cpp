@@ -22,7 +22,7 @@ using ErrorCode = boost::system::error_code;
 
 // If the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-constexpr std::chrono::milliseconds kCloseLook{5};
+constexpr std::chrono::milliseconds kClosePollInterval{5};
 
 boost::asio::ip::address parse_address(const std::string& address_text) {
     ErrorCode failed;
@@ -34,6 +34,7 @@ boost::asio::ip::address parse_address(const std::string& address_text) {
     return address;
 }
 
+/// Opens a socket that listens on the address of the options.
 tcp::acceptor open_acceptor(boost::asio::io_context& io_context, const WebServerOptions& options) {
     const tcp::endpoint endpoint(parse_address(options.address), static_cast<std::uint16_t>(options.port));
     ErrorCode failed;
@@ -111,8 +112,6 @@ WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
-/// Rejects new connections and closes each WebSocket after its queued messages are sent.
-/// Waits at most `max_wait`.
 void WebServer::drain(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
@@ -124,11 +123,13 @@ void WebServer::drain(std::chrono::milliseconds max_wait) {
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->drain();
     });
-    for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end;
-         std::this_thread::sleep_for(kCloseLook)) {
-        std::promise<bool> none;
-        boost::asio::post(impl_->hub.io, [&] { none.set_value(impl_->hub.clients.empty()); });
-        all_gone = none.get_future().get();
+    // Polls on the thread of the server, because only that thread may use the list.
+    bool has_clients = true;
+    while (has_clients && std::chrono::steady_clock::now() < end) {
+        std::promise<bool> result;
+        boost::asio::post(impl_->hub.io, [&] { result.set_value(!impl_->hub.clients.empty()); });
+        has_clients = result.get_future().get();
+        std::this_thread::sleep_for(kClosePollInterval);
     }
 }
 

@@ -81,7 +81,8 @@ public:
     /// Skips all messages if earlier messages are still queued, because the client is
     /// slow.
     void send_batch(ClientId client_id, std::vector<std::string> messages);
-    /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
+    /// Rejects new connections. Closes each WebSocket after its queued messages are sent,
+    /// and waits until all are closed, but at most `max_wait`.
     void drain(std::chrono::milliseconds max_wait);
 
 private:
@@ -89,8 +90,10 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
+/// @throws UsageError if the text is no IP address
 void check_address(const std::string& address);
 
+/// Returns 128 random bits as text.
 std::string make_token();
 
 }  // namespace relidar::view

@@ -14,11 +14,15 @@ namespace websocket = boost::beast::websocket;
 // A client that is too slow to receive them is disconnected.
 constexpr std::size_t kMaxWaiting = 64;
 
+/// Sets the limits of the WebSocket. The connection starts with accept_handshake().
 SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
     // turns off the timer of the TCP stream, because the WebSocket has its own timer
     stream_.next_layer().expires_never();
-    websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
+    websocket::stream_base::timeout limits;
+    limits.handshake_timeout = hub.options.request_time;
+    limits.idle_timeout = hub.options.idle_time;
+    limits.keep_alive_pings = true;  // A ping after half of this time tests whether the client answers.
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
     // Sends each message as one WebSocket frame. Fragments are useless, because the
@@ -30,6 +34,7 @@ void SocketSession::accept_handshake(
     const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
     std::string_view protocol) {
     const bool is_foxglove = !protocol.empty();
+    // The response must name the subprotocol that this server has selected.
     if (is_foxglove)
         stream_.set_option(websocket::stream_base::decorator([protocol](websocket::response_type& response) {
             response.set(boost::beast::http::field::sec_websocket_protocol,
@@ -40,7 +45,8 @@ void SocketSession::accept_handshake(
         self->id_ = ++self->hub_.last_client;
         self->hub_.clients[self->id_] = self;
         const WebSocketEvents& events = self->hub_.events;
-        (is_foxglove ? events.foxglove_opened : events.opened)(self->id_);
+        if (is_foxglove) events.foxglove_opened(self->id_);
+        else events.opened(self->id_);
         self->read_message();
     });
 }
@@ -50,6 +56,7 @@ void SocketSession::read_message() {
                        [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
+/// Passes a received text on and waits for the next message.
 void SocketSession::on_read(Error error) {
     // The client has disconnected, or its message is invalid or too large. For an invalid
     // message, the stream has already sent the error code.
@@ -65,11 +72,10 @@ void SocketSession::on_read(Error error) {
 /// queue is full, because it is too slow.
 void SocketSession::send_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
-    // The first message stays, because it is already being written.
-    if (drop_queued_older_message) {
-        const auto stale = [](const OutgoingMessage& m) { return m.newest_only; };
-        if (outgoing_.size() > 1)
-            outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
+    if (drop_queued_older_message && outgoing_.size() > 1) {
+        // The first message stays, because it is already being written.
+        const auto is_stale = [](const OutgoingMessage& message) { return message.newest_only; };
+        outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), is_stale), outgoing_.end());
     }
     if (outgoing_.size() >= kMaxWaiting) {
         leave_hub();
