@@ -39,6 +39,8 @@ std::string error_status(const std::string& text) {
     return status.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
+/// Returns the message "advertise" of the protocol, which describes the topics. The id of
+/// a channel is the index of its topic.
 std::string advertise_json(const std::vector<ScanTopic>& topics) {
     Json channels = Json::array();
     for (const ScanTopic& topic : topics)
@@ -72,6 +74,7 @@ std::uint32_t required_uint32(const Json& object, const char* name) {
 
 }  // namespace
 
+/// Prepares the playback of the log's first LiDAR, without any device memory.
 FoxglovePlayer::FoxglovePlayer(const Run& run, Device& device, FoxgloveSendCallbacks answers)
     : run_(run),
       device_(device),
@@ -94,12 +97,14 @@ void FoxglovePlayer::remove_client(ClientId id) {
     clients_.erase(id);
 }
 
+/// Handles a text from a client, and queues an error for invalid texts.
+/// @return false if the client does not speak the protocol of Foxglove
 bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     const std::lock_guard lock(mutex_);
     const auto client = clients_.find(id);
     if (client == clients_.end()) return false;
     try {
-        subscribe(client->second, message);
+        handle_operation(client->second, message);
     } catch (const UsageError& error) {
         if (client->second.texts.size() < kMaxTexts)
             client->second.texts.push_back(error_status(error.what()));
@@ -107,26 +112,18 @@ bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     return true;
 }
 
-void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
+/// Handles the messages "subscribe" and "unsubscribe". A client chooses the number of
+/// each subscription (`id`) and names the topic by its index (`channelId`).
+/// @throws UsageError if the message is invalid
+void FoxglovePlayer::handle_operation(Client& client, const std::string& text) const {
     const Json message = Json::parse(text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
-    const auto operation = message.find("op");
-    if (operation != message.end() && *operation == "subscribe") {
-        for (const Json& request : required_list(message, "subscriptions")) {
-            const std::uint32_t id = required_uint32(request, "id"),
-                                topic = required_uint32(request, "channelId");
-            const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
-            if (topic >= topics_.size())
-                fail<UsageError>("cannot subscribe: found channelId {}, expected a number from 0 to {}",
-                                 topic, topics_.size() - 1);
-            if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
-                fail<UsageError>(
-                    "cannot add subscription {} to channel {}: one of them is already in use; unsubscribe "
-                    "first",
-                    id, topic);
-            client.subscriptions.emplace(id, topic);
-        }
-    } else if (operation != message.end() && *operation == "unsubscribe") {
+    const auto field = message.find("op");
+    const Json operation = field == message.end() ? Json() : *field;
+    if (operation == "subscribe") {
+        for (const Json& request : required_list(message, "subscriptions"))
+            add_subscription(client, required_uint32(request, "id"), required_uint32(request, "channelId"));
+    } else if (operation == "unsubscribe") {
         for (const Json& id : required_list(message, "subscriptionIds"))
             client.subscriptions.erase(read_uint32(id, "subscriptionIds"));
     } else {
@@ -135,11 +132,26 @@ void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
     }
 }
 
+/// Adds a subscription. Its id must be new, and a client has one subscription per topic.
+void FoxglovePlayer::add_subscription(Client& client, std::uint32_t id, std::uint32_t topic) const {
+    if (topic >= topics_.size())
+        fail<UsageError>("cannot subscribe: found channelId {}, expected a number from 0 to {}", topic,
+                         topics_.size() - 1);
+    const bool has_topic = std::ranges::any_of(
+        client.subscriptions, [&](const auto& subscription) { return subscription.second == topic; });
+    if (client.subscriptions.contains(id) || has_topic)
+        fail<UsageError>(
+            "cannot add subscription {} to channel {}: one of them is already in use; unsubscribe first", id,
+            topic);
+    client.subscriptions.emplace(id, topic);
+}
+
+/// Sends all queued texts. Returns true if any client has subscriptions.
 bool FoxglovePlayer::flush_texts() {
     const std::lock_guard lock(mutex_);
     bool has_subscriptions = false;
     for (auto& [id, client] : clients_) {
-        has_subscriptions |= !client.subscriptions.empty();
+        if (!client.subscriptions.empty()) has_subscriptions = true;
         for (std::string& text : std::exchange(client.texts, {})) answers_.text(id, std::move(text));
     }
     return has_subscriptions;
@@ -155,10 +167,10 @@ std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max
     try {
         if (!playback_) playback_.emplace(device_, run_, format_);
         if (Clock::now() >= playback_->due) send_next();
-        // After other errors, for example exhausted device memory, the page still works.
     } catch (const DeviceLost&) {
         throw;
     } catch (const Error& error) {
+        // After such an error, for example exhausted device memory, the page still works.
         playback_.reset();
         cancel_all(error.what());
         return max_wait;
@@ -178,18 +190,19 @@ void FoxglovePlayer::send_next() {
     // The log starts again. A new encoder is needed, because the times of its messages
     // must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
-    const std::chrono::duration<double> interval(
-        frame > 0 ? times_s_[frame] - time_s
-                  : run_.sequence.lidars[std::size_t(sensor_.lidar)].sweep_period_s());
+    const double period_s = run_.sequence.lidars[std::size_t(sensor_.lidar)].sweep_period_s();
+    const std::chrono::duration<double> interval(frame > 0 ? times_s_[frame] - time_s : period_s);
     playback_->due =
         std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));
 }
 
+/// Sends a scan to each client, with a message for each of its subscriptions.
 void FoxglovePlayer::publish(const std::vector<ScanMessage>& messages_per_topic) {
     const std::lock_guard lock(mutex_);
     for (const auto& [id, client] : clients_) {
         if (client.subscriptions.empty()) continue;
-        // Clients remove the messages of the previous loop when the time decreases.
+        // Sends the time first, because a client that sees the time decrease removes the
+        // messages of the previous loop.
         std::vector<std::string> packets{encode_time(messages_per_topic.back().time_ns)};
         for (const ScanMessage& message : messages_per_topic)
             for (const auto& [subscription, topic] : client.subscriptions)

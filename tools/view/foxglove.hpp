@@ -57,7 +57,8 @@ private:
             : renderer(device, run), messages({format}) {}
     };
 
-    void subscribe(Client& client, const std::string& text) const;
+    void handle_operation(Client& client, const std::string& text) const;
+    void add_subscription(Client& client, std::uint32_t id, std::uint32_t topic) const;
     bool flush_texts();
     void send_next();
     void publish(const std::vector<ScanMessage>& messages_per_topic);

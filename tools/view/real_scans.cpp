@@ -27,28 +27,27 @@ RecordedScans::~RecordedScans() {
     reader_.join();
 }
 
-const Log* RecordedScans::sequence() const {
-    return state_ == RecordedScansState::ready ? &frames_->sequence : nullptr;
-}
+const Log* RecordedScans::sequence() const { return state_ == State::ready ? &frames_->sequence : nullptr; }
 
-std::string RecordedScans::reason() const { return state_ == RecordedScansState::missing ? why_ : ""; }
+std::string RecordedScans::reason() const { return state_ == State::missing ? why_ : ""; }
 
 /// Loads the log on a background thread. If the log cannot be read, the viewer shows the
 /// reason and works without measured scans.
 void RecordedScans::load_scans() {
     try {
-        const Progress until_stopped = [this](std::string_view, double) {
+        // The exception ends load_log() if the viewer ends.
+        const Progress check_stop = [this](std::string_view, double) {
             if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was being read");
         };
         limit_scan_memory(std::uint64_t(frames_->config.dataset.memory_mib) << 20);
-        const Log log = load_log(frames_->config, until_stopped);
+        const Log log = load_log(frames_->config, check_stop);
         std::vector<int> all(frames_->sequence.frames.size());
         std::iota(all.begin(), all.end(), 0);
         copy_scans(*frames_, all, log);
-        state_ = RecordedScansState::ready;
-    } catch (const std::exception& error) {
+        state_ = State::ready;               // From now on, other threads may read the scans.
+    } catch (const std::exception& error) {  // An exception would end the program.
         why_ = error.what();
-        state_ = RecordedScansState::missing;
+        state_ = State::missing;
     }
 }
 

@@ -16,12 +16,12 @@ namespace relidar::view {
 
 class RecordedScans {
 public:
-    enum class RecordedScansState { loading, ready, missing };
+    enum class State { loading, ready, missing };
 
     explicit RecordedScans(const Run& run);
     ~RecordedScans();
 
-    RecordedScansState state() const { return state_; }
+    State state() const { return state_; }
     std::string reason() const;
     const Log* sequence() const;
 
@@ -30,7 +30,7 @@ private:
 
     const std::unique_ptr<Run> frames_;  ///< Settings and frames of the run, without its surfels.
     std::string why_;
-    std::atomic<RecordedScansState> state_ = RecordedScansState::loading;
+    std::atomic<State> state_ = State::loading;
     std::atomic<bool> stop_ = false;
     std::thread reader_;
 };

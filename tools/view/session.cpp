@@ -19,9 +19,9 @@ const char* request_name(const BrowserRequest& request) {
 
 std::string dump_utf8(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-const char* state_name(RecordedScans::RecordedScansState state) {
-    if (state == RecordedScans::RecordedScansState::ready) return "ready";
-    if (state == RecordedScans::RecordedScansState::missing) return "missing";
+const char* state_name(RecordedScans::State state) {
+    if (state == RecordedScans::State::ready) return "ready";
+    if (state == RecordedScans::State::missing) return "missing";
     return "loading";
 }
 
@@ -35,7 +35,7 @@ ViewerSession::ViewerSession(Run run, OtherRunsByName others, Device& device,
 
 void ViewerSession::open_tab(TabId tab_id) {
     const std::lock_guard lock(mutex_);
-    if (deaf_) return;
+    if (is_closing_) return;
     tabs_[tab_id] = std::make_shared<BrowserTabState>();
     arrived_.notify_one();
 }
@@ -53,73 +53,84 @@ void ViewerSession::send_error(TabId tab_id, const char* request_name, const std
 /// the newest view matters. All other requests are executed in order.
 void ViewerSession::handle_message(TabId id, const std::string& message) {
     std::optional<BrowserRequest> request;
-    std::string why =
+    std::string refusal =
         "cannot accept the request: too many requests are pending; wait for the answer before you send the "
         "next one";
     try {
         request = parse_request(message);
     } catch (const UsageError& error) {
-        why = error.what();
+        refusal = error.what();
     }
     const std::lock_guard lock(mutex_);
     const auto tab_entry = tabs_.find(id);
-    if (tab_entry == tabs_.end() || deaf_) return;
+    if (tab_entry == tabs_.end() || is_closing_) return;
     BrowserTabState& tab = *tab_entry->second;
     if (request && std::holds_alternative<LiveScanRequest>(*request))
         tab.scan = std::get<LiveScanRequest>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
-    else tab.refused = why;
+    else tab.refused = refusal;
     arrived_.notify_one();
 }
 
-/// Returns the most urgent job of a browser tab, or no value if the tab has none. Scans
-/// come last, so that a moving view does not delay other requests. The caller must hold
-/// the mutex.
+/// Makes a job that sends a JSON text to a tab. `make_answer` runs on the render thread.
+ViewerSession::ViewerJob ViewerSession::text_job(TabId tab_id, const char* name,
+                                                 std::function<Json()> make_answer) const {
+    return {tab_id, name, [this, tab_id, make_answer] { answers_.text(tab_id, dump_utf8(make_answer())); }};
+}
+
+/// Returns the most urgent job of a tab and removes it from the state of the tab, or no
+/// value if there is none. Scans come last, so that a moving view does not delay other
+/// requests. The caller must hold the mutex. The jobs run later, without the mutex.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
-    const auto text_job = [&](const char* about, auto make_answer) {
-        return ViewerJob{tab_id, about,
-                         [this, tab_id, make_answer] { answers_.text(tab_id, dump_utf8(make_answer())); }};
-    };
-    if (!std::exchange(tab->greeted, true))
-        return text_job("hello", [this] {
-            Json hello = scanner_.page_data();
-            hello["save_folder"] = save_folder_.string();
-            return hello;
-        });
-    const RecordedScans::RecordedScansState state = scanner_.measured_scans().state();
-    if (std::exchange(tab->last_sent_state, state) != state)
-        return text_job("log", [this, state] {
+    if (!tab->greeted) {
+        tab->greeted = true;
+        return text_job(tab_id, "hello", [this] { return make_hello(); });
+    }
+    // Informs the page when the scans of the log are loaded.
+    const RecordedScans::State state = scanner_.measured_scans().state();
+    if (tab->last_sent_state != state) {
+        tab->last_sent_state = state;
+        return text_job(tab_id, "log", [this, state] {
             return Json{
                 {"kind", "log"}, {"state", state_name(state)}, {"why", scanner_.measured_scans().reason()}};
         });
+    }
     if (tab->refused) {
-        const std::string why = *std::exchange(tab->refused, std::nullopt);
-        return ViewerJob{tab_id, "message", [this, tab_id, why] { send_error(tab_id, "message", why); }};
+        const std::string reason = *std::exchange(tab->refused, std::nullopt);
+        return ViewerJob{tab_id, "message",
+                         [this, tab_id, reason] { send_error(tab_id, "message", reason); }};
     }
     if (!tab->others.empty()) {
         const BrowserRequest request = std::move(tab->others.front());
         tab->others.pop_front();
-        return text_job(request_name(request), [this, tab, request] {
+        return text_job(tab_id, request_name(request), [this, tab, request] {
             Json response = execute(tab->cache, request);
             response["kind"] = std::holds_alternative<SaveRequest>(request) ? "saved" : request_name(request);
             return response;
         });
     }
     if (tab->scan) {
-        const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
-        return ViewerJob{tab_id, request_name(wish), [this, tab_id, tab, wish] {
-                             answers_.frame(tab_id, scanner_.render_message(tab->cache, wish));
+        const LiveScanRequest request = *std::exchange(tab->scan, std::nullopt);
+        return ViewerJob{tab_id, request_name(request), [this, tab_id, tab, request] {
+                             answers_.frame(tab_id, scanner_.render_message(tab->cache, request));
                          }};
     }
     return {};
+}
+
+/// Returns the first message for a new tab: run, sensors, actors and save folder.
+Json ViewerSession::make_hello() const {
+    Json hello = scanner_.page_data();
+    hello["save_folder"] = save_folder_.string();
+    return hello;
 }
 
 /// Returns the next job of any browser tab. Starts with the tab after the previous one,
 /// so that all tabs are served in turn.
 std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_job(std::chrono::milliseconds max_wait) {
     std::optional<ViewerJob> job;
-    const auto look = [&] {
+    const auto find_job = [&] {
         auto tab = tabs_.upper_bound(last_served_);
         for (std::size_t i = 0; i < tabs_.size() && !job; ++i) {
             if (tab == tabs_.end()) tab = tabs_.begin();
@@ -129,15 +140,16 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_job(std::chrono:
         return job.has_value();
     };
     std::unique_lock lock(mutex_);
-    arrived_.wait_for(lock, max_wait, look);
+    arrived_.wait_for(lock, max_wait, find_job);  // Calls it again when a message has arrived.
     if (job) last_served_ = job->id;
     return job;
 }
 
+/// Rejects new requests and executes the pending requests.
 void ViewerSession::finish_requests() {
     {
         const std::lock_guard lock(mutex_);
-        deaf_ = true;
+        is_closing_ = true;
     }
     while (run_next(std::chrono::milliseconds(0))) {}
 }
@@ -153,19 +165,21 @@ bool ViewerSession::run_next(std::chrono::milliseconds max_wait) {
         // Ends the viewer, because no tab can receive a scan without a device.
         throw;
     } catch (const Error& error) {
-        send_error(job->id, job->about, error.what());
+        send_error(job->id, job->request_name, error.what());
     }
     return true;
 }
 
+/// Executes a request other than a scan, and returns the answer.
 Json ViewerSession::execute(TabCache& cache, const BrowserRequest& request) const {
-    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save_edited(*wish);
+    if (const auto* save = std::get_if<SaveRequest>(&request)) return save_edited(*save);
     if (const auto* file = std::get_if<SensorFile>(&request)) return scanner_.store_sensor(cache, *file);
     const ActorEdits::ActorCopy copy =
         copy_on_ground(scanner_.trained_run(), scanner_.other_runs(), std::get<GroundPoseRequest>(request));
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
+/// Saves the edited run under a new name. Never overwrites a folder.
 Json ViewerSession::save_edited(const SaveRequest& request) const {
     // Applies the edits first, so that invalid edits leave no folder behind.
     Run run = apply_edits(scanner_.trained_run(), scanner_.other_runs(), request.edits);

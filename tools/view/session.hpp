@@ -41,7 +41,7 @@ public:
 private:
     struct BrowserTabState {
         bool greeted = false;
-        RecordedScans::RecordedScansState last_sent_state = RecordedScans::RecordedScansState::loading;
+        RecordedScans::State last_sent_state = RecordedScans::State::loading;
         std::optional<LiveScanRequest> scan = {};
         std::deque<BrowserRequest> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
@@ -49,12 +49,14 @@ private:
     };
     struct ViewerJob {
         TabId id;
-        const char* about;  ///< Name of the request in error messages.
+        const char* request_name;  ///< For error messages.
         std::function<void()> run;
     };
 
     std::optional<ViewerJob> wait_for_job(std::chrono::milliseconds max_wait);
     std::optional<ViewerJob> take_job(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
+    ViewerJob text_job(TabId tab_id, const char* name, std::function<nlohmann::json()> make_answer) const;
+    nlohmann::json make_hello() const;
     nlohmann::json execute(TabCache& cache, const BrowserRequest& request) const;
     void send_error(TabId tab_id, const char* request_name, const std::string& reason) const;
     nlohmann::json save_edited(const SaveRequest& request) const;
@@ -66,7 +68,7 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<BrowserTabState>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish_requests() was called, so that new messages are ignored.
+    bool is_closing_ = false;  ///< True after finish_requests(), so that new messages are ignored.
 };
 
 }  // namespace relidar::view
