@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 #include <type_traits>
 
 #include <nlohmann/json.hpp>
@@ -77,17 +76,16 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                        .range_m = point_ranges(scan, config),
                        .ring = std::move(points.ring),
                        .channels = std::move(points.channels)};
+    constexpr std::uint16_t kNoInstance = 65535;
     for (std::size_t i = 0; i < result.range_m.size(); ++i) {
         result.intensity.push_back(to_byte(scan.image.intensity[i]));
         result.drop.push_back(to_byte(scan.image.drop_prob[i]));
-        const int instance = scan.instance[i];
-        result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
+        const int instance = scan.instance[i];  // negative if the ray meets no object
+        result.instance.push_back(instance < 0 ? kNoInstance : static_cast<std::uint16_t>(instance));
     }
     return result;
 }
 
-/// Converts a measured scan to the arrays of a message. With rolling shutter, each ray
-/// starts at the pose of its own firing time.
 ScanColumns measured_columns(const Log& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.lidar_track(frame.lidar);
@@ -113,7 +111,6 @@ Json pose_json(const Pose& pose) {
     return result;
 }
 
-/// Encodes a simulated scan, a measured scan, or both in the binary format of frame.hpp.
 std::string encode_scans(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
     BinaryArrayPacker arrays;
     if (simulated) {
@@ -125,12 +122,12 @@ std::string encode_scans(Json header, const ScanColumns* simulated, const ScanCo
         arrays.add_scan("real_", *measured);
     }
     header["arrays"] = arrays.table_json();
-    std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
-    text.append((4 - text.size() % 4) % 4, ' ');
-    const auto length = static_cast<std::uint32_t>(text.size());
-    std::string frame = "RLV1";
-    frame.append(reinterpret_cast<const char*>(&length), sizeof length);
-    return frame + text + arrays.packed_bytes();
+    std::string header_text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
+    header_text.append((4 - header_text.size() % 4) % 4, ' ');  // Pads it to a multiple of 4 bytes.
+    const auto header_length = static_cast<std::uint32_t>(header_text.size());
+    std::string message = "RLV1";
+    message.append(reinterpret_cast<const char*>(&header_length), sizeof header_length);
+    return message + header_text + arrays.packed_bytes();
 }
 
 }  // namespace relidar::view

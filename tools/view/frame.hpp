@@ -47,14 +47,18 @@ struct ScanColumns {
     std::vector<ScanChannel> channels = {};
 };
 
+/// Converts a simulated scan to the arrays of a message, with all rays.
 /// @param world_offset_m from relidar's world frame to the dataset's
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m);
+/// Converts a measured scan to the arrays of a message. With rolling shutter, each ray
+/// starts at the pose of its own firing time.
 ScanColumns measured_columns(const Log& sequence, const Frame& frame);
 
 /// 4x4 matrix in column-major order, as WebGL expects.
 nlohmann::json pose_json(const Pose& pose);
 
+/// Encodes a simulated scan, a measured scan, or both (the other is null) as a message.
 /// @param header without the key "arrays"
 /// @param simulated, measured names of measured arrays begin with "real_"
 std::string encode_scans(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);

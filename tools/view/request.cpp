@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "request.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -54,8 +53,10 @@ std::string read_text(const Json& value, const char* where, std::size_t max_byte
     return result;
 }
 
+/// Reads the name of a run. It is empty for the run that the viewer shows.
 std::string read_run_name(const Json& json) { return json == "" ? "" : read_text(json, "from", kMaxRunName); }
 
+/// Reads a list of N numbers. `limits` has the largest absolute value of each.
 template <std::size_t N>
 std::array<double, N> read_numbers(const Json& value, const char* where,
                                    const std::array<double, N>& limits) {
@@ -74,8 +75,8 @@ std::set<std::string> read_track_names(const Json& value, const char* where) {
     return result;
 }
 
-/// Parses the user's changes of the actors. The limits of the numbers are in metres,
-/// degrees and metres per second.
+/// Parses the user's changes of the actors (ActorEdits). The limits of the numbers are in
+/// metres, degrees and metres per second.
 ActorEdits parse_edits(const Json& json) {
     if (!json.is_object()) reject_request("edits", "a JSON object");
     ActorEdits edits;
@@ -105,31 +106,29 @@ ActorEdits parse_edits(const Json& json) {
 LiveScanRequest parse_scan(const Json& json) {
     const auto place = read_numbers<6>(member(json, "place"), "place",
                                        {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0, 360.0, 360.0});
-    const double radians = kPi / 180.0;
-    LiveScanRequest wish;
-    wish.id = static_cast<std::int64_t>(number_within(member(json, "id"), "id", 1e15));
-    wish.time_s = number_within(member(json, "time_s"), "time_s", kMaxTime_s);
-    wish.sensor_offset = {make_rotation(place[3] * radians, place[4] * radians, place[5] * radians),
-                          {place[0], place[1], place[2]}};
-    wish.sensor = read_text(member(json, "sensor"), "sensor");
-    wish.lidar = static_cast<int>(number_within(member(json, "lidar"), "lidar", 1000.0));
-    wish.weather = parse_weather(read_text(member(json, "weather"), "weather"));
-    wish.simulate = read_boolean(member(json, "simulate"), "simulate");
-    wish.real = read_boolean(member(json, "real"), "real");
-    wish.edits = parse_edits(member(json, "edits"));
-    return wish;
+    constexpr double kRadians = kPi / 180.0;  // in a degree
+    LiveScanRequest request;
+    request.id = static_cast<std::int64_t>(number_within(member(json, "id"), "id", 1e15));
+    request.time_s = number_within(member(json, "time_s"), "time_s", kMaxTime_s);
+    request.sensor_offset = {make_rotation(place[3] * kRadians, place[4] * kRadians, place[5] * kRadians),
+                             {place[0], place[1], place[2]}};
+    request.sensor = read_text(member(json, "sensor"), "sensor");
+    request.lidar = static_cast<int>(number_within(member(json, "lidar"), "lidar", 1000.0));
+    request.weather = parse_weather(read_text(member(json, "weather"), "weather"));
+    request.simulate = read_boolean(member(json, "simulate"), "simulate");
+    request.real = read_boolean(member(json, "real"), "real");
+    request.edits = parse_edits(member(json, "edits"));
+    return request;
 }
 
 /// Reads the name of a new folder. Rejects a name that contains a path, so that the
 /// folder cannot be created elsewhere.
 std::string read_folder(const Json& value) {
+    constexpr const char* kAllowedCharacters =
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_.";
     std::string name = read_text(value, "name");
-    const auto plain = [](char character) {
-        return (character >= 'a' && character <= 'z') || (character >= 'A' && character <= 'Z') ||
-               (character >= '0' && character <= '9') || character == '-' || character == '_' ||
-               character == '.';
-    };
-    if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
+    const bool has_other_character = name.find_first_not_of(kAllowedCharacters) != std::string::npos;
+    if (has_other_character || name.front() == '.' || name.front() == '-')
         reject_request(
             "name",
             "a name that starts with a letter or digit and contains only letters, digits, -, _ and .");
@@ -139,18 +138,21 @@ std::string read_folder(const Json& value) {
 }  // namespace
 
 BrowserRequest parse_request(const std::string& text) {
+    constexpr std::size_t kMaxFileName = 200;
     const Json json = Json::parse(text, nullptr, false);
     if (!json.is_object()) throw UsageError("cannot read the request: expected a JSON object");
     const std::string kind = read_text(member(json, "do"), "do");
     if (kind == "scan") return parse_scan(json);
     if (kind == "sensor")
-        return SensorFile{read_text(member(json, "file"), "file", 200),
-                          read_text(member(json, "text"), "text", text.size())};
+        return SensorFile{.name = read_text(member(json, "file"), "file", kMaxFileName),
+                          .text = read_text(member(json, "text"), "text", text.size())};
     if (kind == "save")
-        return SaveRequest{read_folder(member(json, "name")), parse_edits(member(json, "edits"))};
+        return SaveRequest{.name = read_folder(member(json, "name")),
+                           .edits = parse_edits(member(json, "edits"))};
     if (kind == "ground")
-        return GroundPoseRequest{read_text(member(json, "of"), "of"), read_run_name(member(json, "from")),
-                                 read_numbers<2>(member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
+        return GroundPoseRequest{.of = read_text(member(json, "of"), "of"),
+                                 .from = read_run_name(member(json, "from")),
+                                 .at = read_numbers<2>(member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
     fail<UsageError>(
         "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",
         kind);

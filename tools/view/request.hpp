@@ -76,6 +76,8 @@ struct SaveRequest {
 
 using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundPoseRequest>;
 
+/// Parses a request of the web page and checks all values.
+/// @throws UsageError that names the first invalid field
 BrowserRequest parse_request(const std::string& request_json_text);
 
 }  // namespace relidar::view

@@ -51,6 +51,22 @@ Json copyable_actors(const Run& run) {
     return actors;
 }
 
+/// Returns the frames of the log with their positions on the recorded path.
+Json frames_json(const Run& run) {
+    const Log& log = run.sequence;
+    Json frames = Json::array();
+    for (std::size_t i = 0; i < log.frames.size(); ++i) {
+        const Frame& frame = log.frames[i];
+        const glm::dvec3 position_m = log.lidar_track(frame.lidar).pose_at(frame.time_s).translation;
+        frames.push_back({{"index", frame.index},
+                          {"time_s", frame.time_s},
+                          {"lidar", frame.lidar},
+                          {"held_out", std::ranges::count(run.split.test, int(i)) > 0},
+                          {"position", {position_m.x, position_m.y, position_m.z}}});
+    }
+    return frames;
+}
+
 /// Stores an uploaded text in a temporary file, because sensors can only be read from
 /// files. The destructor removes the file.
 class UploadedFile {
@@ -79,6 +95,20 @@ private:
     std::filesystem::path folder_;
 };
 
+/// Reads a sensor from the text of a file. Errors name the user's file.
+SimulatedSensor read_uploaded_sensor(const SensorFile& file, const std::string& extension) {
+    const UploadedFile upload(file.text, extension);
+    const std::string path = upload.file_path(extension).string();
+    try {
+        return simulate_sensor(find_sensor(path));
+    } catch (const Error& error) {
+        std::string message = error.what();
+        if (const std::size_t found = message.find(path); found != std::string::npos)
+            message.replace(found, path.size(), file.name);
+        throw DataError(message);
+    }
+}
+
 void check_ray_count(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
         fail<UsageError>(
@@ -94,6 +124,12 @@ Json channels_json(const Config& config) {
     return channels;
 }
 
+/// Returns true if the user has moved an actor of the run, not only selected it.
+bool is_moved(const ActorEdits& edits, const std::string& track) {
+    const auto move = edits.moves.find(track);
+    return move != edits.moves.end() && move->second != std::array<double, 4>{};
+}
+
 }  // namespace
 
 BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device& device)
@@ -103,21 +139,9 @@ BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device
 /// and path, the available sensors, the actors of other runs, and the device.
 Json BrowserScanRenderer::page_data() const {
     const Log& log = run_.sequence;
-    Json frames = Json::array(), lidars = Json::array();
-    for (std::size_t i = 0; i < log.frames.size(); ++i) {
-        const Frame& frame = log.frames[i];
-        const glm::dvec3 p = log.lidar_track(frame.lidar).pose_at(frame.time_s).translation;
-        const bool held_out =
-            std::find(run_.split.test.begin(), run_.split.test.end(), int(i)) != run_.split.test.end();
-        frames.push_back({{"index", frame.index},
-                          {"time_s", frame.time_s},
-                          {"lidar", frame.lidar},
-                          {"held_out", held_out},
-                          {"position", {p.x, p.y, p.z}}});
-    }
+    Json lidars = Json::array(), others = Json::array();
     for (const Lidar& lidar : log.lidars)
         lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
-    Json others = Json::array();
     for (const auto& [name, run] : others_)
         others.push_back({{"name", name}, {"actors", copyable_actors(run)}});
     std::string weather_examples = "clear";
@@ -132,7 +156,7 @@ Json BrowserScanRenderer::page_data() const {
             {"others", others},
             {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
-            {"frames", frames},
+            {"frames", frames_json(run_)},
             {"lidars", lidars},
             {"sensors", sensor_names()},
             {"max_range_m", run_.config.dataset.max_range_m},
@@ -154,49 +178,53 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
         return sensor;
     }
     const std::string key = fmt::format("{}/{}", request.lidar, request.sensor);
-    if (!tab_cache.sensor || tab_cache.sensor->first != key) {
-        // Accepts only the names of built-in sensors, so that clients cannot read files
-        // of the server.
-        const std::vector<std::string> names = sensor_names();
-        if (std::find(names.begin(), names.end(), request.sensor) == names.end())
-            fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors",
-                             request.sensor);
-        tab_cache.sensor.emplace(key,
-                                 choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
-        check_ray_count(tab_cache.sensor->second);
-    }
+    if (tab_cache.sensor && tab_cache.sensor->first == key) return tab_cache.sensor->second;
+    // Accepts only the names of built-in sensors, so that clients cannot read files of
+    // the server.
+    if (std::ranges::count(sensor_names(), request.sensor) == 0)
+        fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors", request.sensor);
+    tab_cache.sensor.emplace(key, choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
+    check_ray_count(tab_cache.sensor->second);
     return tab_cache.sensor->second;
 }
 
+/// Reads a sensor file that a user has uploaded, and stores the sensor for later scans of
+/// the tab. Returns the size of its scans for the page.
 Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& file) const {
-    const std::string ending = std::filesystem::path(file.name).extension().string();
-    if (ending != ".csv" && ending != ".json")
+    const std::string extension = std::filesystem::path(file.name).extension().string();
+    if (extension != ".csv" && extension != ".json")
         fail<UsageError>("cannot read {}: expected a file name that ends in .csv or .json", file.name);
     // Does not read the rig, because it can name files of the server.
-    const Json json = ending == ".json" ? Json::parse(file.text, nullptr, false) : Json();
+    const Json json = extension == ".json" ? Json::parse(file.text, nullptr, false) : Json();
     if (json.is_object() && json.contains("sensors"))
         fail<UsageError>("cannot show {}: it describes a rig of several sensors; choose one of its sensors",
                          file.name);
-    const UploadedFile upload(file.text, ending);
-    SimulatedSensor sensor;
-    try {
-        sensor = simulate_sensor(find_sensor(upload.file_path(ending).string()));
-    } catch (const Error& error) {
-        // Replaces the path of the temporary file by the name of the user's file.
-        std::string message = error.what();
-        const std::string path = upload.file_path(ending).string();
-        if (const std::size_t at = message.find(path); at != std::string::npos)
-            message.replace(at, path.size(), file.name);
-        throw DataError(message);
-    }
+    SimulatedSensor sensor = read_uploaded_sensor(file, extension);
     check_ray_count(sensor);
     sensor.name = file.name;
+    // Rays that change from scan to scan are not stored in the sensor.
+    const bool has_rays = sensor.rays.size() > 0 || !sensor.pattern;
+    const RayTable rays = has_rays ? sensor.rays : make_rays(*sensor.pattern, 0.0);
     tab_cache.file_sensor = std::move(sensor);
-    const SimulatedSensor& stored_sensor = *tab_cache.file_sensor;
-    const RayTable rays = stored_sensor.rays.size() == 0 && stored_sensor.pattern
-                              ? make_rays(*stored_sensor.pattern, 0.0)
-                              : stored_sensor.rays;
     return {{"name", file.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
+}
+
+/// Returns the run with copied and moved actors. Notes sides of these actors that the log
+/// did not observe, because they may now face the sensor.
+Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
+    Run run = run_;
+    SceneWithLog driving = add_copies({std::move(run.scene), run.sequence}, others_, edits.copies);
+    // set_driving_scene() completes actors whose boxes differ from those of the run, so
+    // the boxes of moved actors are removed here. EditedTraffic applies the moves.
+    std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) { return is_moved(edits, box.id); });
+    run.set_driving_scene(std::move(driving));
+    for (const ModelInstance& instance : run.scene.instances) {
+        const bool is_as_recorded =
+            find_box(run_.sequence, instance.track) && !edits.moves.contains(instance.track);
+        const std::string note = is_as_recorded ? "" : describe_unseen(run.scene, instance.track);
+        if (!note.empty()) actor_notes_.push_back(note);
+    }
+    return run;
 }
 
 /// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
@@ -207,35 +235,20 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : traffic.edits().copies) models.emplace_back(copy.from, copy.of);
     for (const auto& [track, by] : traffic.edits().moves)
-        if (by != std::array<double, 4>{}) models.emplace_back(track, "");
-    if (!renderer_ || rendered_ != models) {
-        renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
-        actor_notes_.clear();
-        if (models.empty()) {
-            renderer_.emplace(device_, run_);
-        } else {
-            Run run = run_;
-            SceneWithLog driving =
-                add_copies({std::move(run.scene), run.sequence}, others_, traffic.edits().copies);
-            // `run` then has no earlier track of the copied and moved actors.
-            std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) {
-                return std::ranges::find(models, std::pair(box.id, std::string())) != models.end();
-            });
-            run.set_driving_scene(std::move(driving));
-            for (const ModelInstance& instance : run.scene.instances) {
-                const bool is_recorded = find_box(run_.sequence, instance.track) &&
-                                         !traffic.edits().moves.contains(instance.track);
-                const std::string note = is_recorded ? "" : describe_unseen(run.scene, instance.track);
-                if (!note.empty()) actor_notes_.push_back(note);
-            }
-            renderer_.emplace(device_, run);
-        }
-        rendered_ = models;
-        launches_.clear();
-    }
+        if (is_moved(traffic.edits(), track)) models.emplace_back(track, "");
+    if (renderer_ && rendered_ == models) return *renderer_;
+
+    renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
+    actor_notes_.clear();
+    if (models.empty()) renderer_.emplace(device_, run_);
+    else renderer_.emplace(device_, make_edited_run(traffic.edits()));
+    rendered_ = models;
+    launches_.clear();
     return *renderer_;
 }
 
+/// Returns the measured scan that is nearest to the requested time. Null if the user does
+/// not want it, or if the log is not loaded.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
     const Log* log = real_.sequence();
     if (!log || !request.real) return nullptr;
@@ -247,17 +260,18 @@ const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request)
     return nearest;
 }
 
-RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& traffic, const LiveScanRequest& wish,
+/// Renders a scan of the edited scene, with the sensor at its offset from the LiDAR.
+RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& traffic, const LiveScanRequest& request,
                                               const SimulatedSensor& sensor) {
     const Log& log = run_.sequence;
-    ScanRequest request;
-    request.time_s = wish.time_s;
-    request.dataset_from_sensor =
-        shift_track(mount_track(log.lidar_track(wish.lidar), wish.sensor_offset), log.world_offset_m);
-    request.dataset_from_actor = traffic.visible_poses(wish.time_s);
+    const PoseTrack sensor_track = mount_track(log.lidar_track(request.lidar), request.sensor_offset);
+    ScanRequest scan;
+    scan.time_s = request.time_s;
+    scan.dataset_from_sensor = shift_track(sensor_track, log.world_offset_m);
+    scan.dataset_from_actor = traffic.visible_poses(request.time_s);
     ScanRenderer& renderer = edited_renderer(traffic);
-    renderer.set_weather(wish.weather);
-    return renderer.render(sensor, request);
+    renderer.set_weather(request.weather);
+    return renderer.render(sensor, scan);
 }
 
 /// Returns the duration in milliseconds of the last launch of each kernel that has run
@@ -268,13 +282,29 @@ Json BrowserScanRenderer::kernel_times() {
     Json times = Json::array();
     for (const auto& [kernel, launches] : renderer_->times().milliseconds) {
         std::size_t& n_reported_launches = launches_[kernel];
-        if (launches.empty() ||
-            (launches.size() == n_reported_launches && n_reported_launches < kMaxLaunchTimes))
-            continue;
+        const bool has_grown = launches.size() != n_reported_launches;
+        const bool is_full = n_reported_launches >= kMaxLaunchTimes;
+        if (launches.empty() || (!has_grown && !is_full)) continue;
         n_reported_launches = launches.size();
         times.push_back({kernel, launches.back()});
     }
     return times;
+}
+
+/// Returns the part of the answer that needs no rendering: poses, actors and names.
+Json BrowserScanRenderer::scan_header(const EditedTraffic& traffic, const LiveScanRequest& request,
+                                      const SimulatedSensor& sensor) const {
+    const Pose log_pose = run_.sequence.lidar_track(request.lidar).pose_at(request.time_s);
+    Json names = Json::array();
+    for (const ModelInstance& instance : traffic.instances())
+        names.push_back(instance.track.empty() ? "background" : instance.track);
+    return {{"id", request.id},
+            {"time_s", request.time_s},
+            {"sensor", sensor.name},
+            {"log_pose", pose_json(log_pose)},
+            {"pose", pose_json(log_pose * request.sensor_offset)},
+            {"actors", traffic.actors_json(request.time_s)},
+            {"instances", names}};
 }
 
 /// Renders the requested scan and encodes it together with the measured scan that is
@@ -285,27 +315,18 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     SimulatedSensor sensor = tab_sensor(tab_cache, request);
     if (!tab_cache.traffic || tab_cache.traffic->edits() != request.edits)
         tab_cache.traffic.emplace(run_, others_, request.edits);
-    const Log& log = run_.sequence;
-    const Frame* real = measured_frame(request);
-    const bool on_frame = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
-    const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&
-                                std::abs(request.sensor_offset.rotation.w) == 1.0;
+    const EditedTraffic& traffic = *tab_cache.traffic;
+
     // The simulated scan can be compared ray by ray if the sensor, its pose and its time
     // are those of the measured scan. It then uses the measured rays.
+    const Frame* real = measured_frame(request);
+    const bool is_at_frame_time = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
+    const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&
+                                std::abs(request.sensor_offset.rotation.w) == 1.0;
     const bool is_matched =
-        on_frame && sensor.is_log_lidar && !sensor.grid && is_at_log_pose && request.simulate;
-    const Pose log_pose = log.lidar_track(request.lidar).pose_at(request.time_s);
-    Json names = Json::array();
-    for (const ModelInstance& instance : tab_cache.traffic->instances())
-        names.push_back(instance.track.empty() ? "background" : instance.track);
-    Json header{{"id", request.id},
-                {"time_s", request.time_s},
-                {"sensor", sensor.name},
-                {"log_pose", pose_json(log_pose)},
-                {"pose", pose_json(log_pose * request.sensor_offset)},
-                {"actors", tab_cache.traffic->actors_json(request.time_s)},
-                {"instances", names},
-                {"matched", is_matched}};
+        is_at_frame_time && is_at_log_pose && sensor.is_log_lidar && !sensor.grid && request.simulate;
+    Json header = scan_header(traffic, request, sensor);
+    header["matched"] = is_matched;
     std::optional<ScanColumns> simulated, measured;
     if (real) {
         header["real_frame"] = real->index;
@@ -316,7 +337,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
             sensor.rays = real->scan.rays;
             sensor.follows_sweeps = false;
         }
-        const RenderedScan scan = render_scan(*tab_cache.traffic, request, sensor);
+        const RenderedScan scan = render_scan(traffic, request, sensor);
         header["trace_ms"] = scan.trace_ms;
         header["actor_notes"] = actor_notes_;
         if (scan.unseen_share) {
@@ -324,7 +345,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
             header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         }
         header["kernels"] = kernel_times();
-        simulated = simulated_columns(scan, run_.config, log.world_offset_m);
+        simulated = simulated_columns(scan, run_.config, run_.sequence.world_offset_m);
     }
     header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
     return encode_scans(std::move(header), simulated ? &*simulated : nullptr,

@@ -12,6 +12,7 @@
 
 namespace relidar::view {
 
+/// What the renderer keeps of the previous scan of a browser tab.
 struct TabCache {
     std::optional<SimulatedSensor> file_sensor = {};
     std::optional<EditedTraffic> traffic = {};
@@ -36,7 +37,10 @@ private:
     SimulatedSensor tab_sensor(TabCache& tab_cache, const LiveScanRequest& request) const;
     RenderedScan render_scan(const EditedTraffic& edited_traffic, const LiveScanRequest& request,
                              const SimulatedSensor& sensor);
+    Run make_edited_run(const ActorEdits& edits);
     ScanRenderer& edited_renderer(const EditedTraffic& traffic);
+    nlohmann::json scan_header(const EditedTraffic& traffic, const LiveScanRequest& request,
+                               const SimulatedSensor& sensor) const;
     const Frame* measured_frame(const LiveScanRequest& request) const;
     nlohmann::json kernel_times();
 

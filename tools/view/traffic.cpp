@@ -52,17 +52,18 @@ const Run& find_other_run(const std::string& run_name, const OtherRunsByName& ot
 }
 
 /// Adds a copy of an actor to the scene for each element of `copies`.
-/// @param get_scene_with_log_of_run returns another run, with or without surfels
+/// @param load_source returns the scene of another run, with or without surfels
 SceneWithLog copy_actors(SceneWithLog scene, const OtherRunsByName& others,
                          const std::vector<ActorEdits::ActorCopy>& copies,
-                         SceneWithLog (*get_scene_with_log_of_run)(const Run&)) {
+                         SceneWithLog (*load_source)(const Run&)) {
     for (const ActorEdits::ActorCopy& copy : copies) {
         const NewActorMotion start = copy_motion(copy, scene.sequence.world_offset_m);
-        if (copy.from.empty()) scene = copy_track(std::move(scene), copy.of, start);
-        else
-            scene =
-                insert_track(std::move(scene), get_scene_with_log_of_run(find_other_run(copy.from, others)),
-                             copy.of, start);
+        if (copy.from.empty()) {
+            scene = copy_track(std::move(scene), copy.of, start);
+        } else {
+            const Run& source = find_other_run(copy.from, others);
+            scene = insert_track(std::move(scene), load_source(source), copy.of, start);
+        }
     }
     return scene;
 }
@@ -73,27 +74,29 @@ void check_tracks(const SceneWithLog& scene, const std::set<std::string>& track_
     (void)select_instances(scene.scene, names);
 }
 
-/// Converts the edits to the history of a saved run, in the form of `relidar edit`.
+/// Converts the edits to the history of a saved run. An entry has the form of an option
+/// of `relidar edit`, so that a user can repeat the edits.
 std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& others,
                                            const ActorEdits& edits) {
-    const auto folder_of = [](const Run& r) {
-        return std::filesystem::absolute(r.folder).lexically_normal().string();
+    const auto folder_of = [](const Run& any_run) {
+        return std::filesystem::absolute(any_run.folder).lexically_normal().string();
     };
     const std::string origin = folder_of(run);
-    std::vector<EditHistoryEntry> result;
+    std::vector<EditHistoryEntry> history;
     for (const ActorEdits::ActorCopy& copy : edits.copies) {
         const NewActorMotion start = copy_motion(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
-        const std::string what =
-            copy.from.empty() ? "--copy "
-                              : fmt::format("--insert {}#", folder_of(find_other_run(copy.from, others)));
-        result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
-                                              copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
+        std::string option = "--copy ";
+        if (!copy.from.empty())
+            option = fmt::format("--insert {}#", folder_of(find_other_run(copy.from, others)));
+        const auto& [x, y, z, yaw_deg, pitch_deg, roll_deg, speed_mps] = copy.at;
+        history.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", option, copy.of, p.x, p.y, p.z,
+                                               yaw_deg, pitch_deg, roll_deg, speed_mps)});
     }
     for (const auto& [track, by] : edits.moves)
-        result.push_back({origin, fmt::format("--move {}:{},{},{},{}", track, by[0], by[1], by[2], by[3])});
-    for (const std::string& track : edits.removed) result.push_back({origin, "--remove " + track});
-    return result;
+        history.push_back({origin, fmt::format("--move {}:{},{},{},{}", track, by[0], by[1], by[2], by[3])});
+    for (const std::string& track : edits.removed) history.push_back({origin, "--remove " + track});
+    return history;
 }
 
 }  // namespace
@@ -103,8 +106,6 @@ SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
     return copy_actors(std::move(scene), others, copies, [](const Run& run) { return run.driving_scene(); });
 }
 
-/// Returns a copy of an actor that stands on the ground at the position where the user
-/// has clicked. Converts its rotation to yaw, pitch and roll for the web page.
 ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request) {
     const Run& owner = request.from.empty() ? run : find_other_run(request.from, others);
@@ -135,17 +136,16 @@ EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, cons
 ActorTracksByName EditedTraffic::visible_poses(double time_s) const {
     ActorTracksByName poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
-        const auto has_surfels = [&](const ModelInstance& i) {
-            return !i.track.empty() && i.track == box.id;
-        };
-        if (!is_shown(box) || !box.is_observed(time_s) ||
-            std::none_of(instances().begin(), instances().end(), has_surfels))
-            continue;
-        poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
+        const bool has_surfels =
+            !box.id.empty() && std::ranges::count(instances(), box.id, &ModelInstance::track) > 0;
+        if (has_surfels && is_shown(box) && box.is_observed(time_s))
+            poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
     }
     return poses;
 }
 
+/// Returns the actors at a time for the web page, with their poses in relidar's world
+/// frame.
 nlohmann::json EditedTraffic::actors_json(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
     for (const ModelInstance& instance : instances()) {

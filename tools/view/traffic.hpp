@@ -21,12 +21,13 @@ using OtherRunsByName = std::map<std::string, Run>;
 SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
                         const std::vector<ActorEdits::ActorCopy>& copies);
 
-/// At the position where the user has clicked.
+/// Returns a copy of an actor that stands on the ground where the user has clicked, with
+/// its rotation as yaw, pitch and roll for the web page.
 /// @throws UsageError if there is no ground
 ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request);
 
-/// After all edits, without surfels.
+/// The actors of a run after all edits of a browser tab, without surfels.
 class EditedTraffic {
 public:
     /// @throws UsageError if a track is unknown
@@ -48,7 +49,8 @@ private:
     ActorEdits edits_;
 };
 
-/// Hidden actors stay in the run. The history of the new run contains the edits.
+/// Returns the edited run, to save it. Hidden actors stay in the run. The history of the
+/// new run contains the edits.
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits);
 
 }  // namespace relidar::view
