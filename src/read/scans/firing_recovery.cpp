@@ -7,8 +7,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <complex>
-#include <map>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -18,11 +16,11 @@
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "read/scans/lattice_fit.hpp"
+#include "read/scans/lattice_ticks.hpp"
 
 namespace relidar::read {
 namespace {
 
-constexpr double kFullTurn_rad = 2.0 * kPi;
 // numbers of points of a sweep in the coarse and the fine search, and in the fit of a
 // motion
 constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 30000;
@@ -42,8 +40,6 @@ constexpr double kMinMotion = 0.8, kMaxMotion = 1.25;
 // Without poses, the direction of rotation follows from the driving direction, so the
 // vehicle must drive at least this far in a turn.
 constexpr double kMinForward_m = 0.05;
-// The azimuths of nearer points are inaccurate, because beams start beside the axis.
-constexpr double kMinYawDistance_m = 4.0;
 // Clouds with more rings are not scans of a spinning LiDAR.
 constexpr std::size_t kMaxRecoveredRings = 512;
 
@@ -175,115 +171,28 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
     return true;
 }
 
-/// A rotation rate about z that was measured with the azimuths of points.
-struct YawFit {
-    std::array<double, 2> turned_rad{};  ///< in a turn, before and after the time of the frame
-    double coherence = 0.0;              ///< 1 if all azimuths are multiples of the tick
-};
-
-/// Returns [rings] the distances in metres by which beams start to the left of the axis.
-/// With the right distance, neighbouring points at different ranges have equal phases.
-std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std::size_t n_rings,
-                                     int n_ticks) {
-    constexpr std::size_t kSweeps = 3, kBins = 256;
-    constexpr double kMaxLeft_m = 0.06, kStep_m = 0.001;
-    struct Direction {
-        double azimuth_rad, inverse_rho;
-    };
-    std::vector<std::map<std::size_t, std::vector<Direction>>> neighbours(n_rings);
-    for (std::size_t s = 0; s < std::min(kSweeps, sweeps.size()); ++s)
-        for (std::size_t i = 0; i < sweeps[s].size(); ++i) {
-            const glm::dvec3 p(sweeps[s].position_m[i]);
-            const double rho = std::hypot(p.x, p.y), azimuth_rad = azimuth_rad_of(p);
-            if (rho < kMinYawDistance_m) continue;
-            const auto bin = std::size_t((0.5 + azimuth_rad / kFullTurn_rad) * (kBins - 1));
-            neighbours[sweeps[s].ring[i]][s * kBins + bin].push_back({azimuth_rad, 1.0 / rho});
-        }
-    std::vector<double> left_m(n_rings, 0.0);
-    parallel_for(int(n_rings), [&](int ring) {
-        double most = 0.0;
-        for (double trial_m = -kMaxLeft_m; trial_m <= kMaxLeft_m; trial_m += kStep_m) {
-            double length = 0.0;
-            for (const auto& [bin, points] : neighbours[std::size_t(ring)]) {
-                std::complex<double> sum = 0.0;
-                for (const auto& [azimuth_rad, inverse_rho] : points)
-                    sum += std::polar(1.0, n_ticks * (azimuth_rad - trial_m * inverse_rho));
-                length += std::abs(sum);
-            }
-            if (length <= most) continue;
-            most = length;
-            left_m[std::size_t(ring)] = trial_m;
-        }
-    });
-    return left_m;
-}
-
-/// Measures the rotation about z that the compensation added to the azimuths. The phases
-/// of the ticks then drift in the turn. Compares the phases of bins that are more and
-/// more distant.
-/// @param left_m [rings] result of fit_left_offsets()
-YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
-               const HeadTurn& turn, int n_ticks, const std::vector<double>& left_m) {
-    constexpr std::size_t kBins = 256, kMaxLag = 32;
-    const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
-    std::vector<std::complex<double>> phases(n_rings * kBins);
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        const glm::dvec3& p = points[i].position_m;
-        const double rho = std::hypot(p.x, p.y);
-        if (rho < kMinYawDistance_m || rings[i] >= left_m.size()) continue;
-        const auto bin = std::size_t(std::clamp((points[i].turn + turn.reference) * kBins, 0.0, kBins - 1.0));
-        phases[rings[i] * kBins + bin] +=
-            std::polar(1.0, n_ticks * (azimuth_rad_of(p) - left_m[rings[i]] / rho));
-    }
-    const auto reference_bin = std::size_t(std::clamp(turn.reference * kBins, 0.0, double(kBins)));
-    YawFit fit;
-    double joint = 0.0, possible = 0.0;
-    for (std::size_t half = 0; half < 2; ++half) {
-        const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
-        std::complex<double> sum = 0.0;
-        double lengths = 0.0;
-        for (std::size_t lag = 1; lag <= kMaxLag && 2 * lag <= end - begin; lag *= 2) {
-            sum = lengths = 0.0;
-            for (std::size_t r = 0; r < n_rings; ++r)
-                for (std::size_t b = begin; b + lag < end; ++b) {
-                    const std::complex<double> first = phases[r * kBins + b],
-                                               second = phases[r * kBins + b + lag];
-                    sum += second * std::conj(first);
-                    lengths += std::abs(first) * std::abs(second);
-                }
-            const double turns = double(lag) / kBins, expected = n_ticks * fit.turned_rad[half] * turns,
-                         rest = std::arg(sum * std::polar(1.0, -expected));
-            fit.turned_rad[half] += rest / (n_ticks * turns);
-        }
-        joint += std::abs(sum);  // of the largest lag
-        possible += lengths;
-    }
-    // A half without points turns like the other one.
-    if (reference_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
-    if (reference_bin + 2 > kBins) fit.turned_rad[1] = fit.turned_rad[0];
-    fit.coherence = possible > 0.0 ? joint / possible : 0.0;
-    return fit;
-}
-
-// minimum coherence with which azimuths show the rotation
-constexpr double kMinCoherence = 0.1;
-
-SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
+/// Fits the motion of the sensor in a sweep to its points. The cones show all but the
+/// rotation about z, which follows from the ticks.
+/// @param azimuth_rad  [points] azimuths of the points
+SweepMotion fit_motion(const LidarPoints& points, const std::vector<double>& azimuth_rad,
+                       const FiringRecovery& recovery) {
     const std::size_t n_rings = recovery.rings.size();
-    const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     LatticeFit fit{recovery.turn, recovery.rings, {SweepMotion{}}, 0.0};
-    fitter.improve(fit, 8, FreeValues::motions);
+    LatticeFitter({pick_points(points, kFinePoints, n_rings)}, n_rings).improve(fit, 6, FreeValues::motions);
+    const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
+    fitter.improve(fit, 2, FreeValues::motions);
     if (recovery.sensor.n_ticks == 0) return fit.motions[0];
     // The rotation changes the firing times a little, so the fit is repeated.
+    std::vector<FiredPoint> fired(points.size());
     for (int pass = 0; pass < 2; ++pass) {
-        std::vector<FiredPoint> fired;
-        for (const glm::vec3& p : points.position_m)
-            fired.push_back(find_firing(glm::dvec3(p), fit.motions[0], recovery.turn));
+        for (std::size_t i = 0; i < points.size(); ++i)
+            fired[i] =
+                find_firing(glm::dvec3(points.position_m[i]), azimuth_rad[i], fit.motions[0], recovery.turn);
         const YawFit yaw =
             fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks, recovery.left_m);
         if (yaw.coherence < kMinCoherence) break;
         for (std::size_t half = 0; half < 2; ++half) fit.motions[0][half][5] += yaw.turned_rad[half];
-        fitter.improve(fit, 3, FreeValues::motions);
+        fitter.improve(fit, 2, FreeValues::motions);
     }
     return fit.motions[0];
 }
@@ -299,7 +208,8 @@ std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn
 /// Returns the number of ticks in a turn, and sets the left offsets of the beams. A yaw
 /// that all sweeps have cannot be separated from another number of ticks. So the function
 /// uses the yaw of the poses, or prefers round numbers near the number without yaw.
-/// @param restored  [sweeps] points at their firing times, without correction of the yaw
+/// @param restored  points of the first sweeps at their firing times, without correction
+/// of the yaw
 int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<LidarPoints>& restored,
                FiringRecovery& recovery) {
     const CompensatedSensor& sensor = recovery.sensor;
@@ -323,7 +233,7 @@ int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<Li
     }
     fit_left(n_ticks);
     std::vector<double> counts;
-    for (std::size_t s = 0; s < sweeps.size(); ++s) {
+    for (std::size_t s = 0; s < restored.size(); ++s) {
         const YawFit yaw = fit_sweep_yaw(s, n_ticks);
         if (yaw.coherence < kMinCoherence) continue;
         double turned_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
@@ -350,27 +260,47 @@ int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<Li
 /// Computes the firing of a point at the seam, where the azimuth does not show whether
 /// the point is at the start or at the end of the sweep. Chooses the end at which the
 /// point is nearer to its cone.
-FiredPoint find_seam_firing(const glm::dvec3& point_m, const PoseTrack& track, const HeadTurn& turn,
+template <class Motion>
+FiredPoint find_seam_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn,
                             const RingCone& cone) {
-    FiredPoint best = find_firing(point_m, track, turn);
+    FiredPoint best = find_firing(point_m, azimuth_rad_of(point_m), motion, turn);
     double least = INFINITY;
     for (const double end : {-turn.reference, 1.0 - turn.reference}) {
         FiredPoint fired{point_m, end};
         for (int pass = 0; pass < 3; ++pass) {
-            const glm::dvec3 moved_m = undo_motion(point_m, track, fired.turn);
+            const glm::dvec3 moved_m = undo_motion(point_m, motion, fired.turn);
             const double at = turn.turn_at(azimuth_rad_of(moved_m));
             // the same azimuth, near this end of the sweep
             fired.turn = at + std::round(end - at);
         }
-        fired.position_m = undo_motion(point_m, track, fired.turn);
+        fired.position_m = undo_motion(point_m, motion, fired.turn);
         const bool is_inside = fired.turn >= -turn.reference && fired.turn <= 1.0 - turn.reference;
         const glm::dvec3& p = fired.position_m;
-        const double error = std::abs((p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+        const double error = std::abs((p.z - cone.z0_m) / axis_distance_m(p) - cone.slope);
         if (!is_inside || !(error < least)) continue;
         least = error;
         best = fired;
     }
     return best;
+}
+
+/// Sets the times of points, and moves them to their firing times with a known motion.
+/// @param azimuth_rad  [points] azimuths of the points
+template <class Motion>
+void restore_points(LidarPoints& points, const std::vector<double>& azimuth_rad, const Motion& motion,
+                    const FiringRecovery& recovery) {
+    // A point within this share of the turn from the seam can be at both ends.
+    constexpr double kSeamShare = 0.05;
+    points.time_offset_s.resize(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::dvec3 p(points.position_m[i]);
+        FiredPoint fired = find_firing(p, azimuth_rad[i], motion, recovery.turn);
+        const double share = fired.turn + recovery.turn.reference;
+        if (std::min(share, 1.0 - share) < kSeamShare && points.ring[i] < recovery.rings.size())
+            fired = find_seam_firing(p, motion, recovery.turn, recovery.rings[points.ring[i]]);
+        points.position_m[i] = glm::vec3(fired.position_m);
+        points.time_offset_s[i] = float(fired.turn * recovery.sensor.period_s);
+    }
 }
 
 /// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
@@ -428,9 +358,11 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
     without_yaw.uses_poses = false;
     without_yaw.sensor.n_ticks = 0;
     std::vector<LidarPoints> restored;
-    for (const CompensatedSweep& sweep : sweeps) {
-        restored.push_back(sweep.points);
-        restore_firings(restored.back(), without_yaw, sweep.time_s);
+    const std::size_t n_restored =
+        sensor.n_ticks > 0 ? std::min(kOffsetSweeps, sweeps.size()) : sweeps.size();
+    for (std::size_t s = 0; s < n_restored; ++s) {
+        restored.push_back(sweeps[s].points);
+        restore_firings(restored.back(), without_yaw, sweeps[s].time_s);
         restored.back().time_offset_s.clear();
     }
     recovery.sensor.n_ticks = find_ticks(sweeps, restored, recovery);
@@ -481,26 +413,18 @@ void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, dou
 }
 
 void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s) {
-    // A point within this share of the turn from the seam can be at both ends.
-    constexpr double kSeamShare = 0.05;
     if (points.size() == 0) return;
     const CompensatedSensor& sensor = recovery.sensor;
     // Extrapolated poses do not show the motion at the start and the end of the log.
     const double start_s = frame_time_s - recovery.turn.reference * sensor.period_s;
     const bool has_poses = recovery.uses_poses && sensor.world_from_sensor->contains_time(start_s) &&
                            sensor.world_from_sensor->contains_time(start_s + sensor.period_s);
-    const PoseTrack track = has_poses ? make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s)
-                                      : make_track(fit_motion(points, recovery));
-    points.time_offset_s.resize(points.size());
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        const glm::dvec3 p(points.position_m[i]);
-        FiredPoint fired = find_firing(p, track, recovery.turn);
-        const double share = fired.turn + recovery.turn.reference;
-        if (std::min(share, 1.0 - share) < kSeamShare && points.ring[i] < recovery.rings.size())
-            fired = find_seam_firing(p, track, recovery.turn, recovery.rings[points.ring[i]]);
-        points.position_m[i] = glm::vec3(fired.position_m);
-        points.time_offset_s[i] = float(fired.turn * sensor.period_s);
-    }
+    std::vector<double> azimuth_rad;
+    for (const glm::vec3& p : points.position_m) azimuth_rad.push_back(azimuth_rad_of(glm::dvec3(p)));
+    if (has_poses)
+        restore_points(points, azimuth_rad,
+                       make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s), recovery);
+    else restore_points(points, azimuth_rad, fit_motion(points, azimuth_rad, recovery), recovery);
 }
 
 std::string describe_recovery(const FiringRecovery& recovery) {

@@ -29,7 +29,7 @@ Twist negated(Twist twist) {
 }  // namespace
 
 double HeadTurn::turn_at(double azimuth_rad) const {
-    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / (2.0 * kPi);
+    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / kFullTurn_rad;
     return share - std::floor(share) - reference;
 }
 
@@ -62,9 +62,9 @@ glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double
 glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
     const Twist& twist = motion[turn < 0.0 ? 0 : 1];
     const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
-                     once = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), p),
-                     twice = -turn * glm::cross(glm::dvec3(twist[3], twist[4], twist[5]), once);
-    return p + once + 0.5 * twice;
+                     w = -turn * glm::dvec3(twist[3], twist[4], twist[5]), first = glm::cross(w, p),
+                     second = glm::cross(w, first), third = glm::cross(w, second);
+    return p + first + 0.5 * second + (1.0 / 6.0) * third;
 }
 
 SweepPoints pick_points(const LidarPoints& points, std::size_t n_points, std::size_t n_rings) {
@@ -80,6 +80,7 @@ SweepPoints pick_points(const LidarPoints& points, std::size_t n_points, std::si
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = usable[k * usable.size() / n];
         picked.position_m.emplace_back(points.position_m[i]);
+        picked.azimuth_rad.push_back(azimuth_rad_of(picked.position_m.back()));
         picked.ring.push_back(points.ring[i]);
     }
     return picked;
@@ -106,9 +107,13 @@ double LatticeFitter::cost(const LatticeFit& fit, double scale_rad) const {
 
 LatticeFitter::Firings LatticeFitter::compute_firings(const LatticeFit& fit) const {
     Firings firings(sweeps_.size());
-    for (std::size_t s = 0; s < sweeps_.size(); ++s)
-        for (const glm::dvec3& p : sweeps_[s].position_m)
-            firings[s].push_back(find_firing(p, fit.motions[s], fit.turn));
+    for (std::size_t s = 0; s < sweeps_.size(); ++s) {
+        const SweepPoints& sweep = sweeps_[s];
+        firings[s].reserve(sweep.position_m.size());
+        for (std::size_t i = 0; i < sweep.position_m.size(); ++i)
+            firings[s].push_back(
+                find_firing(sweep.position_m[i], sweep.azimuth_rad[i], fit.motions[s], fit.turn));
+    }
     return firings;
 }
 
@@ -117,7 +122,7 @@ void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) c
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t i = 0; i < firings[s].size(); ++i) {
             const glm::dvec3& p = firings[s][i].position_m;
-            slopes[sweeps_[s].ring[i]].push_back(p.z / std::hypot(p.x, p.y));
+            slopes[sweeps_[s].ring[i]].push_back(p.z / axis_distance_m(p));
         }
     fit.rings.assign(n_rings_, {0.0, NAN});
     for (std::size_t r = 0; r < n_rings_; ++r)
@@ -130,7 +135,7 @@ void LatticeFitter::visit_errors(const LatticeFit& fit, const Firings& firings, 
         for (std::size_t i = 0; i < firings[s].size(); ++i) {
             const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
             const glm::dvec3& p = firings[s][i].position_m;
-            visit(s, i, (p.z - cone.z0_m) / std::hypot(p.x, p.y) - cone.slope);
+            visit(s, i, (p.z - cone.z0_m) / axis_distance_m(p) - cone.slope);
         }
 }
 
@@ -155,7 +160,7 @@ Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& 
     visit_errors(fit, firings, [&](std::size_t sweep, std::size_t i, double e) {
         const std::size_t ring = sweeps_[sweep].ring[i];
         const auto& [p, u] = firings[sweep][i];
-        const double rho = std::hypot(p.x, p.y), slope = fit.rings[ring].slope;
+        const double rho = axis_distance_m(p), slope = fit.rings[ring].slope;
         if (!(rho > 0.0) || !std::isfinite(e)) return;
         const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
         const double c = p.x / rho, d = p.y / rho, scaled = u / rho;

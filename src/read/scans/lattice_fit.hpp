@@ -16,12 +16,15 @@ namespace relidar::read {
 /// parameters of a twist that elevations show: all but the rotation about z
 inline constexpr std::size_t kMotionParameters = 5;
 
+inline constexpr double kFullTurn_rad = 2.0 * kPi;
+
 /// Twists of a full turn, before and after the time of the frame.
 using SweepMotion = std::array<Twist, 2>;
 
 /// Points of a sweep in the frame of the log.
 struct SweepPoints {
     std::vector<glm::dvec3> position_m;
+    std::vector<double> azimuth_rad;
     std::vector<std::size_t> ring;
 };
 
@@ -33,6 +36,21 @@ struct FiredPoint {
 
 inline double azimuth_rad_of(const glm::dvec3& p) { return std::atan2(p.y, p.x); }
 
+/// Returns the azimuth of a point that was moved a little. The series replaces std::atan2
+/// because the fits need most of their time for azimuths. Its error is below 1e-8 rad.
+/// The result can be outside of +-pi.
+inline double moved_azimuth_rad(const glm::dvec3& moved_m, const glm::dvec3& point_m, double azimuth_rad) {
+    constexpr double kMaxTangent = 0.15;
+    const double cross = point_m.x * moved_m.y - point_m.y * moved_m.x,
+                 dot = point_m.x * moved_m.x + point_m.y * moved_m.y;
+    if (!(std::abs(cross) < kMaxTangent * dot)) return azimuth_rad + std::atan2(cross, dot);
+    const double t = cross / dot, tt = t * t;
+    return azimuth_rad + t * (1.0 - tt * (1.0 / 3.0 - tt * (1.0 / 5.0 - tt / 7.0)));
+}
+
+/// Returns the distance from the axis of the head.
+inline double axis_distance_m(const glm::dvec3& p) { return std::sqrt(p.x * p.x + p.y * p.y); }
+
 /// Returns the poses of the sensor relative to the time of the frame. Times are turns.
 PoseTrack make_track(const SweepMotion& motion);
 /// Returns the same for the poses of the log.
@@ -41,19 +59,22 @@ PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double p
 SweepMotion twists_of(const PoseTrack& track);
 
 glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn);
-/// Fast version for fits, with a rotation of second order. The error is below 1e-5 rad
-/// for rotations below 0.04 rad.
+/// Fast version with a rotation of third order. The error is below 1e-5 rad for rotations
+/// below 0.12 rad, which are 2.4 rad/s at 10 Hz.
 glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn);
 
 /// Computes the firing of a point. The azimuth at the firing time differs from that of
 /// the moved point, so the function iterates.
+/// @param azimuth_rad  azimuth of the point
 template <class Motion>
-FiredPoint find_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn) {
-    FiredPoint fired{point_m, 0.0};
-    for (int pass = 0; pass < 3; ++pass) {
-        fired.turn = turn.turn_at(azimuth_rad_of(fired.position_m));
+FiredPoint find_firing(const glm::dvec3& point_m, double azimuth_rad, const Motion& motion,
+                       const HeadTurn& turn) {
+    FiredPoint fired{point_m, turn.turn_at(azimuth_rad)};
+    for (int pass = 0; pass < 2; ++pass) {
         fired.position_m = undo_motion(point_m, motion, fired.turn);
+        fired.turn = turn.turn_at(moved_azimuth_rad(fired.position_m, point_m, azimuth_rad));
     }
+    fired.position_m = undo_motion(point_m, motion, fired.turn);
     return fired;
 }
 

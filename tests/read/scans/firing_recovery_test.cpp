@@ -26,6 +26,7 @@ constexpr int kSweeps = 4;
 struct Drive {
     HeadTurn turn = {};
     double speed_mps = 10.0, yaw_rate_radps = 0.0;
+    double view_rad = kPi;  ///< azimuths beyond this angle from the front have no points
     bool is_half_missing = false;
     /// The dataset extrapolated the motion before each frame.
     bool has_constant_velocity = false;
@@ -84,7 +85,10 @@ Recording record(const Drive& drive) {
         const Scan scan = cast_street_rays({.moving_cars = false}, rays, recording.world_from_sensor, time_s);
         LidarPoints fired;
         for (std::size_t r = 0; r < rays.size(); ++r) {
-            if (!(scan.range_m[r] > 0.0f) || (drive.is_half_missing && rays.direction[r].y < 0.0f)) continue;
+            const glm::vec3& d = rays.direction[r];
+            if (!(scan.range_m[r] > 0.0f) || (drive.is_half_missing && d.y < 0.0f) ||
+                std::abs(std::atan2(double(d.y), double(d.x))) > drive.view_rad)
+                continue;
             fired.position_m.push_back(scan.return_point(r));
             fired.intensity.push_back(0.5f);
             fired.ring.push_back(rays.channel[r]);
@@ -177,6 +181,9 @@ TEST(FiringRecovery, AcceptsConstantVelocity) {
 
 TEST(FiringRecovery, AcceptsHalfASweep) {
     expect_recovered({.turn = {true, kPi, 0.5}, .is_half_missing = true}, true, 2e-3);
+    // The start is in the gap behind the sensor, so it is not known, but the times are.
+    expect_recovered({.turn = {true, kPi, 0.5}, .view_rad = kPi / 1.5}, true, 2e-3);
+    expect_recovered({.turn = {true, kPi, 0.0}, .view_rad = kPi / 1.5}, false, 0.02);
 }
 
 TEST(FiringRecovery, KeepsLogsWithoutClearOptimum) {
