@@ -60,7 +60,7 @@ std::size_t count_rings(const std::vector<CompensatedSweep>& sweeps) {
 
 /// Returns the spread if the points were not moved.
 double spread_without_motion(const LatticeFitter& fitter, std::size_t n_sweeps) {
-    LatticeFit still{{}, {}, std::vector<SweepMotion>(n_sweeps), 0.0};
+    LatticeFit still{.turn = {}, .rings = {}, .motions = std::vector<SweepMotion>(n_sweeps)};
     fitter.improve(still, 6, FreeValues::cones);
     return still.spread_rad;
 }
@@ -71,8 +71,9 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_swe
     std::vector<LatticeFit> fits(std::size_t(kSeams * kReferences));
     parallel_for(int(fits.size()), [&](int index) {
         LatticeFit& fit = fits[std::size_t(index)];
-        fit.turn = {true, kFullTurn_rad * (index % kSeams) / kSeams - kPi,
-                    double(index / kSeams) / (kReferences - 1)};
+        fit.turn = {.clockwise = true,
+                    .seam_rad = kFullTurn_rad * (index % kSeams) / kSeams - kPi,
+                    .reference = double(index / kSeams) / (kReferences - 1)};
         fit.motions.resize(n_sweeps);
         fitter.improve(fit, 4, FreeValues::all);
     });
@@ -161,7 +162,7 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
     if (motion_along(of_poses, sensor.forward) < 0.0 || std::abs(share) < kMinMotion ||
         std::abs(share) > kMaxMotion)
         return false;
-    LatticeFit fit{recovery.turn, {}, of_poses, 0.0};
+    LatticeFit fit{.turn = recovery.turn, .rings = {}, .motions = of_poses};
     fitter.improve(fit, 5, FreeValues::cones);
     recovery.uses_poses = fit.spread_rad <= kMaxPoseSpread * best.spread_rad;
     if (recovery.uses_poses) {
@@ -177,7 +178,7 @@ bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const La
 SweepMotion fit_motion(const LidarPoints& points, const std::vector<double>& azimuth_rad,
                        const FiringRecovery& recovery) {
     const std::size_t n_rings = recovery.rings.size();
-    LatticeFit fit{recovery.turn, recovery.rings, {SweepMotion{}}, 0.0};
+    LatticeFit fit{.turn = recovery.turn, .rings = recovery.rings, .motions = {SweepMotion{}}};
     LatticeFitter({pick_points(points, kFinePoints, n_rings)}, n_rings).improve(fit, 6, FreeValues::motions);
     const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     fitter.improve(fit, 2, FreeValues::motions);
@@ -203,6 +204,25 @@ std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn
     for (const glm::vec3& p : restored.position_m)
         fired.push_back({glm::dvec3(p), turn.turn_at(azimuth_rad_of(glm::dvec3(p)))});
     return fired;
+}
+
+/// Returns the rotation about z in a turn that the poses of the log have. Logs without
+/// poses have 0.
+double yaw_of_poses(const CompensatedSensor& sensor, double time_s) {
+    if (!sensor.world_from_sensor) return 0.0;
+    const SweepMotion motion = twists_of(make_track(*sensor.world_from_sensor, time_s, sensor.period_s));
+    return 0.5 * (motion[0][5] + motion[1][5]);
+}
+
+/// Returns a multiple of 128 or 100 near a number of ticks, or else the number itself.
+int round_ticks(double count) {
+    // A turn of 0.25 rad/s at 10 Hz changes the number of ticks by 0.4 %.
+    constexpr double kMaxYaw = 0.007;
+    for (const double round : {128.0, 100.0})
+        if (const double near = std::round(count / round) * round;
+            near > 0.0 && std::abs(near - count) < kMaxYaw * count)
+            return int(near);
+    return int(std::lround(count));
 }
 
 /// Returns the number of ticks in a turn, and sets the left offsets of the beams. A yaw
@@ -236,25 +256,14 @@ int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<Li
     for (std::size_t s = 0; s < restored.size(); ++s) {
         const YawFit yaw = fit_sweep_yaw(s, n_ticks);
         if (yaw.coherence < kMinCoherence) continue;
-        double turned_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
-        if (sensor.world_from_sensor) {
-            const SweepMotion motion =
-                twists_of(make_track(*sensor.world_from_sensor, sweeps[s].time_s, sensor.period_s));
-            turned_rad -= 0.5 * (motion[0][5] + motion[1][5]);
-        }
+        const double turned_rad =
+            0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]) - yaw_of_poses(sensor, sweeps[s].time_s);
         const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
         counts.push_back(n_ticks * (1.0 + sign * turned_rad / kFullTurn_rad));
     }
     if (counts.empty()) return 0;
     const double count = compute_median(std::move(counts));
-    // A turn of 0.25 rad/s at 10 Hz changes the number of ticks by 0.4 %.
-    constexpr double kMaxYaw = 0.007;
-    if (!sensor.world_from_sensor)
-        for (const double round : {128.0, 100.0})
-            if (const double near = std::round(count / round) * round;
-                near > 0.0 && std::abs(near - count) < kMaxYaw * count)
-                return int(near);
-    return int(std::lround(count));
+    return sensor.world_from_sensor ? int(std::lround(count)) : round_ticks(count);
 }
 
 /// Computes the firing of a point at the seam, where the azimuth does not show whether
@@ -303,27 +312,31 @@ void restore_points(LidarPoints& points, const std::vector<double>& azimuth_rad,
     }
 }
 
+/// Returns the share of the points at azimuths between two seams, on the shorter arc.
+double share_between(const std::vector<CompensatedSweep>& sweeps, double seam_rad, double other_rad) {
+    constexpr std::size_t kStride = 50;
+    const double arc_rad = std::remainder(other_rad - seam_rad, kFullTurn_rad);
+    std::size_t n = 0, n_between = 0;
+    for (const CompensatedSweep& sweep : sweeps)
+        for (std::size_t i = 0; i < sweep.points.size(); i += kStride) {
+            const double azimuth_rad = azimuth_rad_of(glm::dvec3(sweep.points.position_m[i])),
+                         from_seam_rad = std::remainder(azimuth_rad - seam_rad, kFullTurn_rad);
+            ++n;
+            if (from_seam_rad * arc_rad > 0.0 && std::abs(from_seam_rad) < std::abs(arc_rad)) ++n_between;
+        }
+    return n > 0 ? double(n_between) / double(n) : 0.0;
+}
+
 /// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
 /// and with some of the points in between.
 double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<CompensatedSweep>& sweeps,
                          double seam_rad) {
     constexpr double kFar_rad = kPi / 3.0, kMinShare = 0.1;
-    const auto share_between = [&](double other_rad) {
-        const double arc_rad = std::remainder(other_rad - seam_rad, kFullTurn_rad);
-        double n = 0.0, n_between = 0.0;
-        for (const CompensatedSweep& sweep : sweeps)
-            for (std::size_t i = 0; i < sweep.points.size(); i += 50, n += 1.0) {
-                const double from_seam_rad = std::remainder(
-                    azimuth_rad_of(glm::dvec3(sweep.points.position_m[i])) - seam_rad, kFullTurn_rad);
-                n_between += from_seam_rad * arc_rad > 0.0 && std::abs(from_seam_rad) < std::abs(arc_rad);
-            }
-        return n_between / std::max(n, 1.0);
-    };
     double least = INFINITY;
     for (const LatticeFit& fit : fits)
         if (fit.spread_rad < least &&
             std::abs(std::remainder(fit.turn.seam_rad - seam_rad, kFullTurn_rad)) >= kFar_rad &&
-            share_between(fit.turn.seam_rad) >= kMinShare)
+            share_between(sweeps, seam_rad, fit.turn.seam_rad) >= kMinShare)
             least = fit.spread_rad;
     return least;
 }
@@ -432,9 +445,8 @@ std::string describe_recovery(const FiringRecovery& recovery) {
     return fmt::format(
         "the scans are motion-compensated; relidar moved each point back to its firing time. The head turns "
         "{}, a sweep of {:.4g} s starts at azimuth {:.1f} degrees, and {:.1f} % of it precede the time of "
-        "the "
-        "frame; the motion is that of the {}. The elevations of a beam then differ by {:.4f} instead of "
-        "{:.4f} degrees (other starts: at least {:.4f})",
+        "the frame; the motion is that of the {}. The elevations of a beam then differ by {:.4f} instead "
+        "of {:.4f} degrees (other starts: at least {:.4f})",
         recovery.turn.clockwise ? "clockwise" : "counter-clockwise", recovery.sensor.period_s,
         recovery.turn.seam_rad * kDegrees, 100.0 * recovery.turn.reference,
         recovery.uses_poses ? "poses" : "points", recovery.spread_rad * kDegrees,
