@@ -36,38 +36,45 @@ struct InstanceGradientRows {
     /// [models] index of the first instance of each model, or -1
     std::vector<std::int64_t> first_instance;
     /// first gradient row of the second, third, ... instance of each model, by model
-    std::vector<std::uint32_t> more;
-    /// [models + 1] start of each model in `more`
-    std::vector<std::uint32_t> first_more;
+    std::vector<std::uint32_t> further_rows;
+    /// [models + 1] start of each model in `further_rows`
+    std::vector<std::uint32_t> first_further;
     std::uint32_t n_rows;
 
     InstanceGradientRows(const Scene& scene, std::uint32_t n_surfels)
         : first_row(scene.instances.size()),
           first_instance(scene.models.size(), -1),
-          first_more(scene.models.size() + 1, 0),
+          first_further(scene.models.size() + 1, 0),
           n_rows(n_surfels) {
-        std::vector<std::uint32_t> placed(scene.models.size(), 0);
-        for (const ModelInstance& instance : scene.instances) ++placed[instance.model];
-        std::vector<std::uint32_t> next_row(scene.models.size());
+        std::vector<std::uint32_t> n_instances(scene.models.size(), 0);
+        for (const ModelInstance& instance : scene.instances) ++n_instances[instance.model];
+        // Reserves a block of rows for each further instance, after all surfels.
+        std::vector<std::uint32_t> next_block(scene.models.size());  // first row of the next free block
         for (std::size_t model = 0; model < scene.models.size(); ++model) {
-            const std::uint32_t n_more = std::max(placed[model], 1u) - 1;
-            first_more[model + 1] = first_more[model] + n_more;
-            // The rows of the second and later instances follow all surfels.
-            next_row[model] = n_rows;
-            n_rows += n_more * scene.models[model].count;
-            for (std::uint32_t k = 0; k < n_more; ++k)
-                more.push_back(next_row[model] + k * scene.models[model].count);
+            next_block[model] = n_rows;
+            for (std::uint32_t k = 1; k < n_instances[model]; ++k) {
+                further_rows.push_back(n_rows);
+                n_rows += scene.models[model].count;
+            }
+            first_further[model + 1] = static_cast<std::uint32_t>(further_rows.size());
         }
+
+        // The first instance uses the rows of the surfels, others the next block.
         for (std::size_t i = 0; i < scene.instances.size(); ++i) {
             const std::uint32_t model = scene.instances[i].model;
-            first_row[i] = scene.models[model].first;
-            // The first instance uses the rows of the surfels, others the next block.
-            if (first_instance[model] < 0) first_instance[model] = static_cast<std::int64_t>(i);
-            else first_row[i] = std::exchange(next_row[model], next_row[model] + scene.models[model].count);
+            if (first_instance[model] < 0) {
+                first_instance[model] = static_cast<std::int64_t>(i);
+                first_row[i] = scene.models[model].first;
+            } else {
+                first_row[i] = next_block[model];
+                next_block[model] += scene.models[model].count;
+            }
         }
     }
 };
 
+/// Returns the model table for the device: the surfels and the box of each model, and
+/// where the table of further gradient rows lists its instances.
 std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
@@ -76,8 +83,8 @@ std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGr
                            .n_surfels = model.count,
                            .half_size = model.half_size_m,
                            .half_diagonal = glm::length(model.half_size_m),
-                           .first_more = rows.first_more[i],
-                           .n_more = rows.first_more[i + 1] - rows.first_more[i]});
+                           .first_more = rows.first_further[i],
+                           .n_more = rows.first_further[i + 1] - rows.first_further[i]});
     }
     return entries;
 }
@@ -86,7 +93,7 @@ std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGr
 
 struct DeviceScene::Impl {
     Scene layout;
-    InstanceGradientRows placements;
+    InstanceGradientRows gradient_rows;
     Array<shared::ModelEntry> models;
     Array<std::uint32_t, shared::FurtherRows> more_rows;
     SurfelArrays parameters;
@@ -97,21 +104,23 @@ struct DeviceScene::Impl {
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
     /// List of the surfels that have a gradient. Not used by kernels that keep spherical
-    /// harmonics in shared memory.
-    std::optional<TouchedSurfelList> list;
+    /// harmonics in shared memory, because they copy consecutive surfels.
+    std::optional<TouchedSurfelList> touched_list;
 
+    /// Uploads the tables of a scene and allocates the arrays of its surfels, which stay
+    /// empty. The poses of the instances are not set yet.
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(strip_surfels(scene)),
-          placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
-          models(device, make_models(scene, placements), "model table"),
-          more_rows(device, placements.more, "gradient rows of further instances"),
+          gradient_rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
+          models(device, make_models(scene, gradient_rows), "model table"),
+          more_rows(device, gradient_rows.further_rows, "gradient rows of further instances"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
                      scene.surfels.parameters_used()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", make_constants(stage_harmonics)),
           activate_vjp(device, "scene/activate_vjp", make_constants(stage_harmonics)) {
-        if (!stage_harmonics) list.emplace(device);
+        if (!stage_harmonics) touched_list.emplace(device);
     }
 
     std::uint32_t count_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
@@ -128,19 +137,20 @@ struct DeviceScene::Impl {
         for (std::size_t i = 0; i < instance_poses.size(); ++i) {
             const PoseMotion& motion = instance_poses[i].motion;
             const Pose model_from_world = inverse(instance_poses[i].world_from_model);
-            const glm::mat4 m(to_matrix(model_from_world));
+            const glm::mat4 rows = glm::transpose(glm::mat4(to_matrix(model_from_world)));
             const SurfelModel& model = layout.models[layout.instances[i].model];
-            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x},
-                               {m[0].y, m[1].y, m[2].y, m[3].y},
-                               {m[0].z, m[1].z, m[2].z, m[3].z},
-                               model.first,
-                               instance_poses[i].present ? model.count : 0u,
-                               placements.first_row[i],
-                               motion.is_stationary() ? 0u : 1u,
-                               glm::vec3(model_from_world.rotation * motion.velocity_mps),
-                               static_cast<float>(motion.middle_s),
-                               glm::vec3(model_from_world.rotation * motion.angular_velocity_radps),
-                               static_cast<float>(motion.half_span_s)});
+            entries.push_back(
+                {.row0 = rows[0],
+                 .row1 = rows[1],
+                 .row2 = rows[2],
+                 .first_surfel = model.first,
+                 .n_surfels = instance_poses[i].present ? model.count : 0u,
+                 .first_row = gradient_rows.first_row[i],
+                 .moves = motion.is_stationary() ? 0u : 1u,
+                 .velocity = glm::vec3(model_from_world.rotation * motion.velocity_mps),
+                 .middle_s = static_cast<float>(motion.middle_s),
+                 .turn_rate = glm::vec3(model_from_world.rotation * motion.angular_velocity_radps),
+                 .half_span_s = static_cast<float>(motion.half_span_s)});
         }
         return entries;
     }
@@ -149,7 +159,7 @@ struct DeviceScene::Impl {
     /// @return [models] device array that only the next submission can read
     Address<glm::vec3> upload_origins(Stream& stream, const glm::vec3& view_origin_world_m) const {
         std::vector<glm::vec3> origins;
-        for (const std::int64_t i : placements.first_instance)
+        for (const std::int64_t i : gradient_rows.first_instance)
             origins.push_back(i < 0 ? view_origin_world_m
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
                                                 glm::dvec3(view_origin_world_m)));
@@ -160,14 +170,14 @@ struct DeviceScene::Impl {
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
     Address<float> upload_phases(Stream& stream) const {
         if (!parameters.bends) return {};
-        std::vector<float> all;
+        std::vector<float> phases;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
-            const std::int64_t i = placements.first_instance[m];
-            const double turns = i < 0 ? 0.0 : poses[static_cast<std::size_t>(i)].phase;
-            all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
-                                                           : -1.0f);
+            const std::int64_t i = gradient_rows.first_instance[m];
+            const double strides = i < 0 ? 0.0 : poses[static_cast<std::size_t>(i)].phase;
+            const bool walks = layout.models[m].stride_m > 0.0f;
+            phases.push_back(walks ? static_cast<float>(strides - std::floor(strides)) : -1.0f);
         }
-        return stream.impl().stage_values(all);
+        return stream.impl().stage_values(phases);
     }
 };
 
@@ -215,16 +225,25 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
-bool DeviceScene::can_skip_surfels() const { return impl_->list.has_value(); }
+bool DeviceScene::can_skip_surfels() const { return impl_->touched_list.has_value(); }
 
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
-    // On a CPU, only surfels with a gradient are processed. If the others must be set to
-    // zero, all surfels are processed.
-    const bool listed = gradients.touched_is_marked && can_skip_surfels() && !gradients.zero_untouched;
-    if (listed) impl_->list->compact(stream, gradients.touched->address(), size());
-    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_threads(size()) : size(),
+    // Processes only a list of the surfels with a gradient if the backward pass has
+    // marked them, and if the others need not be set to zero.
+    const bool has_list = can_skip_surfels() && gradients.touched_is_marked && !gradients.zero_untouched;
+    std::size_t n_threads = size();
+    Address<std::uint32_t, shared::TouchedRows> listed_surfels;  // null: all surfels
+    Address<std::uint32_t, shared::TouchedCount> n_listed;
+    if (has_list) {
+        TouchedSurfelList& list = *impl_->touched_list;
+        list.compact(stream, gradients.touched->address(), size());
+        n_threads = list.choose_threads(size());
+        listed_surfels = list.rows_address();
+        n_listed = list.count_address();
+    }
+    run(stream, impl_->activate_vjp, n_threads,
         {.surfels = surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
@@ -233,8 +252,8 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
          .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
          .d_surfels = surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
-         .rows = listed ? impl_->list->rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
-         .n_listed = listed ? impl_->list->count_address() : Address<std::uint32_t, shared::TouchedCount>{},
+         .rows = listed_surfels,
+         .n_listed = n_listed,
          .d_view = address_or_null(gradients.d_view),
          .n_surfels = size(),
          .n_models = impl_->count_models(),
@@ -256,47 +275,47 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     impl_->parameters.n = n;
     // The new surfel ranges change the gradient rows of the instances. The table of rows
     // keeps its size, because the number of instances does not change.
-    impl_->placements = InstanceGradientRows(impl_->layout, n);
-    impl_->models.upload(make_models(impl_->layout, impl_->placements));
-    impl_->more_rows.upload(impl_->placements.more);
+    impl_->gradient_rows = InstanceGradientRows(impl_->layout, n);
+    impl_->models.upload(make_models(impl_->layout, impl_->gradient_rows));
+    impl_->more_rows.upload(impl_->gradient_rows.further_rows);
 }
 
 void DeviceScene::append_model(Device& device, const DeviceScene& added) {
-    Impl& s = *impl_;
+    Impl& own = *impl_;
     const std::uint32_t first = size(), n = first + added.size();
-    if (n > s.parameters.capacity() || n > s.records.size())
+    if (n > own.parameters.capacity() || n > own.records.size())
         reserve_spare(n, [&](std::size_t capacity) { reserve(device, std::uint32_t(capacity)); });
-    // Allocates before it changes the layout, because memory may be exhausted.
-    Scene layout = s.layout;
+    // Allocates before it changes this scene, because memory may be exhausted.
+    Scene layout = own.layout;
     layout.models.push_back(added.layout().models.front());
     layout.models.back().first = first;
     InstanceGradientRows rows(layout, n);
     Array<shared::ModelEntry> models(device, make_models(layout, rows), "model table");
-    Array<std::uint32_t, shared::FurtherRows> more_rows(device, rows.more,
+    Array<std::uint32_t, shared::FurtherRows> more_rows(device, rows.further_rows,
                                                         "gradient rows of further instances");
-    s.parameters.upload_at(first, added.surfel_parameters().download());
-    s.records.upload(added.surfel_records().download(added.size()), first);
-    s.parameters.n = n;
-    s.layout = std::move(layout);
-    s.placements = std::move(rows);
-    s.models = std::move(models);
-    s.more_rows = std::move(more_rows);
+    own.parameters.upload_at(first, added.surfel_parameters().download());
+    own.records.upload(added.surfel_records().download(added.size()), first);
+    own.parameters.n = n;
+    own.layout = std::move(layout);
+    own.gradient_rows = std::move(rows);
+    own.models = std::move(models);
+    own.more_rows = std::move(more_rows);
 }
 
 void DeviceScene::append_instance(Device& device, const ModelInstance& instance) {
-    Impl& s = *impl_;
-    const std::size_t n = s.layout.instances.size() + 1;
-    if (n > s.instances.size())
+    Impl& own = *impl_;
+    const std::size_t n = own.layout.instances.size() + 1;
+    if (n > own.instances.size())
         reserve_spare(n, [&](std::size_t capacity) {
-            s.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
+            own.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
         });
-    s.layout.instances.push_back(instance);
+    own.layout.instances.push_back(instance);
     // The instance stays absent until its pose is set.
-    s.poses.push_back({.present = false});
-    s.placements = InstanceGradientRows(s.layout, size());
-    s.models.upload(make_models(s.layout, s.placements));
-    s.more_rows = {device, s.placements.more, "gradient rows of further instances"};
-    s.instances.upload(s.make_instances(std::vector<InstancePose>(s.poses)));
+    own.poses.push_back({.present = false});
+    own.gradient_rows = InstanceGradientRows(own.layout, size());
+    own.models.upload(make_models(own.layout, own.gradient_rows));
+    own.more_rows = {device, own.gradient_rows.further_rows, "gradient rows of further instances"};
+    own.instances.upload(own.make_instances(std::vector<InstancePose>(own.poses)));
 }
 
 bool DeviceScene::moves_gait(const std::vector<InstancePose>& placed) const {
@@ -319,9 +338,9 @@ float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 PrimitiveType DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
 std::uint32_t DeviceScene::first_gradient_row(std::size_t instance_index) const {
-    return impl_->placements.first_row[instance_index];
+    return impl_->gradient_rows.first_row[instance_index];
 }
-std::uint32_t DeviceScene::count_rows() const { return impl_->placements.n_rows; }
+std::uint32_t DeviceScene::count_rows() const { return impl_->gradient_rows.n_rows; }
 
 struct TouchedSurfelList::Impl {
     Device& device;
@@ -330,25 +349,26 @@ struct TouchedSurfelList::Impl {
     Kernel<shared::ListTouchedParams> kernel;
 };
 
+/// Makes an empty list: compact() allocates its rows.
 TouchedSurfelList::TouchedSurfelList(Device& device)
-    : impl_(new Impl{device,
-                     {},
-                     {device, 1, "number of rows with a gradient"},
-                     {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
+    : impl_(new Impl{
+          .device = device,
+          .rows = {},
+          .count = {device, 1, "number of rows with a gradient"},
+          .kernel = {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedSurfelList::~TouchedSurfelList() = default;
 
 void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched,
                                 std::uint32_t n) {
-    Impl& l = *impl_;
-    if (l.rows.size() < n) {
+    Impl& list = *impl_;
+    if (list.rows.size() < n) {
         stream.submit_and_wait();  // earlier submissions may still use the old array
-        l.rows.reserve(l.device, n, "rows with a gradient");
+        list.rows.reserve(list.device, n, "rows with a gradient");
     }
-    // resets the counter to 0
-    stream.fill(l.count);
+    stream.fill(list.count);  // resets the counter to 0
     // Each thread checks RELIDAR_LIST_STRETCH rows.
-    run(stream, l.kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n});
+    run(stream, list.kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
+        {.touched = touched, .rows = list.rows.address(), .count = list.count.address(), .n_rows = n});
 }
 
 Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::rows_address() const {
@@ -359,8 +379,9 @@ Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::count_address() 
 }
 
 std::size_t TouchedSurfelList::choose_threads(std::size_t max_touched_rows) const {
+    constexpr std::size_t kCpuThreads = 1 << 12, kGpuThreads = 1 << 17;
     const bool is_cpu = !should_coalesce(impl_->device);
-    return std::min(max_touched_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
+    return std::min(max_touched_rows, is_cpu ? kCpuThreads : kGpuThreads);
 }
 
 }  // namespace relidar
