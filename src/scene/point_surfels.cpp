@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the normal, the scales and the initial parameters of each surfel from nearby
-// points (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <unordered_set>
@@ -43,33 +41,41 @@ struct NeighbourPlane {
     bool is_surface = false;
 };
 
-/// Fits a plane to neighbouring points. The normal is the eigenvector of the smallest
-/// eigenvalue. If all points lie on one scan line, the normal is the one that faces the
+/// Fits a plane to neighbouring points. The normal is the axis along which the points
+/// spread least. If all points lie on one scan line, the normal is the one that faces the
 /// sensor most. If the points form no surface, the normal points to the sensor, because
 /// rays of the next scan would miss a surfel that is edge-on.
+/// @param direction unit vector from the sensor to the surface
+/// @param flatness see NeighbourPlane::is_surface
 NeighbourPlane fit_neighbours(const LidarSamples& samples, const Neighbours& neighbours,
                               const glm::dvec3& direction, double flatness) {
+    constexpr double kMaxLineWidth = 0.02;  // variance across a line / variance along it
+    const auto position = [&](std::size_t j) {
+        return Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
+    };
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (const std::size_t j : neighbours)
-        mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
+    for (const std::size_t j : neighbours) mean += position(j);
     mean /= double(neighbours.size());
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
     for (const std::size_t j : neighbours) {
-        const Eigen::Vector3d d =
-            Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z) - mean;
+        const Eigen::Vector3d d = position(j) - mean;
         covariance += d * d.transpose();
     }
+    // The eigenvectors are the axes of the spread, sorted by ascending variance.
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
-    const Eigen::Vector3d& values = solver.eigenvalues();
+    const Eigen::Vector3d& variance = solver.eigenvalues();
     const Eigen::Matrix3d& axes = solver.eigenvectors();
+    const bool is_line = variance[1] < kMaxLineWidth * variance[2];
+    const bool is_single_position = !(variance[2] > 0.0);
+    const bool is_surface = !is_line && variance[0] < flatness * variance[1];
     glm::dvec3 normal(axes(0, 0), axes(1, 0), axes(2, 0));
-    const bool is_line = values[1] < 0.02 * values[2];
-    if (is_line || !(values[2] > 0.0)) {
+    if (is_line && !is_single_position) {
+        // Removes the part of the view direction that is parallel to the line.
         const glm::dvec3 line(axes(0, 2), axes(1, 2), axes(2, 2));
-        normal = -direction + (values[2] > 0.0 ? glm::dot(direction, line) * line : glm::dvec3(0.0));
+        normal = -direction + glm::dot(direction, line) * line;
+    } else if (!is_surface) {
+        normal = -direction;
     }
-    const bool is_surface = !is_line && values[0] < flatness * values[1];
-    if (!is_line && !is_surface) normal = -direction;
     const double length = glm::length(normal);
     return {
         {mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -direction, is_line, is_surface};
@@ -91,37 +97,50 @@ struct ScanLineGap {
     bool is_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
-/// Measures the distance from a point to the next scan line on each side.
-/// @param neighbours indices of points on the surface, sorted by distance; the first is
-/// the point itself
-ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbours, const glm::dvec3& normal) {
+/// Returns the unit vector in a surface that is perpendicular to the scan line through a
+/// point. Averages the directions to the nearest points, which lie on the scan line.
+/// Doubles their angles, because opposite directions mean the same line.
+/// @param neighbours sorted by distance; the first is the point itself
+glm::dvec3 find_across_line(const LidarSamples& samples, const Neighbours& neighbours,
+                            const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
+    const glm::dvec3 point(samples[neighbours[0]].position);
+    // axes of the surface, in which angles are measured from x
+    const glm::dvec3 x = perpendicular_at(normal, 0.0), y = glm::cross(normal, x);
+    double cosine_sum = 0.0, sine_sum = 0.0;  // of the doubled angles
+    for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
+        const glm::dvec3 offset = glm::dvec3(samples[neighbours[j]].position) - point;
+        const double u = glm::dot(offset, x), v = glm::dot(offset, y),
+                     length2 = std::max(u * u + v * v, 1e-12);
+        // cos 2a = cos^2 a - sin^2 a, sin 2a = 2 sin a cos a
+        cosine_sum += (u * u - v * v) / length2;
+        sine_sum += 2.0 * u * v / length2;
+    }
+    const double line_angle_rad = 0.5 * std::atan2(sine_sum, cosine_sum);
+    return perpendicular_at(normal, line_angle_rad + 0.5 * kPi);
+}
+
+/// Measures the distance from a point to the next scan line on each side: to the nearest
+/// point in the plane of the surface that lies across the scan line.
+/// @param neighbours sorted by distance; the first is the point itself
+ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbours, const glm::dvec3& normal) {
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
     // neighbour on the next scan line.
     constexpr double kMinAcrossCosine = 0.7071;
     // Maximum distance of a neighbour from the surface plane: kMaxSlope * distance +
     // kMaxPlaneNoise_m.
     constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
-    const glm::dvec3 point(samples[neighbours[0]].position), x = perpendicular_at(normal, 0.0),
-                                                             y = glm::cross(normal, x);
-    // Averages the directions to the nearest points, which lie on the same scan line.
-    // Doubles each angle, because opposite directions mean the same line.
-    double even = 0.0, odd = 0.0;
-    for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
-        const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
-        even += (u * u - v * v) / length2;
-        odd += 2.0 * u * v / length2;
-    }
-    ScanLineGap gap{perpendicular_at(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
+    const glm::dvec3 point(samples[neighbours[0]].position);
+    ScanLineGap gap{find_across_line(samples, neighbours, normal)};
     for (std::size_t j = 1; j < neighbours.size() && gap.is_line_missing(); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
-        const double length = glm::length(d), across = glm::dot(d, gap.across);
-        double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
-        if (on_side == 0.0 && std::abs(across) > kMinAcrossCosine * length &&
-            std::abs(glm::dot(d, normal)) < kMaxSlope * length + kMaxPlaneNoise_m)
-            on_side = length;
+        const glm::dvec3 offset = glm::dvec3(samples[neighbours[j]].position) - point;
+        const double length = glm::length(offset), across = glm::dot(offset, gap.across);
+        const bool is_on_next_line = std::abs(across) > kMinAcrossCosine * length;
+        const bool is_on_surface = std::abs(glm::dot(offset, normal)) < kMaxSlope * length + kMaxPlaneNoise_m;
+        // The neighbours are sorted, so the first one on each side is the nearest.
+        double& side_m = across > 0.0 ? gap.right_m : gap.left_m;
+        if (side_m == 0.0 && is_on_next_line && is_on_surface) side_m = length;
     }
     return gap;
 }
@@ -129,15 +148,18 @@ ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbour
 /// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
 /// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
+/// @param sh output: [0] coefficient of degree 0, [1..3] coefficients of degree 1, whose
+/// functions are -y, z and -x
 /// @param normal zero if unknown; then the intensity is the same from all directions
+/// @param incidence q, the strength of the dependence on the angle
 void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazingCosine = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
-    const glm::dvec3 n = facing < 0.0 ? -normal : normal;
+    const glm::dvec3 n = facing < 0.0 ? -normal : normal;  // towards the sensor
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) /
                           (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazingCosine)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // dependence on the components x, y, z of d
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
@@ -145,11 +167,12 @@ void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& norma
 }
 
 /// Returns the indices of the `n` nearest samples, sorted by distance.
-Neighbours find_nearest(const Tree& tree, const LidarSample& sample, std::size_t n, std::vector<float>& d2) {
-    Neighbours samples(n);
-    d2.resize(n);
-    samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), d2.data()));
-    return samples;
+Neighbours find_nearest(const Tree& tree, const LidarSample& sample, std::size_t n,
+                        std::vector<float>& distance2) {
+    Neighbours nearest(n);
+    distance2.resize(n);
+    nearest.resize(tree.knnSearch(&sample.position.x, n, nearest.data(), distance2.data()));
+    return nearest;
 }
 
 /// Plane in which a new surfel lies, and the distances to the scan lines beside it.
@@ -161,23 +184,26 @@ struct SurfelPlacement {
 /// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses
 /// more samples if all lie on one scan line, because the plane could rotate about this
 /// line, or if there is no sample on the left or right scan line.
+/// @param nearest indices of the nearest samples, sorted by distance
 SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, std::size_t sample,
                                  Neighbours nearest, const InitOptions& options) {
     constexpr int kMaxWidenings = 2;  // maximum number of repeated searches with more neighbours
     SurfelPlacement placement{fit_neighbours(samples, nearest, samples[sample].view, options.flatness), {}};
-    if (options.max_gap_m <= 0.0) return placement;
+    if (options.max_gap_m <= 0.0) return placement;  // gaps are not filled
     const auto widen = [&] {
         std::vector<float> distance2;
-        nearest =
-            find_nearest(tree, samples[sample], std::min(4 * nearest.size(), samples.size()), distance2);
+        const std::size_t n = std::min(4 * nearest.size(), samples.size());
+        nearest = find_nearest(tree, samples[sample], n, distance2);
     };
+    // Finds the plane of samples on one line from samples on other lines.
     const bool is_line = placement.plane.is_line;
     for (int k = 0; is_line && !placement.plane.is_surface && k < kMaxWidenings; ++k) {
         widen();
         const NeighbourPlane wider = fit_neighbours(samples, nearest, samples[sample].view, options.flatness);
-        // The position of the wider plane is too coarse. The new plane passes through the
-        // sample.
-        if (wider.is_surface) placement.plane = {samples[sample].position, wider.normal, true, true};
+        if (!wider.is_surface) continue;
+        placement.plane = wider;
+        placement.plane.is_line = true;
+        placement.plane.point = samples[sample].position;  // the mean of many samples is too coarse
     }
     if (!placement.plane.is_surface) return placement;
     placement.gap = measure_gap(samples, nearest, placement.plane.normal);
@@ -187,51 +213,70 @@ SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, 
     return placement;
 }
 
+/// Sets the rotation and the two scales of a surfel. It is a disk whose size follows from
+/// the spacing of the samples. If a wide gap between scan lines is next to it, the disk
+/// becomes longer across the lines to fill this gap.
+/// @param x first axis of a disk, perpendicular to the normal
+void set_rotation_and_scales(Surfels& surfels, std::size_t surfel, const SurfelPlacement& placement,
+                             glm::dvec3 x, double spacing_m, const InitOptions& options) {
+    const double gap_m = std::max(placement.gap.left_m, placement.gap.right_m),
+                 disk_m = std::min(spacing_m * options.scale_factor, options.max_scale_m);
+    const bool fills_gap =
+        !placement.gap.is_line_missing() && gap_m > kMinGapRatio * spacing_m && gap_m < options.max_gap_m;
+    if (fills_gap) x = placement.gap.across;
+    const glm::dvec3& normal = placement.plane.normal;
+    const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
+    surfels.rotation[surfel] = {float(q.w), float(q.x), float(q.y), float(q.z)};
+    const double length_m = fills_gap ? gap_m * options.scale_factor : disk_m;
+    const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
+    surfels.log_scale[surfel] = {log_scale(length_m), log_scale(disk_m)};
+}
+
 /// Computes all parameters of a surfel from its sample and the nearby samples.
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
-    const std::size_t k =
+    const std::size_t n_searched =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
-    Neighbours nearest = find_nearest(tree, samples[surfel], k, distance2);
+    Neighbours nearest = find_nearest(tree, samples[surfel], n_searched, distance2);
     // The mean distance to the three nearest other samples determines the scale.
+    const std::size_t n_others = std::min<std::size_t>(nearest.size() - 1, kScaleNeighbours);
     double distance_sum_m = 0.0;
-    std::size_t n_others = 0;
-    for (std::size_t j = 1; j < nearest.size() && n_others < kScaleNeighbours; ++j, ++n_others)
-        distance_sum_m += std::sqrt(distance2[j]);
-    const double spacing = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
+    for (std::size_t j = 1; j <= n_others; ++j) distance_sum_m += std::sqrt(distance2[j]);
+    const double spacing_m = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
+    // Without a known surface, the normal is random. Draws in the order z, y, x, because
+    // another order would change the surfels of a seed.
     Random random(hash_pair(options.seed, surfel));
-    nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
-    // Draws in the order z, y, x. Another order would change the surfels of a seed.
     glm::dvec3 random_direction;
     for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_normal();
     SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
+    nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
     if (options.normals && nearest.size() >= 3)
         placement = estimate_surface(tree, samples, surfel, std::move(nearest), options);
+    // Moves the centre onto the plane, unless every sample counts as a surface.
     const NeighbourPlane& plane = placement.plane;
     surfels.mean[surfel] = samples[surfel].position;
     if (options.flatness < 1.0 && plane.is_surface)
         surfels.mean[surfel] -= glm::vec3(
             glm::dot(glm::dvec3(samples[surfel].position) - plane.point, plane.normal) * plane.normal);
-    glm::dvec3 x = perpendicular_at(plane.normal, random.sample_uniform(0.0, 2.0 * kPi));
-    const double width = std::max(placement.gap.left_m, placement.gap.right_m),
-                 round = std::min(spacing * options.scale_factor, options.max_scale_m);
-    // A wide gap between scan lines is filled: the surfel becomes longer across the
-    // lines.
-    const bool reaches =
-        !placement.gap.is_line_missing() && width > kMinGapRatio * spacing && width < options.max_gap_m;
-    if (reaches) x = placement.gap.across;
-    const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(plane.normal, x), plane.normal));
-    surfels.rotation[surfel] = {float(q.w), float(q.x), float(q.y), float(q.z)};
-    const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
-    surfels.log_scale[surfel] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
+    const glm::dvec3 x = perpendicular_at(plane.normal, random.sample_uniform(0.0, 2.0 * kPi));
+    set_rotation_and_scales(surfels, surfel, placement, x, spacing_m, options);
     surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
-    float* sh = surfels.sh.data() + surfel * kShFloats;
+    float* sh = surfels.sh.data() + surfel * kShFloats;  // channels: intensity, hit logit, drop logit
     set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
     sh[2 * kShCoefficients] = (static_cast<float>(drop_logit) - 0.5f) / kSh0;
+}
+
+/// Returns a key of the voxel that contains a point of an actor: 10 bits per axis, with
+/// the centre of the box at 512. 1024 voxels are longer than any actor.
+std::uint64_t thinning_voxel_key(const glm::vec3& point_m) {
+    constexpr double kThinningVoxel_m = 0.06;  // the jitter of labelled boxes blurs smaller details
+    const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(point_m) / kThinningVoxel_m)) + 512;
+    return std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
+           std::uint64_t(cell.z & 1023);
 }
 
 }  // namespace
@@ -242,7 +287,7 @@ Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, do
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
-    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
+    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);  // set_surfel() sets only degrees 0 and 1
     progress_blocks(samples.size(), progress, "estimating normals", [&](std::size_t index) {
         set_surfel(surfels, index, samples, tree, options, incidence);
     });
@@ -251,33 +296,27 @@ Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, do
     return surfels.reorder(sorted);
 }
 
-LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleIndices* kept) {
-    // Edge length of a voxel. The jitter of labelled boxes blurs smaller details.
-    constexpr double kThinningVoxel_m = 0.06;
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count, SampleIndices* selected) {
     std::unordered_set<std::uint64_t> occupied_voxels;
-    SampleIndices first;
-    for (std::size_t i = 0; i < samples.size(); ++i) {
-        // Key of the voxel with 10 bits per axis; the box centre is at 512.
-        const glm::ivec3 cell =
-            glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kThinningVoxel_m)) + 512;
-        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
-                                  std::uint64_t(cell.z & 1023);
-        if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
-    }
-    if (first.size() > most) {
-        // A random subset that depends only on positions, not on the sample order.
-        const auto order = [&](std::uint32_t index) {
+    SampleIndices first_in_voxel;
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        if (occupied_voxels.insert(thinning_voxel_key(samples[i].position)).second)
+            first_in_voxel.push_back(static_cast<std::uint32_t>(i));
+    if (first_in_voxel.size() > max_count) {
+        // Keeps a random subset that depends only on positions, not on the sample order.
+        const auto random_order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
                              std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
-        std::sort(first.begin(), first.end(),
-                  [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });
-        first.resize(most);
+        std::sort(first_in_voxel.begin(), first_in_voxel.end(), [&](std::uint32_t left, std::uint32_t right) {
+            return random_order(left) < random_order(right);
+        });
+        first_in_voxel.resize(max_count);
     }
     LidarSamples thin;
-    for (const std::uint32_t i : first) thin.push_back(samples[i]);
-    if (kept) *kept = std::move(first);
+    for (const std::uint32_t i : first_in_voxel) thin.push_back(samples[i]);
+    if (selected) *selected = std::move(first_in_voxel);
     return thin;
 }
 

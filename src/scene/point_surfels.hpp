@@ -42,10 +42,11 @@ void for_each_return(const Log& log, const Frame& frame, bool second_returns, co
 Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, double incidence,
                      const Progress& progress = {}, SampleIndices* order = nullptr);
 
-/// Returns the first sample of each voxel of an actor, at most `most`. The samples
+/// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
 /// of a voxel are not averaged: labels jitter, so averages would shrink the actor.
 /// @param selected output: indices of the returned samples
-LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleIndices* selected = nullptr);
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
+                          SampleIndices* selected = nullptr);
 
 struct DeformingActorSurfels {
     Surfels surfels;
