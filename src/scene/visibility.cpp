@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides whether the frames of a log observe a return or empty space at a point. Looks
-// up the point in the range images of the frames.
 #include "scene/visibility.hpp"
 
 #include <numeric>
@@ -28,10 +26,10 @@ constexpr double kGroundTile_m = 8.0;
 // Maximum distance between a sensor and the tiles for which its frame is used. Farther
 // away, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// Farther frames are used up to this multiple of the smallest such distance of all
-// frames, so that distant tiles have frames.
-constexpr double kHardlyFarther = 1.25;
-constexpr std::size_t kMostViews = 64;
+// Farther frames are used up to this multiple of the distance of the nearest frame, so
+// that distant tiles have frames too.
+constexpr double kMaxDistanceRatio = 1.25;
+constexpr std::size_t kMostViews = 64;  // per tile
 
 double elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
@@ -57,19 +55,20 @@ std::vector<double> row_elevations_rad(const RayTable& rays) {
     return rows;
 }
 
-/// Returns the number of columns per turn, a little narrower than the spacing of the
-/// rays.
+/// Returns the number of columns of a grid per turn. A column is a little narrower than
+/// the azimuth between neighbouring rays (kCellsPerRay), which is measured in the middle
+/// row of the scan.
 int choose_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
+    const std::size_t first_of_middle_row = std::size_t(rays.rows / 2) * std::size_t(rays.columns);
     const auto azimuth = [&](int column) {
-        const glm::vec3 d =
-            rays.direction[std::size_t(rays.rows / 2) * std::size_t(rays.columns) + std::size_t(column)];
+        const glm::vec3 d = rays.direction[first_of_middle_row + std::size_t(column)];
         return std::atan2(double(d.y), double(d.x));
     };
-    double turned = 0.0;
+    double covered_rad = 0.0;  // azimuth between the first and the last ray of the row
     for (int c = 1; c < rays.columns; ++c)
-        turned += std::abs(std::remainder(azimuth(c) - azimuth(c - 1), 2.0 * kPi));
-    const double columns = kCellsPerRay * 2.0 * kPi * (rays.columns - 1) / std::max(turned, 1e-9);
+        covered_rad += std::abs(std::remainder(azimuth(c) - azimuth(c - 1), 2.0 * kPi));
+    const double columns = kCellsPerRay * 2.0 * kPi * (rays.columns - 1) / std::max(covered_rad, 1e-9);
     return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
 
@@ -80,16 +79,18 @@ glm::dvec3 tile_centre(const glm::dvec3& point_m) {
 
 }  // namespace
 
+/// Derives the rows and the columns of the grid from the rays of a scan.
 BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
     columns_ = choose_columns(scan.rays);
-    const std::vector<double> elevations = row_elevations_rad(scan.rays);
     // Joins beams that are closer than this to one row, because some scans have hundreds.
-    const double least_height = (elevations.front() - elevations.back()) / kMostRows;
+    const std::vector<double> elevations = row_elevations_rad(scan.rays);  // descending
+    const double min_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
-        // e < *first: a group is never empty, even if all elevations are equal.
+        // A row ends before the first beam that is clearly lower. `e < *first`: a row is
+        // never empty, even if all elevations are equal.
         const auto end = std::find_if(first, elevations.end(),
-                                      [&](double e) { return *first - e >= least_height && e < *first; });
+                                      [&](double e) { return *first - e >= min_height && e < *first; });
         row_rad_.push_back(std::accumulate(first, end, 0.0) / double(end - first));
         first = end;
     }
@@ -105,14 +106,14 @@ std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3&
     // The rows descend, so this is the first row below the point.
     cell.row_below = static_cast<int>(
         std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
-    // Rows outside the grid are never the nearest.
-    const auto off = [&](int row) {
+    const int row_above = cell.row_below - 1;
+    const auto angle_to_row = [&](int row) {  // rows outside the grid are never the nearest
         return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation);
     };
-    cell.row = off(cell.row_below) < off(cell.row_below - 1) ? cell.row_below : cell.row_below - 1;
+    cell.row = angle_to_row(cell.row_below) < angle_to_row(row_above) ? cell.row_below : row_above;
     // Column 0 is at azimuth pi. The azimuth decreases with the column.
-    cell.column = static_cast<int>(
-        std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
+    const double turn = (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0;  // 0 to 1
+    cell.column = static_cast<int>(std::lround(turn * columns_) % columns_);
     return cell;
 }
 
@@ -121,37 +122,44 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const glm::vec3 point = scan.return_point(ray);
-        const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
-        if (!at) continue;
-        float& here = nearest[cell_index(at->row, at->column)];
+        const std::optional<BeamGridCell> cell = find_grid_cell(glm::dvec3(point));
+        if (!cell) continue;
+        float& nearest_m = nearest[cell_index(cell->row, cell->column)];
         // From the sensor's origin, because rays can start elsewhere.
-        const float range = glm::length(point);
-        here = here > 0.0f ? std::min(here, range) : range;
+        const float range_m = glm::length(point);
+        nearest_m = nearest_m > 0.0f ? std::min(nearest_m, range_m) : range_m;
     }
     return nearest;
 }
 
 VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& positions)
     : sequence_(log), positions_(positions) {
-    // The grid of a LiDAR without a frame in `positions` stays empty and is never read.
+    // The first frame of a LiDAR defines its grid. A grid without a frame is never read.
     grids_.resize(log.lidars.size());
-    std::vector<char> has_grid(grids_.size());
+    std::vector<bool> has_grid(grids_.size());
     for (const int position : positions) {
         const Frame& frame = log.frames[std::size_t(position)];
         const std::size_t lidar = std::size_t(frame.lidar);
-        if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
-        views_.push_back({frame.time_s, frame.lidar, {}, {}});
+        if (!has_grid[lidar]) grids_[lidar] = BeamGrid(frame.scan);
+        has_grid[lidar] = true;
+        views_.push_back(
+            {.time_s = frame.time_s, .lidar = frame.lidar, .sensor_from_world = {}, .range_m = {}});
     }
     select_frames();
 }
 
+/// Notes all views of the tile below a point whose images do not exist yet.
 void VisibilityChecker::request_images(const glm::dvec3& point_m) {
-    const auto tile = tiles_.find(grid_key(tile_centre(point_m), kGroundTile_m));
-    if (tile == tiles_.end() || std::exchange(tile->second.is_requested, true)) return;
-    for (const std::uint32_t view : tile->second.views)
+    const auto entry = tiles_.find(grid_key(tile_centre(point_m), kGroundTile_m));
+    if (entry == tiles_.end() || entry->second.is_requested) return;
+    GroundTile& tile = entry->second;
+    tile.is_requested = true;
+    for (const std::uint32_t view : tile.views)
         if (views_[view].sensor_from_world.empty()) requested_views_.push_back(view);
 }
 
+/// Creates the images that request_images() has noted, each once, because tiles share
+/// views.
 void VisibilityChecker::make_requested() {
     std::sort(requested_views_.begin(), requested_views_.end());
     requested_views_.erase(std::unique(requested_views_.begin(), requested_views_.end()),
@@ -170,9 +178,10 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
     const int n_sectors = sequence_.rolling_shutter ? kAzimuthSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.mounted_pose_at(
-            facing_time_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0}, timing_of(frame)),
-            mounted)));
+        const glm::dvec3 middle_of_sector(std::cos(azimuth), std::sin(azimuth), 0.0);
+        const double time_s = facing_time_s(sequence_, middle_of_sector, timing_of(frame));
+        view.sensor_from_world.push_back(
+            inverse(sequence_.world_from_vehicle.mounted_pose_at(time_s, mounted)));
     }
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
@@ -180,27 +189,33 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
 /// Selects the frames for each tile of the ground: the near ones, at most kMostViews,
 /// evenly spaced in time.
 void VisibilityChecker::select_frames() {
-    using ImageDistance = std::pair<double, std::uint32_t>;  // metres, view
-    std::unordered_map<std::uint64_t, std::vector<ImageDistance>> all;
+    // Lists for each tile the views whose sensors are within their maximum range.
+    struct ViewInRange {
+        std::uint32_t view;
+        double distance_m;
+    };
+    std::unordered_map<std::uint64_t, std::vector<ViewInRange>> in_range_of_tile;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
-        const double farthest = lidar.sensor.max_range_m + kGroundTile_m;
+        const double farthest_m = lidar.sensor.max_range_m + kGroundTile_m;
         glm::dvec3 sensor =
             sequence_.world_from_vehicle.mounted_pose_at(views_[v].time_s, lidar.vehicle_from_sensor)
                 .translation;
         sensor.z = 0.0;
-        for (double dx = -farthest; dx <= farthest; dx += kGroundTile_m)
-            for (double dy = -farthest; dy <= farthest; dy += kGroundTile_m) {
+        for (double dx = -farthest_m; dx <= farthest_m; dx += kGroundTile_m)
+            for (double dy = -farthest_m; dy <= farthest_m; dy += kGroundTile_m) {
                 const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
-                if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    all[grid_key(tile, kGroundTile_m)].push_back({distance, v});
+                const double distance_m = glm::distance(tile, sensor);
+                if (distance_m >= farthest_m) continue;
+                in_range_of_tile[grid_key(tile, kGroundTile_m)].push_back({v, distance_m});
             }
     }
-    for (const auto& [key, seen] : all) {
-        const double nearest = std::ranges::min_element(seen)->first;
+    for (const auto& [key, in_range] : in_range_of_tile) {
+        const double nearest_m = std::ranges::min(in_range, {}, &ViewInRange::distance_m).distance_m,
+                     max_distance_m = std::max(kMaxTileDistance_m, kMaxDistanceRatio * nearest_m);
         std::vector<std::uint32_t>& views = tiles_[key].views;
-        for (const auto& [distance_m, view] : seen)
-            if (distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest)) views.push_back(view);
+        for (const ViewInRange& candidate : in_range)
+            if (candidate.distance_m <= max_distance_m) views.push_back(candidate.view);
         if (views.size() <= kMostViews) continue;
         for (std::size_t k = 0; k < kMostViews; ++k) views[k] = views[k * views.size() / kMostViews];
         views.resize(kMostViews);
@@ -221,17 +236,21 @@ VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const Visibi
     // middle of the sweep is accurate enough to find the sector.
     const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
-    const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
+    const Pose& sensor_from_world = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))];
+    const glm::dvec3 in_sensor_m = sensor_from_world * point_m;
     NeighbourRanges result;
     const BeamGrid& grid = grids_[std::size_t(view.lidar)];
-    const std::optional<BeamGrid::BeamGridCell> at = grid.find_grid_cell(p);
-    if (!at || at->is_beyond) return result;
-    result.range_m = glm::length(p);
-    for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
-        for (int c = at->column - 1; c <= at->column + 1; ++c)
-            if (const float value = view.range_m[grid.cell_index(r, (c + grid.columns()) % grid.columns())];
-                value > 0.0f)
-                result.returned_m[result.n++] = value;
+    const std::optional<BeamGrid::BeamGridCell> cell = grid.find_grid_cell(in_sensor_m);
+    if (!cell || cell->is_beyond) return result;
+    result.range_m = glm::length(in_sensor_m);
+    const int first_row = std::max(cell->row_below - 1, 0),
+              last_row = std::min(cell->row_below, grid.rows() - 1);
+    for (int row = first_row; row <= last_row; ++row)
+        for (int offset = -1; offset <= 1; ++offset) {
+            const int column = (cell->column + offset + grid.columns()) % grid.columns();
+            const float range_m = view.range_m[grid.cell_index(row, column)];
+            if (range_m > 0.0f) result.returned_m[result.n++] = range_m;
+        }
     return result;
 }
 
@@ -243,8 +262,8 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
     // All returns around the point are clearly behind it, so the space is empty.
     if (*nearest > range + kMinBehindMargins * margin) return PointVisibility::empty;
-    return range > *nearest - margin && range < *farthest + margin ? PointVisibility::occupied
-                                                                   : PointVisibility::unknown;
+    const bool is_among_returns = range > *nearest - margin && range < *farthest + margin;
+    return is_among_returns ? PointVisibility::occupied : PointVisibility::unknown;
 }
 
 bool VisibilityChecker::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double within_m) const {
