@@ -41,30 +41,44 @@ struct GroundPose {
                glm::dvec3(0.0, 0.0, local_point_m.z);
     }
 };
-using GroundPath = std::vector<GroundPose>;
+using GroundPath = std::vector<GroundPose>;  ///< [observations of a track]
 
 double yaw_of(const Pose& pose) {
     const glm::dvec3 forward = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(forward.y, forward.x);
 }
 
-/// Returns the positions on a path with their headings: at the times of the observations,
-/// or at the reference times of their frames.
-GroundPath compute_ground_poses(const KinematicPath& path, const MoverTrack& track, bool at_frames = false) {
-    std::vector<glm::dvec3> positions;
-    for (std::size_t k = 0; k < path.size(); ++k)
-        positions.push_back(at_frames ? path[k].position_after(track.observations[k].frame_time_s -
-                                                               track.observations[k].cluster.time_s)
-                                      : path[k].position_m);
-    const std::vector<double> yaw = path_headings_rad(positions);
-    GroundPath placed;
-    for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({positions[k], yaw[k]});
-    return placed;
+/// Returns the ground poses of an object that drives along these positions.
+GroundPath add_headings(const std::vector<glm::dvec3>& positions_m) {
+    const std::vector<double> yaw = path_headings_rad(positions_m);
+    GroundPath poses;
+    for (std::size_t k = 0; k < positions_m.size(); ++k) poses.push_back({positions_m[k], yaw[k]});
+    return poses;
 }
 
+/// Returns the ground poses at the times when the LiDAR hit the object.
+GroundPath poses_at_returns(const KinematicPath& path) {
+    std::vector<glm::dvec3> positions_m;
+    for (const KinematicState& state : path) positions_m.push_back(state.position_m);
+    return add_headings(positions_m);
+}
+
+/// Returns the ground poses at the reference times of the frames, to which scans refer.
+GroundPath poses_at_frames(const KinematicPath& path, const MoverTrack& track) {
+    std::vector<glm::dvec3> positions_m;
+    for (std::size_t k = 0; k < path.size(); ++k) {
+        const MoverObservation& observation = track.observations[k];
+        positions_m.push_back(path[k].position_after(observation.frame_time_s - observation.cluster.time_s));
+    }
+    return add_headings(positions_m);
+}
+
+struct Extent {
+    double low_m, high_m;
+};
 /// Returns the interval that the points of an observation cover along an axis, without
 /// the outermost 0.5 % of the points at each end.
-std::pair<double, double> extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
+Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
     std::vector<double> values;
     for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
     std::sort(values.begin(), values.end());
@@ -72,27 +86,28 @@ std::pair<double, double> extent_along(const MoverCluster& cluster, const glm::d
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Returns the position of an object's centre along an axis, for each observation. The
-/// visible end faces the sensor. The centre is half the object's size behind this end.
+/// Returns the position of an object's centre along an axis, for each observation. Only
+/// the end that faces the sensor is reliably visible. The centre is half the object's
+/// size behind this end.
+/// @param axes [observations] axis of the object, world frame
 /// @param size_m size along the axis; if empty, the 90th percentile of the visible sizes
 std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
                                   std::optional<double> size_m) {
-    std::vector<std::pair<double, double>> extents;
+    std::vector<Extent> extents;
     std::vector<double> lengths, centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
         extents.push_back(extent_along(track.observations[k].cluster, axes[k]));
-        lengths.push_back(extents[k].second - extents[k].first);
+        lengths.push_back(extents[k].high_m - extents[k].low_m);
     }
     std::sort(lengths.begin(), lengths.end());
     const double half_size_m = 0.5 * size_m.value_or(lengths[lengths.size() * 9 / 10]);
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = extents[k];
+        const Extent& extent = extents[k];
         const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
-        double centre = 0.5 * (low + high);
-        // The near end is reliable. If the sensor is beside the object, both ends are
-        // visible.
-        if (sensor > high) centre = high - half_size_m;
-        else if (sensor < low) centre = low + half_size_m;
+        // If the sensor is beside the object, both ends are visible.
+        double centre = 0.5 * (extent.low_m + extent.high_m);
+        if (sensor > extent.high_m) centre = extent.high_m - half_size_m;
+        else if (sensor < extent.low_m) centre = extent.low_m + half_size_m;
         centres.push_back(centre);
     }
     return centres;
@@ -103,13 +118,13 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
 std::vector<double> top_heights_m(const MoverTrack& track) {
     std::vector<double> tops_m, result;
     for (const MoverObservation& o : track.observations)
-        tops_m.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).second);
+        tops_m.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high_m);
     for (const MoverObservation& o : track.observations) {
-        double top = -1e30;
+        double highest_m = -1e30;
         for (std::size_t j = 0; j < tops_m.size(); ++j)
             if (std::abs(track.observations[j].cluster.time_s - o.cluster.time_s) < kTopWindow_s)
-                top = std::max(top, tops_m[j]);
-        result.push_back(top);
+                highest_m = std::max(highest_m, tops_m[j]);
+        result.push_back(highest_m);
     }
     return result;
 }
@@ -119,35 +134,36 @@ std::vector<double> top_heights_m(const MoverTrack& track) {
 /// @param size_m length and width; if empty, the visible size is used
 std::vector<glm::dvec3> place_object(const MoverTrack& track, const GroundPath& poses,
                                      std::optional<glm::dvec2> size_m = {}) {
-    std::vector<glm::dvec3> along, across, positions_m;
+    std::vector<glm::dvec3> forward, lateral, positions_m;
     for (const GroundPose& p : poses) {
-        along.push_back(p.forward_axis());
-        across.push_back(p.lateral_axis());
+        forward.push_back(p.forward_axis());
+        lateral.push_back(p.lateral_axis());
     }
-    const auto size_of = [&](int axis) { return size_m ? std::optional((*size_m)[axis]) : std::nullopt; };
-    const std::vector<double> x = centres_along(track, along, size_of(0)),
-                              y = centres_along(track, across, size_of(1));
+    const auto size_along = [&](int axis) { return size_m ? std::optional((*size_m)[axis]) : std::nullopt; };
+    const std::vector<double> along = centres_along(track, forward, size_along(0)),
+                              across = centres_along(track, lateral, size_along(1));
     const std::vector<double> top = top_heights_m(track);
     for (std::size_t k = 0; k < poses.size(); ++k)
-        positions_m.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
+        positions_m.push_back(along[k] * forward[k] + across[k] * lateral[k] + glm::dvec3(0.0, 0.0, top[k]));
     return positions_m;
 }
 
 /// Returns the low and high corner of the box around all returns of a track, in the frame
 /// of the object. Ignores the outermost 1 % of the points at each end, and adds a margin.
 std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track, const GroundPath& poses) {
-    std::vector<double> along[3];
+    std::vector<double> coordinates[3];  // by axis of the object
     for (std::size_t k = 0; k < track.observations.size(); ++k)
         for (const glm::dvec3& p : track.observations[k].cluster.points_m) {
             const glm::dvec3 local = poses[k].to_object(p);
-            for (int axis = 0; axis < 3; ++axis) along[axis].push_back(local[axis]);
+            for (int axis = 0; axis < 3; ++axis) coordinates[axis].push_back(local[axis]);
         }
     glm::dvec3 low, high;
     for (int axis = 0; axis < 3; ++axis) {
-        std::sort(along[axis].begin(), along[axis].end());
-        const std::size_t cut = along[axis].size() / 100;
-        low[axis] = along[axis][cut] - kBoxMargin_m;
-        high[axis] = along[axis][along[axis].size() - 1 - cut] + kBoxMargin_m;
+        std::vector<double>& sorted = coordinates[axis];
+        std::sort(sorted.begin(), sorted.end());
+        const std::size_t n_outliers = sorted.size() / 100;
+        low[axis] = sorted[n_outliers] - kBoxMargin_m;
+        high[axis] = sorted[sorted.size() - 1 - n_outliers] + kBoxMargin_m;
     }
     low.z -= kBoxGround_m;
     return {low, high};
@@ -161,7 +177,7 @@ struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;
     /// Minimum length and width if all sides of the object are visible.
-    double least_length_m, least_width_m;
+    double min_length_m, min_width_m;
 };
 constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
@@ -171,52 +187,67 @@ constexpr double kMinTruckHeight_m = 2.5;  // objects taller than this are truck
 // Maximum width and minimum height of an object that counts as a cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
-/// Returns the side of a box on which the sensor was in more than three quarters of the
-/// observations, along one axis: -1 or 1. Returns 0 if no side has so many observations.
-double facing_side(const BoxTrack& box, const MoverTrack& track, int axis) {
-    std::ptrdiff_t low = 0, high = 0;
-    for (std::size_t k = 0; k < track.observations.size(); ++k) {
-        const double at = (inverse(box.world_from_box.pose[k]) * track.observations[k].sensor_m)[axis];
-        low += at<-0.5 * box.size_m[axis] - kMinSideDistance_m, high += at> 0.5 * box.size_m[axis] +
-               kMinSideDistance_m;
-    }
-    const auto most = std::ptrdiff_t(track.observations.size() * 3 / 4);
-    if (low > most) return -1.0;
-    return high > most ? 1.0 : 0.0;
+const TypicalObjectSize& guess_object_kind(const glm::dvec3& size_m) {
+    if (size_m.x < kCar.min_length_m && size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m)
+        return kCyclist;
+    return size_m.z > kMinTruckHeight_m ? kTruck : kCar;
 }
 
-/// Returns the median pose of a labelled box in the frame of the visible points.
-/// @param indices indices of the labelled observations to use
-GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& indices,
-                         const GroundPath& poses, const std::vector<glm::dvec3>& positions_m,
-                         const BoxTrack& label) {
-    std::vector<double> values[4];
-    for (const std::size_t k : indices) {
-        const Pose pose = label.world_from_box.pose_at(track.observations[k].cluster.time_s);
-        const glm::dvec3 local = GroundPose{positions_m[k], poses[k].yaw}.to_object(pose.translation);
-        for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
-        values[3].push_back(std::remainder(yaw_of(pose) - poses[k].yaw, 2.0 * kPi));
+/// Returns the side of a box on which the sensor was in more than three quarters of the
+/// observations, along one axis of the box: -1 or 1. Returns 0 if no side has so many
+/// observations.
+double facing_side(const BoxTrack& box, const MoverTrack& track, int axis) {
+    const double min_distance_m = 0.5 * box.size_m[axis] + kMinSideDistance_m;  // from the box centre
+    std::size_t n_negative = 0, n_positive = 0;
+    for (std::size_t k = 0; k < track.observations.size(); ++k) {
+        const glm::dvec3 sensor_in_box = inverse(box.world_from_box.pose[k]) * track.observations[k].sensor_m;
+        if (sensor_in_box[axis] < -min_distance_m) ++n_negative;
+        if (sensor_in_box[axis] > min_distance_m) ++n_positive;
     }
-    return {{compute_median(values[0]), compute_median(values[1]), compute_median(values[2])},
-            compute_median(values[3])};
+    const std::size_t three_quarters = track.observations.size() * 3 / 4;
+    if (n_negative > three_quarters) return -1.0;
+    return n_positive > three_quarters ? 1.0 : 0.0;
+}
+
+/// Returns the median pose of a labelled box relative to the position and heading that
+/// the visible points give.
+/// @param observations indices of the labelled observations to use
+/// @param placed [observations of the track] position and heading from the visible points
+GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& observations,
+                         const GroundPath& placed, const BoxTrack& label) {
+    std::vector<double> x, y, z, yaw;
+    for (const std::size_t k : observations) {
+        const Pose world_from_box = label.world_from_box.pose_at(track.observations[k].cluster.time_s);
+        const glm::dvec3 offset_m = placed[k].to_object(world_from_box.translation);
+        x.push_back(offset_m.x);
+        y.push_back(offset_m.y);
+        z.push_back(offset_m.z);
+        yaw.push_back(std::remainder(yaw_of(world_from_box) - placed[k].yaw, 2.0 * kPi));
+    }
+    return {{compute_median(x), compute_median(y), compute_median(z)}, compute_median(yaw)};
+}
+
+std::vector<glm::dvec3> cluster_centres_m(const MoverTrack& track) {
+    std::vector<glm::dvec3> centres_m;
+    for (const MoverObservation& o : track.observations) centres_m.push_back(o.cluster.centre_m);
+    return centres_m;
 }
 
 }  // namespace
 
 BoxTrack fit_box(const MoverTrack& track) {
+    // The first path follows the means of the returns. Each round replaces them by
+    // estimated object positions.
     const std::vector<double> times = track.times_s();
-    std::vector<glm::dvec3> positions_m;
-    for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
-    KinematicPath path = smooth_path(times, positions_m);
-    // Each round replaces the means of the returns by estimated object positions.
+    KinematicPath path = smooth_path(times, cluster_centres_m(track));
     for (int round = 0; round < kPathCorrections; ++round)
-        path = smooth_path(times, place_object(track, compute_ground_poses(path, track)));
-    const auto [low, high] = bounding_corners(track, compute_ground_poses(path, track));
-    // true: at the reference times of the frames, not at the times of the returns
-    const GroundPath at_frames = compute_ground_poses(path, track, true);
+        path = smooth_path(times, place_object(track, poses_at_returns(path)));
+
+    const auto [low, high] = bounding_corners(track, poses_at_returns(path));
     BoxTrack box;
     box.category = kDiscoveredCategory;
     box.size_m = high - low;
+    const GroundPath at_frames = poses_at_frames(path, track);
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         box.world_from_box.time_s.push_back(track.observations[k].frame_time_s);
         box.world_from_box.pose.push_back(
@@ -229,69 +260,68 @@ void enlarge_box(BoxTrack& box, const MoverTrack& track) {
     const std::vector<double> speeds = speeds_mps(box);
     // Slow objects keep their size, because they can be pedestrians.
     if (speeds.empty() || compute_median(speeds) < kMinCarSpeed_mps) return;
-    const bool cyclist =
-        box.size_m.y < kCyclistWidth_m && box.size_m.z > kCyclistTop_m && box.size_m.x < kCar.least_length_m;
-    const TypicalObjectSize* kind = box.size_m.z > kMinTruckHeight_m ? &kTruck : &kCar;
-    if (cyclist) kind = &kCyclist;
-    // An object keeps its size if it is both too short and too narrow for its `kind`.
-    if (box.size_m.x < kind->least_length_m && box.size_m.y < kind->least_width_m) return;
-    glm::dvec3 grown = box.size_m, shift(0.0);
-    if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;
-    if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
-    if (grown == box.size_m) return;
+    const TypicalObjectSize& kind = guess_object_kind(box.size_m);
+    const bool is_short = box.size_m.x < kind.min_length_m, is_narrow = box.size_m.y < kind.min_width_m;
+    // An object that is both too short and too narrow is of another kind.
+    if (is_short == is_narrow) return;
+    glm::dvec3 grown = box.size_m;
+    if (is_short) grown.x = kind.length_m;
+    if (is_narrow) grown.y = kind.width_m;
+    // The visible side stays where it is, so the box grows away from the sensor.
+    glm::dvec3 shift(0.0);
     for (int axis = 0; axis < 2; ++axis)
-        // The visible side stays where it was measured, so the box grows away from the
-        // sensor.
         shift[axis] = -0.5 * facing_side(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
-    box.size_guess = kind->name;
+    box.size_guess = kind.name;
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
 }
 
 BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
     const std::vector<double> times = track.times_s();
-    std::vector<std::size_t> labels;  // indices of the labelled observations
+    std::vector<std::size_t> labelled;  // indices of the labelled observations
     for (std::size_t k = 0; k < track.observations.size(); ++k)
-        if (is_labelled(track.observations[k])) labels.push_back(k);
-    const auto n_per_end = std::ptrdiff_t(std::min(kLabelsPerEnd, labels.size()));
-    const std::vector<std::size_t> first_labels(labels.begin(), labels.begin() + n_per_end),
-        last_labels(labels.end() - n_per_end, labels.end());
-    const auto is_before = [&](std::size_t index) { return index < first_labels.front(); };
-    std::vector<glm::dvec3> positions_m;
-    for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
-    KinematicPath path = smooth_path(times, positions_m);
-    GroundPose before, after;
+        if (is_labelled(track.observations[k])) labelled.push_back(k);
+    const auto n_per_end = std::ptrdiff_t(std::min(kLabelsPerEnd, labelled.size()));
+    const std::vector<std::size_t> first_labels(labelled.begin(), labelled.begin() + n_per_end),
+        last_labels(labelled.end() - n_per_end, labelled.end());
+    const auto is_before_labels = [&](std::size_t k) { return k < labelled.front(); };
+    KinematicPath path = smooth_path(times, cluster_centres_m(track));
+    GroundPose before, after;  // offset of the box from the visible points, at the first and last labels
     for (int round = 0; round < kPathCorrections; ++round) {
-        const GroundPath ground_poses = compute_ground_poses(path, track);
-        positions_m = place_object(track, ground_poses, glm::dvec2(label.size_m));
-        // The labels at both ends define how the box lies relative to the visible points.
-        before = median_offset(track, first_labels, ground_poses, positions_m, label);
-        after = median_offset(track, last_labels, ground_poses, positions_m, label);
-        for (std::size_t k = 0; k < positions_m.size(); ++k)
+        // Places the object by its visible points, with the headings of the last path.
+        GroundPath placed = poses_at_returns(path);
+        std::vector<glm::dvec3> positions_m = place_object(track, placed, glm::dvec2(label.size_m));
+        for (std::size_t k = 0; k < placed.size(); ++k) placed[k].position_m = positions_m[k];
+        before = median_offset(track, first_labels, placed, label);
+        after = median_offset(track, last_labels, placed, label);
+        // The path joins the labels and, outside them, the shifted visible points.
+        for (std::size_t k = 0; k < positions_m.size(); ++k) {
+            const GroundPose& offset = is_before_labels(k) ? before : after;
             positions_m[k] = is_labelled(track.observations[k])
                                  ? label.world_from_box.pose_at(times[k]).translation
-                                 : GroundPose{positions_m[k], ground_poses[k].yaw}.to_world(
-                                       (is_before(k) ? before : after).position_m);
+                                 : placed[k].to_world(offset.position_m);
+        }
         path = smooth_path(times, positions_m);
     }
-    const GroundPath at_frames = compute_ground_poses(path, track, true);
-    BoxTrack box = label;
-    PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
+
+    const GroundPath at_frames = poses_at_frames(path, track);
+    PoseTrack earlier, later;
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         if (is_labelled(track.observations[k])) continue;
-        PoseTrack& side = poses[is_before(k) ? 0 : 1];
+        const bool is_before = is_before_labels(k);
+        const double yaw = at_frames[k].yaw + (is_before ? before : after).yaw;
+        PoseTrack& side = is_before ? earlier : later;
         side.time_s.push_back(track.observations[k].frame_time_s);
-        side.pose.push_back(
-            {GroundPose{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.orientation(),
-             at_frames[k].position_m});
+        side.pose.push_back({GroundPose{{}, yaw}.orientation(), at_frames[k].position_m});
     }
-    box.n_before = poses[0].pose.size();
-    box.n_after = poses[1].pose.size();
+    BoxTrack box = label;
+    box.n_before = earlier.pose.size();
+    box.n_after = later.pose.size();
     PoseTrack& all = box.world_from_box;
-    all.time_s.insert(all.time_s.begin(), poses[0].time_s.begin(), poses[0].time_s.end());
-    all.pose.insert(all.pose.begin(), poses[0].pose.begin(), poses[0].pose.end());
-    all.time_s.insert(all.time_s.end(), poses[1].time_s.begin(), poses[1].time_s.end());
-    all.pose.insert(all.pose.end(), poses[1].pose.begin(), poses[1].pose.end());
+    all.time_s.insert(all.time_s.begin(), earlier.time_s.begin(), earlier.time_s.end());
+    all.pose.insert(all.pose.begin(), earlier.pose.begin(), earlier.pose.end());
+    all.time_s.insert(all.time_s.end(), later.time_s.begin(), later.time_s.end());
+    all.pose.insert(all.pose.end(), later.pose.begin(), later.pose.end());
     return box;
 }
 
