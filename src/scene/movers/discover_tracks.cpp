@@ -73,9 +73,8 @@ MotionEvidence weigh_point(const VisibilityChecker& checker, const glm::dvec3& p
     const std::vector<double>& times = box.world_from_box.time_s;
     MotionEvidence evidence;
     for (const std::uint32_t view : checker.find_views_near(point_m)) {
-        if (box.contains_point(point_m, std::clamp(checker.view_time_s(view), times.front(), times.back()),
-                               kTrackedBoxMargin_m))
-            continue;
+        const double box_time_s = std::clamp(checker.view_time_s(view), times.front(), times.back());
+        if (box.contains_point(point_m, box_time_s, kTrackedBoxMargin_m)) continue;
         if (checker.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
         else if (checker.classify_point(view, point_m) == PointVisibility::empty) ++evidence.n_empty_frames;
     }
@@ -90,14 +89,14 @@ TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& c
     for (const glm::dvec3& p : cluster.points_m) {
         const MotionEvidence evidence = weigh_point(view, p, box);
         sum.frame_evidence += evidence;
-        sum.n_decided_returns += evidence.is_observed();
-        sum.n_moved_returns += evidence.is_moving();
+        if (evidence.is_observed()) ++sum.n_decided_returns;
+        if (evidence.is_moving()) ++sum.n_moved_returns;
         if (!evidence.is_static()) remaining_m.push_back(p);
     }
     sum.n_returns = cluster.points_m.size();
     // One cluster is the observation of one frame.
     sum.n_frames = 1;
-    sum.n_moved_frames = sum.frame_evidence.is_moving();
+    sum.n_moved_frames = sum.frame_evidence.is_moving() ? 1 : 0;
     cluster.points_m = std::move(remaining_m);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());
@@ -162,21 +161,21 @@ std::optional<BoxTrack> fit_moved_box(const VisibilityChecker& visibility, Mover
 /// each of the two parts only if other frames prove that the object moved in it.
 std::optional<BoxTrack> extend_box(const VisibilityChecker& view, MoverTrack& track, const BoxTrack& label) {
     const BoxTrack box = extend_in_time(track, label);
-    const double first_s = label.world_from_box.time_s.front();
-    TrackMotionEvidence before, after;
+    TrackMotionEvidence before, after;  // of the observations before and after the labels
+    const auto evidence_of = [&](const MoverObservation& observation) -> TrackMotionEvidence& {
+        return observation.frame_time_s < label.world_from_box.time_s.front() ? before : after;
+    };
     for (MoverObservation& o : track.observations)
-        if (!is_labelled(o))
-            (o.frame_time_s < first_s ? before : after) += remove_static(view, o.cluster, box);
-    std::erase_if(track.observations, [&](const MoverObservation& observation) {
-        return !is_labelled(observation) &&
-               (observation.cluster.points_m.size() < kMinMoverPoints ||
-                !(observation.frame_time_s < first_s ? before : after).is_moving());
+        if (!is_labelled(o)) evidence_of(o) += remove_static(view, o.cluster, box);
+    std::erase_if(track.observations, [&](const MoverObservation& o) {
+        if (is_labelled(o)) return false;
+        return o.cluster.points_m.size() < kMinMoverPoints || !evidence_of(o).is_moving();
     });
     if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
-    return extend_in_time(track, label);
+    return extend_in_time(track, label);  // again, without the removed returns
 }
 
-/// Fixed-size data of a box, for the exchange between processes.
+/// Fixed-size data of a box, for the exchange between processes. Poses are separate.
 struct BoxRecord {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
@@ -184,43 +183,43 @@ struct BoxRecord {
     std::array<char, 16> size_guess;
 };
 
-/// Collects the boxes from all processes. A labelled track has the id and class of its
+/// Collects the boxes of all processes. A labelled track has the id and class of its
 /// label.
-std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const MoverTracks& tracks,
-                                   const std::vector<std::optional<BoxTrack>>& found, std::size_t first_track,
-                                   const Log& log) {
-    std::vector<BoxRecord> heads;
+/// @param boxes [tracks of this process] no value if the object did not move
+std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const MoverTrack> tracks,
+                                   const std::vector<std::optional<BoxTrack>>& boxes, const Log& log) {
+    std::vector<BoxRecord> records;
     std::vector<double> times_s;
     std::vector<Pose> poses;
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        if (!found[i]) continue;
-        const BoxTrack& box = *found[i];
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        if (!boxes[i]) continue;
+        const BoxTrack& box = *boxes[i];
         const PoseTrack& track = box.world_from_box;
-        BoxRecord& head = heads.emplace_back(BoxRecord{
-            box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[first_track + i].label, {}});
-        std::strncpy(head.size_guess.data(), box.size_guess.c_str(), head.size_guess.size() - 1);
+        BoxRecord& record = records.emplace_back(
+            BoxRecord{box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[i].label, {}});
+        std::strncpy(record.size_guess.data(), box.size_guess.c_str(), record.size_guess.size() - 1);
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
     }
-    heads = group.gather(std::move(heads));
+    records = group.gather(std::move(records));
     times_s = group.gather(std::move(times_s));
     poses = group.gather(std::move(poses));
-    std::vector<BoxTrack> boxes;
-    std::ptrdiff_t at = 0;
-    for (const BoxRecord& head : heads) {
-        const std::ptrdiff_t end = at + std::ptrdiff_t(head.n_poses);
-        const BoxTrack* label = head.label == kNoLabel ? nullptr : &log.boxes[std::size_t(head.label)];
-        boxes.push_back(
-            {label ? label->id : "",
-             label ? label->category : kDiscoveredCategory,
-             head.size_m,
-             {{times_s.begin() + at, times_s.begin() + end}, {poses.begin() + at, poses.begin() + end}},
-             head.size_guess.data(),
-             head.n_before,
-             head.n_after});
-        at = end;
+    std::vector<BoxTrack> all;
+    std::ptrdiff_t first = 0;  // pose of the next box in the gathered arrays
+    for (const BoxRecord& record : records) {
+        const std::ptrdiff_t end = first + std::ptrdiff_t(record.n_poses);
+        const BoxTrack* label = record.label == kNoLabel ? nullptr : &log.boxes[std::size_t(record.label)];
+        all.push_back({.id = label ? label->id : "",
+                       .category = label ? label->category : kDiscoveredCategory,
+                       .size_m = record.size_m,
+                       .world_from_box = {{times_s.begin() + first, times_s.begin() + end},
+                                          {poses.begin() + first, poses.begin() + end}},
+                       .size_guess = record.size_guess.data(),
+                       .n_before = record.n_before,
+                       .n_after = record.n_after});
+        first = end;
     }
-    return boxes;
+    return all;
 }
 
 /// Returns the boxes of all objects that are proven to have moved. Each process of the
@@ -228,17 +227,17 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const MoverTracks&
 std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& tracks, const Log& log,
                                       const Progress& progress, const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.part_range(tracks.size());
-    for (std::size_t i = share.begin; i < share.end; ++i)
-        for (const MoverObservation& o : tracks[i].observations) view.make_images(o.cluster.points_m);
-    std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
-    progress_for(proven_boxes.size(), progress, "computing the paths of moving objects",
-                 [&](std::size_t index) {
-                     MoverTrack& track = tracks[share.begin + index];
-                     proven_boxes[index] = track.label == kNoLabel
-                                               ? fit_moved_box(view, track)
-                                               : extend_box(view, track, log.boxes[std::size_t(track.label)]);
-                 });
-    return gather_boxes(group, tracks, proven_boxes, share.begin, log);
+    const std::span<MoverTrack> local_tracks =
+        std::span(tracks).subspan(share.begin, share.end - share.begin);
+    for (const MoverTrack& track : local_tracks)
+        for (const MoverObservation& o : track.observations) view.make_images(o.cluster.points_m);
+    std::vector<std::optional<BoxTrack>> boxes(local_tracks.size());
+    progress_for(boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t i) {
+        MoverTrack& track = local_tracks[i];
+        boxes[i] = track.label == kNoLabel ? fit_moved_box(view, track)
+                                           : extend_box(view, track, log.boxes[std::size_t(track.label)]);
+    });
+    return gather_boxes(group, local_tracks, boxes, log);
 }
 
 /// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
@@ -246,15 +245,16 @@ std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& trac
 bool is_same_object(const BoxTrack& inner, const BoxTrack& outer) {
     const double margin =
         std::max(outer.size_m.x, outer.size_m.y) < kMinVehicleLength_m ? kPersonMargin_m : kVehicleMargin_m;
-    std::size_t inside = 0;
-    for (std::size_t i = 0; i < inner.world_from_box.time_s.size(); ++i) {
-        const double t_s = inner.world_from_box.time_s[i];
-        inside += outer.is_observed(t_s) &&
-                  outer.contains_point(inner.world_from_box.pose[i].translation, t_s, margin);
-    }
-    return 2 * inside > inner.world_from_box.time_s.size();
+    const PoseTrack& track = inner.world_from_box;
+    std::size_t n_inside = 0;
+    for (std::size_t i = 0; i < track.time_s.size(); ++i)
+        if (outer.is_observed(track.time_s[i]) &&
+            outer.contains_point(track.pose[i].translation, track.time_s[i], margin))
+            ++n_inside;
+    return 2 * n_inside > track.time_s.size();
 }
 
+/// Only boxes of labelled objects have an id until discover_tracks() names the others.
 bool has_label(const BoxTrack& box) { return !box.id.empty(); }
 
 /// Keeps one box of each object. Prefers a box with the id of a labelled object, then the
@@ -299,15 +299,16 @@ std::vector<BoxTrack> discover_in_lidar(int lidar, const Log& log, std::vector<i
 /// has more than 1.5 times as many observations.
 void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
-        const auto is_same = [&](const BoxTrack& b) {
-            return has_label(b) && has_label(other) ? b.id == other.id
-                                                    : is_same_object(other, b) || is_same_object(b, other);
+        const auto is_same = [&](const BoxTrack& box) {
+            if (has_label(box) && has_label(other)) return box.id == other.id;
+            return is_same_object(other, box) || is_same_object(box, other);
         };
-        const auto stays = [&](const BoxTrack& b) {
-            if (has_label(b) != has_label(other)) return has_label(b);
-            return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
+        const auto is_better = [&](const BoxTrack& box) {
+            if (has_label(box) != has_label(other)) return has_label(box);
+            return 2 * other.world_from_box.time_s.size() <= 3 * box.world_from_box.time_s.size();
         };
-        if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
+        const auto is_same_and_better = [&](const BoxTrack& box) { return is_same(box) && is_better(box); };
+        if (std::ranges::any_of(boxes, is_same_and_better)) continue;
         std::erase_if(boxes, is_same);
         boxes.push_back(std::move(other));
     }
@@ -322,10 +323,11 @@ std::vector<BoxTrack> discover_tracks(const Log& log, const std::vector<int>& fr
     // same time.
     for (int lidar = 0; lidar < int(log.lidars.size()); ++lidar)
         merge_boxes(boxes, discover_in_lidar(lidar, log, frames, progress, group));
+    // Objects without a label come first and get a name.
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !has_label(box); });
-    int n = 0;
+    int n_named = 0;
     for (BoxTrack& box : boxes)
-        if (!has_label(box)) box.id = fmt::format("mover-{}", n++);
+        if (!has_label(box)) box.id = fmt::format("mover-{}", n_named++);
     return boxes;
 }
 

@@ -32,9 +32,9 @@ constexpr double kGroundBelow_m = 0.05;
 // leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of consecutive frames in a group. Cells at the border between two groups
-// are computed twice.
-constexpr std::size_t kFramesPerGroup = 200;
+// Minimum number of consecutive frames in a section. Cells at the border between two
+// sections are computed twice.
+constexpr std::size_t kFramesPerSection = 200;
 
 /// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe
 /// the cell. It becomes part of an object only if it is next to a `moved` cell.
@@ -43,7 +43,7 @@ enum class CellMotionState : char { rests, rarely_observed, moved };
 struct MoverReturn {
     glm::vec3 point_m;
     double time_s;
-    std::uint32_t cell;
+    std::uint32_t cell;  ///< index of the grid cell, see assign_cells()
     CellMotionState motion = CellMotionState::rests;
 };
 
@@ -100,8 +100,8 @@ FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
         });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, CellMotionState::rests});
-            // The margin would contain points of the ground.
         } else if (in->label != kNoLabel && in->box.contains_point(w.point_m, w.time_s, 0.0)) {
+            // Without the margin of the box, which would contain points of the ground.
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
             cluster.time_s += w.time_s;
@@ -114,22 +114,23 @@ FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
     return result;
 }
 
-/// Assigns each return to a cell of a world grid.
+/// Sets the cell of each return in a world grid. The occupied cells are numbered from 0.
 /// @return [cells] mean position of the returns in each cell
 std::vector<glm::vec3> assign_cells(std::vector<FrameMoverReturns>& frames) {
     std::vector<MoverReturn*> all;
     for (FrameMoverReturns& frame : frames)
         for (MoverReturn& r : frame.others) all.push_back(&r);
-    const ItemCellIndices numbers = number_cells(all.size(), [&](std::size_t index) {
+    const ItemCellIndices cells = number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index]->point_m), kEvidenceCell_m);
     });
-    const CellItemLists items(numbers);
-    parallel_blocks(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
-    std::vector<glm::vec3> means(items.size());
-    parallel_blocks(items.size(), [&](std::size_t cell) {
+    parallel_blocks(all.size(), [&](std::size_t index) { all[index]->cell = cells.of[index]; });
+    const CellItemLists returns_by_cell(cells);
+    std::vector<glm::vec3> means(returns_by_cell.size());
+    parallel_blocks(means.size(), [&](std::size_t cell) {
+        const auto& returns = returns_by_cell.items_of(cell);
         glm::dvec3 sum(0.0);
-        for (const std::uint32_t i : items.items_of(cell)) sum += glm::dvec3(all[i]->point_m);
-        means[cell] = glm::vec3(sum / double(items.items_of(cell).size()));
+        for (const std::uint32_t i : returns) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(returns.size()));
     });
     return means;
 }
@@ -139,68 +140,93 @@ std::vector<glm::vec3> assign_cells(std::vector<FrameMoverReturns>& frames) {
 /// it. Uses the part with the most heights, and adds a margin.
 std::pair<double, double> find_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
-    std::size_t best = 0, n_best = 0;
-    for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
-        for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;)
-            ++end;
+    std::size_t best_first = 0, n_best = 0, first = 0;  // parts: index of the lowest height, size
+    for (std::size_t end = 1; end <= heights_m.size(); ++end) {
+        const bool is_end = end == heights_m.size() || heights_m[end] - heights_m[end - 1] >= kGapAbove_m;
+        if (!is_end) continue;
         if (end - first > n_best) {
-            best = first;
+            best_first = first;
             n_best = end - first;
         }
+        first = end;
     }
-    return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
+    return {heights_m[best_first] - kGroundBelow_m, heights_m[best_first + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups returns that are close to each other in the view from above. A return whose
-/// motion is unknown joins a group only if it is next to a moved return.
-std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& returns) {
-    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
+/// Groups returns that are close to each other in the view from above. A group contains
+/// all moved returns that a chain of neighbours connects, and the returns with unknown
+/// motion next to them.
+/// @return [groups] indices of the returns
+std::vector<std::vector<std::uint32_t>> group_returns(const std::vector<MoverReturn>& returns) {
     const auto square_of = [](const glm::dvec3& point) {
         return grid_key({point.x, point.y, 0.0}, kClusterSquare_m);
     };
+    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;  // returns of each square
     for (std::uint32_t i = 0; i < returns.size(); ++i)
         squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
+    std::vector<std::vector<std::uint32_t>> groups;
     std::vector<char> is_grouped(returns.size(), 0);
-    std::vector<MoverCluster> clusters;
     for (std::uint32_t start = 0; start < returns.size(); ++start) {
         if (is_grouped[start] || returns[start].motion != CellMotionState::moved) continue;
-        MoverCluster cluster;
-        std::vector<std::uint32_t> open{start}, members;
-        std::vector<double> moved_at_m;
+        std::vector<std::uint32_t>& group = groups.emplace_back();
+        std::vector<std::uint32_t> open{start};  // members whose neighbours are not added yet
         is_grouped[start] = 1;
         while (!open.empty()) {
-            members.push_back(open.back());
-            const MoverReturn& here = returns[open.back()];
-            const glm::dvec3 p(here.point_m);
+            const std::uint32_t member = open.back();
             open.pop_back();
-            if (here.motion != CellMotionState::moved) continue;
-            moved_at_m.push_back(p.z);
+            group.push_back(member);
+            if (returns[member].motion != CellMotionState::moved) continue;
+            const glm::dvec3 p(returns[member].point_m);
             for (int dx = -kReach_squares; dx <= kReach_squares; ++dx)
                 for (int dy = -kReach_squares; dy <= kReach_squares; ++dy) {
                     const auto square =
                         squares.find(square_of(p + kClusterSquare_m * glm::dvec3(dx, dy, 0.0)));
                     if (square == squares.end()) continue;
-                    for (const std::uint32_t j : square->second)
-                        if (!std::exchange(is_grouped[j], 1)) open.push_back(j);
-                    square->second.clear();  // all returns of this square have been added
+                    for (const std::uint32_t i : square->second) {
+                        if (!is_grouped[i]) open.push_back(i);
+                        is_grouped[i] = 1;
+                    }
+                    square->second.clear();
                 }
         }
-        const auto [bottom_m, top_m] = find_height_range(std::move(moved_at_m));
-        glm::dvec3 low(1e30), high(-1e30);
-        double n_moved = 0.0;
-        for (const std::uint32_t member : members) {
-            const glm::dvec3 p(returns[member].point_m);
-            if (p.z < bottom_m || p.z > top_m) continue;
-            n_moved += returns[member].motion == CellMotionState::moved;
-            cluster.time_s += returns[member].time_s;
-            cluster.points_m.push_back(p);
-            cluster.centre_m += p;
-            low = glm::min(low, p);
-            high = glm::max(high, p);
-        }
-        if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
-            glm::length(glm::dvec2(high - low)) < kMaxLength_m)
-            clusters.push_back(mean_of_sums(std::move(cluster)));
+    }
+    return groups;
+}
+
+/// Makes a cluster of a group of returns. Leaves out returns below and above the object.
+/// @return nothing if too few of the other returns moved, or if they are too far apart
+std::optional<MoverCluster> make_cluster(const std::vector<MoverReturn>& returns,
+                                         const std::vector<std::uint32_t>& group) {
+    std::vector<double> moved_heights_m;
+    for (const std::uint32_t i : group)
+        if (returns[i].motion == CellMotionState::moved)
+            moved_heights_m.push_back(double(returns[i].point_m.z));
+    const auto [bottom_m, top_m] = find_height_range(std::move(moved_heights_m));
+    MoverCluster sums;
+    glm::dvec3 low(1e30), high(-1e30);
+    double n_moved = 0.0;
+    for (const std::uint32_t i : group) {
+        const glm::dvec3 p(returns[i].point_m);
+        if (p.z < bottom_m || p.z > top_m) continue;
+        if (returns[i].motion == CellMotionState::moved) ++n_moved;
+        sums.time_s += returns[i].time_s;
+        sums.points_m.push_back(p);
+        sums.centre_m += p;
+        low = glm::min(low, p);
+        high = glm::max(high, p);
+    }
+    if (n_moved < kMinPoints || n_moved < kMovedShare * double(sums.points_m.size()) ||
+        glm::length(glm::dvec2(high - low)) >= kMaxLength_m)
+        return std::nullopt;
+    return mean_of_sums(std::move(sums));
+}
+
+/// Returns the clusters of the moved returns of one frame.
+std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& returns) {
+    std::vector<MoverCluster> clusters;
+    for (const std::vector<std::uint32_t>& group : group_returns(returns)) {
+        std::optional<MoverCluster> cluster = make_cluster(returns, group);
+        if (cluster) clusters.push_back(std::move(*cluster));
     }
     return clusters;
 }
@@ -210,17 +236,18 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
 ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, VisibilityChecker& view) {
     std::vector<FrameMoverReturns> frames(indices.size());
     parallel_for(static_cast<int>(indices.size()), [&](int index) {
-        frames[std::size_t(index)] =
-            split_by_boxes(log, log.frames[std::size_t(indices[std::size_t(index)])]);
+        const auto position = std::size_t(indices[std::size_t(index)]);
+        frames[std::size_t(index)] = split_by_boxes(log, log.frames[position]);
     });
-    const std::vector<glm::vec3> cells = assign_cells(frames);
-    view.make_images(cells);
-    std::vector<CellMotionState> motion(cells.size());
-    parallel_blocks(cells.size(), [&](std::size_t index) {
-        const VisibilityChecker::VisibilityVotes votes = view.count_votes(cells[index]);
-        if (votes.is_empty_space(kMinEmptyShare)) motion[index] = CellMotionState::moved;
-        else if (votes.n_occupied <= kTooFewFrames) motion[index] = CellMotionState::rarely_observed;
-        else motion[index] = CellMotionState::rests;
+    // All frames vote whether the returns of a cell moved.
+    const std::vector<glm::vec3> cell_points = assign_cells(frames);
+    view.make_images(cell_points);
+    std::vector<CellMotionState> motion(cell_points.size());
+    parallel_blocks(motion.size(), [&](std::size_t cell) {
+        const VisibilityChecker::VisibilityVotes votes = view.count_votes(cell_points[cell]);
+        if (votes.is_empty_space(kMinEmptyShare)) motion[cell] = CellMotionState::moved;
+        else if (votes.n_occupied <= kTooFewFrames) motion[cell] = CellMotionState::rarely_observed;
+        else motion[cell] = CellMotionState::rests;
     });
     ClustersByFrame clusters(frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
@@ -233,6 +260,7 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
     return clusters;
 }
 
+/// Collects the clusters of consecutive sections of frames from all processes of a group.
 ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;
     struct ClusterRecord {
@@ -280,18 +308,19 @@ void MoverCluster::merge_cluster(const MoverCluster& other) {
 
 ClustersByFrame find_clusters(const Log& log, const std::vector<int>& frames, VisibilityChecker& view,
                               const Progress& progress, const ProcessGroup& group) {
-    // The borders of the stretches do not depend on the number of processes.
-    const std::size_t n_stretches = std::max<std::size_t>(1, frames.size() / kFramesPerGroup);
-    const auto first_of = [&](std::size_t stretch) { return frames.size() * stretch / n_stretches; };
-    const ProcessGroup::PartRange share = group.part_range(n_stretches);
+    // The sections, and so the results, do not depend on the number of processes.
+    const std::size_t n_sections = std::max<std::size_t>(1, frames.size() / kFramesPerSection);
+    const auto begin_of = [&](std::size_t section) { return frames.size() * section / n_sections; };
+    const ProcessGroup::PartRange local_sections = group.part_range(n_sections);
     ClustersByFrame clusters;
-    for (std::size_t s = share.begin; s < share.end; ++s) {
-        if (progress)
-            progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
-        const std::span<const int> stretch =
-            std::span(frames).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        ClustersByFrame section = cluster_frames(log, stretch, view);
-        std::move(section.begin(), section.end(), std::back_inserter(clusters));
+    for (std::size_t s = local_sections.begin; s < local_sections.end; ++s) {
+        const auto n_done = double(s - local_sections.begin),
+                   n_local = double(local_sections.end - local_sections.begin);
+        if (progress) progress("finding moving objects", n_done / n_local);
+        const std::span<const int> section(frames.begin() + std::ptrdiff_t(begin_of(s)),
+                                           frames.begin() + std::ptrdiff_t(begin_of(s + 1)));
+        ClustersByFrame of_section = cluster_frames(log, section, view);
+        std::ranges::move(of_section, std::back_inserter(clusters));
     }
     return gather_clusters(group, clusters);
 }

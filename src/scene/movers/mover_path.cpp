@@ -47,36 +47,37 @@ glm::dmat3 process_noise(double dt_s) {
 KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m,
                            const std::vector<double>& weights) {
     const std::size_t n = times_s.size();
-    std::vector<KalmanState> filtered(n), before(n);
+    std::vector<KalmanState> predicted(n), filtered(n);  // before and after each observed position
     // The initial velocity and acceleration are unknown, so their variances are large.
-    before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
-    for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
+    predicted[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
+    for (int axis = 0; axis < 3; ++axis) predicted[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
         // Predicts the state at this time from the previous state.
         if (k > 0) {
             const KalmanState& previous = filtered[k - 1];
             const double dt_s = times_s[k] - times_s[k - 1];
             const glm::dmat3 f = transition(dt_s);
-            before[k] = {f * previous.state,
-                         f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
+            predicted[k] = {f * previous.state,
+                            f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
         }
-        filtered[k] = before[k];
+        filtered[k] = predicted[k];
         // Updates the prediction with the observed position. A low weight acts like more
         // noise.
-        const glm::dvec3 column = before[k].covariance[0];
+        const glm::dvec3 column = predicted[k].covariance[0];
         const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
         for (int axis = 0; axis < 3; ++axis)
-            filtered[k].state[axis] += gain * (positions_m[k][axis] - before[k].state[axis][0]);
+            filtered[k].state[axis] += gain * (positions_m[k][axis] - predicted[k].state[axis][0]);
         filtered[k].covariance -= glm::outerProduct(gain, column);
     }
+    // The smoother corrects each state by what the later positions tell about it.
     KinematicPath path(n);
     glm::dmat3 state = filtered[n - 1].state;
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
             const glm::dmat3 back = filtered[k].covariance *
                                     glm::transpose(transition(times_s[k + 1] - times_s[k])) *
-                                    glm::inverse(before[k + 1].covariance);
-            state = filtered[k].state + back * (state - before[k + 1].state);
+                                    glm::inverse(predicted[k + 1].covariance);
+            state = filtered[k].state + back * (state - predicted[k + 1].state);
         }
         const glm::dmat3 rows = glm::transpose(state);
         path[k] = {rows[0], rows[1], rows[2]};
@@ -85,7 +86,8 @@ KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector
 }
 
 /// Returns the first point of the path at the distance kHeadingChord_m from one of its
-/// positions, or the end of the path.
+/// positions, or the end of the path. Interpolates between the positions.
+/// @param index_step 1 to search forward, -1 to search backward
 glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t start_index, int index_step) {
     const glm::dvec2 here(path_m[start_index]);
     glm::dvec2 last = here;
@@ -110,8 +112,9 @@ KinematicPath smooth_path(const std::vector<double>& times_s, const std::vector<
     for (int round = 0; round < kPathRounds; ++round) {
         path = run_smoother(times_s, positions_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
-            const double off = glm::length(glm::dvec2(positions_m[k] - path[k].position_m)) / kFarFromPath_m;
-            weights[k] = 1.0 / (1.0 + off * off);
+            const double d_m = glm::length(glm::dvec2(positions_m[k] - path[k].position_m));
+            const double relative = d_m / kFarFromPath_m;
+            weights[k] = 1.0 / (1.0 + relative * relative);
         }
     }
     return path;

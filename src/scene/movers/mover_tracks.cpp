@@ -1,11 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters to tracks by their predicted positions. Joins tracks of the same object,
-// either at the same time or one after the other.
 #include "scene/movers/mover_tracks.hpp"
 
 #include <iterator>
-#include <numeric>
-#include <tuple>
 
 namespace relidar {
 namespace {
@@ -40,8 +36,13 @@ constexpr double kMaxPartDistance_m = 1.5;  // maximum distance between the part
 // varies with the visible side.
 constexpr double kMaxOffsetSigma_m = 0.5;
 
-// How badly two things match, and the indices of both. Sorted from the best match.
-using Match = std::tuple<double, std::size_t, std::size_t>;
+/// Indices of two things that can belong together. The order puts the best match first.
+struct Match {
+    double cost;  ///< 0 (perfect) to 1 (just possible)
+    std::size_t first, second;
+    auto operator<=>(const Match&) const = default;
+};
+constexpr double kNoMatch = 2.0;  // cost of things that cannot belong together
 
 glm::dvec3 velocity_between(const MoverCluster& first, const MoverCluster& second) {
     return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
@@ -61,19 +62,20 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t n_max) {
 /// object. While the tracked object has a label, only clusters with this label match.
 double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s, const Log& log) {
     if (track.label != kNoLabel) {
-        if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
-        if (log.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)) return 2.0;
+        if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : kNoMatch;
+        const PoseTrack& labels = log.boxes[std::size_t(track.label)].world_from_box;
+        if (labels.contains_time(frame_time_s)) return kNoMatch;
     }
     const MoverCluster& last = track.last_cluster();
     const double dt = cluster.time_s - last.time_s;
-    if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
+    if (!(dt > 0.0 && dt < kMaxGap_s)) return kNoMatch;
     const double ratio = double(cluster.points_m.size()) / double(last.points_m.size());
-    if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
-    const double gate =
-        kMaxPrediction_m + (track.observations.size() < 2 ? kFirstSpeed_mps : kMaxPrediction_mps) * dt;
-    return glm::length(
-               glm::dvec2(cluster.centre_m - last.centre_m - dt * last_velocity(track, kNextFrameVelocity))) /
-           gate;
+    if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return kNoMatch;
+    const double max_error_mps = track.observations.size() < 2 ? kFirstSpeed_mps : kMaxPrediction_mps;
+    const double max_error_m = kMaxPrediction_m + max_error_mps * dt;
+    const glm::dvec3 error_m =
+        cluster.centre_m - last.centre_m - dt * last_velocity(track, kNextFrameVelocity);
+    return glm::length(glm::dvec2(error_m)) / max_error_m;
 }
 
 /// Builds tracks frame by frame. A track is open while a cluster of the next frame can
@@ -85,15 +87,9 @@ public:
     /// Continues the open tracks with the clusters of the next frame, the best match
     /// first. Each remaining cluster starts a track.
     void link_frame(double frame_time_s, const std::vector<MoverCluster>& clusters) {
-        std::erase_if(open_, [&](std::size_t t) {  // tracks that have ended
-            const MoverTrack& track = tracks_[t];
-            if (track.label != kNoLabel &&
-                sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
-                return false;
-            return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
-        });
+        std::erase_if(open_, [&](std::size_t t) { return has_ended(tracks_[t], frame_time_s); });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
-        for (const auto& [mismatch, track, cluster] : list_matches(frame_time_s, clusters)) {
+        for (const auto& [cost, track, cluster] : list_matches(frame_time_s, clusters)) {
             if (track_is_used[track] || cluster_is_used[cluster]) continue;
             track_is_used[track] = cluster_is_used[cluster] = 1;
             append(tracks_[track], frame_time_s, clusters[cluster]);
@@ -112,12 +108,21 @@ private:
     MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
+    /// Returns true if no cluster of a frame can continue a track.
+    bool has_ended(const MoverTrack& track, double frame_time_s) const {
+        if (track.label != kNoLabel &&
+            sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
+            return false;
+        return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
+    }
+    /// Returns the pairs of an open track and a cluster of a frame, the best match first.
     std::vector<Match> list_matches(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Match> result;
         for (const std::size_t t : open_)
-            for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m = match_cost(tracks_[t], clusters[c], frame_time_s, sequence_); m < 1.0)
-                    result.push_back({m, t, c});
+            for (std::size_t c = 0; c < clusters.size(); ++c) {
+                const double cost = match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
+                if (cost < 1.0) result.push_back({cost, t, c});
+            }
         std::ranges::sort(result);
         return result;
     }
@@ -152,9 +157,11 @@ std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& a,
 /// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
 /// roof of a van, its tail and its cabin form separate clusters.
 bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
+    constexpr std::size_t kMinCommonFrames = 4;
     if (other_track.label != kNoLabel) return false;
     const auto common = list_pairs(track, other_track);
-    if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
+    if (common.size() < kMinCommonFrames || 2 * common.size() < other_track.observations.size()) return false;
+    // In the middle of the common frames, both parts are large and near each other.
     const auto& [i, j] = common[common.size() / 2];
     const MoverCluster& cluster = track.observations[i].cluster;
     const MoverCluster& other = other_track.observations[j].cluster;
@@ -181,54 +188,59 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
 /// motion across the gap from each track. A value above 1 means that the tracks belong to
 /// different objects.
 double gap_cost(const MoverTrack& earlier, const MoverTrack& later) {
-    if (earlier.label != kNoLabel && later.label != kNoLabel) return 2.0;
-    if (std::min(earlier.observations.size(), later.observations.size()) < kEndsOfGap) return 2.0;
+    if (earlier.label != kNoLabel && later.label != kNoLabel) return kNoMatch;
+    if (std::min(earlier.observations.size(), later.observations.size()) < kEndsOfGap) return kNoMatch;
     const double dt = later.observations.front().cluster.time_s - earlier.last_cluster().time_s;
-    if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
+    if (!(dt > 0.0 && dt < kLongestGap_s)) return kNoMatch;
     const glm::dvec3 before_mps = last_velocity(earlier, kGapVelocity),
                      after_mps = first_velocity(later, kGapVelocity);
     const glm::dvec3 moved_m = later.observations.front().cluster.centre_m - earlier.last_cluster().centre_m;
-    const double off = std::max(glm::length(glm::dvec2(moved_m - dt * before_mps)),
-                                glm::length(glm::dvec2(moved_m - dt * after_mps)));
-    return std::max(off / (kMaxPrediction_m + kMaxGapError_mps * dt),
-                    glm::length(glm::dvec2(before_mps - after_mps)) / kMaxSpeedChange_mps);
+    const double error_m = std::max(glm::length(glm::dvec2(moved_m - dt * before_mps)),
+                                    glm::length(glm::dvec2(moved_m - dt * after_mps)));
+    const double speed_change_mps = glm::length(glm::dvec2(before_mps - after_mps));
+    return std::max(error_m / (kMaxPrediction_m + kMaxGapError_mps * dt),
+                    speed_change_mps / kMaxSpeedChange_mps);
 }
 
 /// Returns the pairs of tracks that may be parts of the same object, with a gap in time
 /// between them. The second track begins after the end of the first.
 /// @param tracks sorted by their first frames
 std::vector<Match> find_gap_pairs(const MoverTracks& tracks) {
-    std::vector<Match> fits;
-    const auto starts_s = [&](std::size_t t) { return tracks[t].observations.front().frame_time_s; };
-    std::vector<std::size_t> all(tracks.size());
-    std::iota(all.begin(), all.end(), std::size_t(0));
-    for (const std::size_t a : all) {
-        const double end_s = tracks[a].observations.back().frame_time_s;
-        for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s);
-             b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
-            if (const double m = gap_cost(tracks[a], tracks[*b]); m < 1.0) fits.push_back({m, a, *b});
+    std::vector<Match> pairs;
+    const auto start_s = [](const MoverTrack& track) { return track.observations.front().frame_time_s; };
+    for (std::size_t earlier = 0; earlier < tracks.size(); ++earlier) {
+        const double end_s = tracks[earlier].observations.back().frame_time_s;
+        const auto first = std::ranges::upper_bound(tracks, end_s, {}, start_s);
+        for (auto later = first; later != tracks.end(); ++later) {
+            if (start_s(*later) >= end_s + kLongestGap_s) break;
+            const double cost = gap_cost(tracks[earlier], *later);
+            if (cost < 1.0) pairs.push_back({cost, earlier, std::size_t(later - tracks.begin())});
+        }
     }
-    std::ranges::sort(fits);
-    return fits;
+    std::ranges::sort(pairs);
+    return pairs;
 }
 
-/// Joins tracks of the same object across gaps, unless their labels differ.
+/// Joins tracks of the same object across gaps, unless both have a label.
 MoverTracks join_gaps(MoverTracks tracks) {
-    std::vector<std::size_t> next(tracks.size(), tracks.size());
-    std::vector<char> follows(tracks.size(), 0);
-    for (const auto& [mismatch, before, after] : find_gap_pairs(tracks))
-        if (next[before] == tracks.size() && !follows[after]) {
+    // Links each track to at most one later track, the best pairs first.
+    const std::size_t none = tracks.size();
+    std::vector<std::size_t> next(tracks.size(), none);
+    std::vector<char> has_previous(tracks.size(), 0);
+    for (const auto& [cost, before, after] : find_gap_pairs(tracks))
+        if (next[before] == none && !has_previous[after]) {
             next[before] = after;
-            follows[after] = 1;
+            has_previous[after] = 1;
         }
+    // Follows the links from the first track of each chain.
     MoverTracks joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {
-        if (follows[first]) continue;
+        if (has_previous[first]) continue;
         joined.push_back(std::move(tracks[first]));
-        for (std::size_t t = next[first]; t < tracks.size(); t = next[t]) {
+        for (std::size_t t = next[first]; t != none; t = next[t]) {
             MoverTrack& last = joined.back();
             if (last.label != kNoLabel && tracks[t].label != kNoLabel) {
-                joined.push_back(std::move(tracks[t]));
+                joined.push_back(std::move(tracks[t]));  // a chain can contain several labels
                 continue;
             }
             last.label = std::max(last.label, tracks[t].label);
@@ -268,16 +280,16 @@ bool is_moving_track(const MoverTrack& track) {
 }
 
 bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    // In the vehicle frame. More than 3/4 must be near the middle observation.
     std::vector<glm::dvec3> in_vehicle_m;
     for (const MoverObservation& o : track.observations)
         in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) * o.cluster.centre_m);
-    const auto is_near_middle_position = [&](const glm::dvec3& point) {
-        return glm::distance(point, in_vehicle_m[in_vehicle_m.size() / 2]) < kMaxRelativeMotion_m;
-    };
-    return glm::length(in_vehicle_m[in_vehicle_m.size() / 2]) < kEgoVehicleRadius_m &&
-           std::count_if(in_vehicle_m.begin(), in_vehicle_m.end(), is_near_middle_position) >
-               std::ptrdiff_t(in_vehicle_m.size() * 3 / 4);
+    // More than three quarters of the observations must be near the middle one.
+    const glm::dvec3 middle_m = in_vehicle_m[in_vehicle_m.size() / 2];
+    const auto n_near = std::ranges::count_if(in_vehicle_m, [&](const glm::dvec3& point) {
+        return glm::distance(point, middle_m) < kMaxRelativeMotion_m;
+    });
+    return glm::length(middle_m) < kEgoVehicleRadius_m &&
+           n_near > std::ptrdiff_t(in_vehicle_m.size() * 3 / 4);
 }
 
 void merge_tracks(MoverTracks& tracks) {
@@ -290,7 +302,8 @@ void merge_tracks(MoverTracks& tracks) {
             if (!is_same_vehicle(tracks[a], tracks[b])) continue;
             for (const auto& [i, j] : list_pairs(tracks[a], tracks[b]))
                 tracks[a].observations[i].cluster.merge_cluster(tracks[b].observations[j].cluster);
-            tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
+            tracks.erase(tracks.begin() + std::ptrdiff_t(b));
+            --b;  // the next track has moved to this index
         }
 }
 
