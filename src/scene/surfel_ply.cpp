@@ -37,10 +37,20 @@ struct PlyProperty {
     std::string name;
     const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null
     std::uint32_t index = 0;  ///< index in a row of the group, or component (x, y, z) of the normal
-    bool read = true;
+    bool is_read = true;      ///< false if the reader ignores the property
     enum Kind { parameter, normal, thickness, model } kind = parameter;
+
+    /// Value of the parameter for surfel i. Only for the kind `parameter`.
+    const float& value_in(const Surfels& surfels, std::size_t i) const {
+        return group->values(surfels)[i * group->count_floats() + index];
+    }
+    float& value_in(Surfels& surfels, std::size_t i) const {
+        return group->mutable_values(surfels)[i * group->count_floats() + index];
+    }
 };
 
+/// Returns the properties of a PLY file in their order, which is also the order of the
+/// values of a surfel.
 std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
@@ -49,26 +59,29 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
             list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
-    // {name, group, index, read back, kind}: normals are only written.
     for (std::uint32_t k = 0; k < 3; ++k)
-        list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, PlyProperty::normal});
+        list.push_back(
+            {.name = std::string("n") + "xyz"[k], .index = k, .is_read = false, .kind = PlyProperty::normal});
     // Each colour channel repeats the intensity. Only the first is read back.
     for (std::uint32_t c = 0; c < kColourChannels; ++c)
-        list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
+        list.push_back({.name = fmt::format("f_dc_{}", c), .group = &kSh, .is_read = c == 0});
     // The SH functions of degree 1 and higher, sorted by channel.
     for (std::uint32_t k = 0; k < kColourChannels * kRestCoefficients; ++k)
-        list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRestCoefficients + 1, k < kRestCoefficients});
+        list.push_back({.name = fmt::format("f_rest_{}", k),
+                        .group = &kSh,
+                        .index = k % kRestCoefficients + 1,
+                        .is_read = k < kRestCoefficients});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
     // A primitive without a third scale is flat. Viewers get a constant thickness.
     if (properties_of(parameters.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
-    else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
+    else list.push_back({.name = "scale_2", .is_read = false, .kind = PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
     // kSh stores the functions of intensity, then of hits, then of drops.
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
     if (parameters.bends) add("gait_", kGait.count_floats(), kGait, 0);
-    list.push_back({"model", nullptr, 0, true, PlyProperty::model});
+    list.push_back({.name = "model", .kind = PlyProperty::model});
     return list;
 }
 
@@ -85,8 +98,7 @@ glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
 /// Returns the value of a PLY property for surfel i, which belongs to the given model.
 float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t i, std::size_t model) {
     switch (property.kind) {
-        case PlyProperty::parameter:
-            return property.group->values(surfels)[i * property.group->count_floats() + property.index];
+        case PlyProperty::parameter: return property.value_in(surfels, i);
         case PlyProperty::normal:
             return quaternion_normal(surfels.rotation[i])[static_cast<int>(property.index)];
         case PlyProperty::thickness: return kFlatLogScale;
@@ -97,7 +109,7 @@ float property_value(const PlyProperty& property, const Surfels& surfels, std::s
 
 /// Number of records in a PLY file, and name and byte offset of each property.
 struct PlyRecordLayout {
-    std::size_t count = 0, stride = 0;
+    std::size_t count = 0, stride = 0;  ///< stride: bytes per record
     struct Field {
         std::string name;
         bool is_float;
@@ -106,6 +118,7 @@ struct PlyRecordLayout {
     std::vector<Field> fields;
 };
 
+/// Returns the size of a number in a PLY file from the name of its type.
 std::size_t type_bytes(const std::string& type_name) {
     for (const char* t : {"char", "uchar", "int8", "uint8"})
         if (type_name == t) return 1;
@@ -129,31 +142,36 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
     std::string line;
     for (int number = 1; std::getline(lines, line); ++number) {
         if (!line.empty() && line.back() == '\r') line.pop_back();
-        std::istringstream words(line);
-        std::string what, first, second;
-        words >> what >> first >> second;
         if (number == 1 && line != "ply") throw DataError("the first line is not \"ply\"");
-        if (what == "format") {
+        std::istringstream words(line);
+        std::string keyword;
+        words >> keyword;
+        if (keyword == "format") {
             has_format = true;
-            if (first != "binary_little_endian")
-                fail("found format {}, expected binary_little_endian", quote(first));
-        } else if (what == "element") {
-            if (first != "vertex" || has_vertex)
-                fail("found the PLY element {}, expected only one element, vertex", quote(first));
+            std::string format;
+            words >> format;
+            if (format != "binary_little_endian")
+                fail("found format {}, expected binary_little_endian", quote(format));
+        } else if (keyword == "element") {
+            std::string element, count;
+            words >> element >> count;
+            if (element != "vertex" || has_vertex)
+                fail("found the PLY element {}, expected only one element, vertex", quote(element));
             has_vertex = true;
-            const char* const end = second.data() + second.size();
-            const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
+            const char* const end = count.data() + count.size();
+            const auto [stop, error] = std::from_chars(count.data(), end, layout.count);
             if (error != std::errc() || stop != end || layout.count > kMaxSurfels)
-                fail("found \"element vertex {}\", expected a count of at most {}", quote(second),
+                fail("found \"element vertex {}\", expected a count of at most {}", quote(count),
                      kMaxSurfels);
-        } else if (what == "property") {
+        } else if (keyword == "property") {
+            std::string type, name;
+            words >> type >> name;
             if (!has_vertex)
-                fail("the PLY property {} comes before the element vertex, expected after it", quote(second));
-            if (std::ranges::find(layout.fields, second, &PlyRecordLayout::Field::name) !=
-                layout.fields.end())
-                fail("property {} occurs twice, expected it once", quote(second));
-            layout.fields.push_back({second, first == "float" || first == "float32", layout.stride});
-            layout.stride += type_bytes(first);
+                fail("the PLY property {} comes before the element vertex, expected after it", quote(name));
+            if (std::ranges::find(layout.fields, name, &PlyRecordLayout::Field::name) != layout.fields.end())
+                fail("property {} occurs twice, expected it once", quote(name));
+            layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
+            layout.stride += type_bytes(type);
         }
     }
     if (!has_format || !has_vertex)
@@ -172,20 +190,22 @@ struct PlyColumns {
 /// the surfels of the run can supply them.
 PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameters) {
     PlyColumns columns;
-    // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0.
-    const auto n = std::ranges::count_if(
-        layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
+    // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0. The
+    // columns of the second colour then have the names of higher degrees of the first.
+    const auto is_rest = [](const auto& column) { return column.name.starts_with("f_rest_"); };
+    const auto n = std::ranges::count_if(layout.fields, is_rest);
     const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
-    for (const PlyProperty& p : list_properties(parameters)) {
-        if (!p.read) continue;
-        const auto it = std::ranges::find(layout.fields, p.name, &PlyRecordLayout::Field::name);
-        if (it == layout.fields.end() || (p.name.starts_with("f_rest_") && p.index > n_rest)) {
-            columns.missing.push_back(p);
+    for (const PlyProperty& property : list_properties(parameters)) {
+        if (!property.is_read) continue;
+        const auto field = std::ranges::find(layout.fields, property.name, &PlyRecordLayout::Field::name);
+        const bool is_other_colour = is_rest(property) && property.index > n_rest;
+        if (field == layout.fields.end() || is_other_colour) {
+            columns.missing.push_back(property);
             continue;
         }
-        if (!it->is_float) fail("property {} has another type, expected float", p.name);
-        columns.property.push_back(p);
-        columns.offset.push_back(it->offset);
+        if (!field->is_float) fail("property {} has another type, expected float", property.name);
+        columns.property.push_back(property);
+        columns.offset.push_back(field->offset);
     }
     return columns;
 }
@@ -223,46 +243,57 @@ public:
         for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(key_of(run_.mean[i]), i);
     }
 
-    /// Of several surfels at the position, returns the most similar one that has not been
+    /// Returns the index in the run of the surfel that surfel i of a file comes from. Of
+    /// several surfels at its position, returns the most similar one that has not been
     /// returned before.
     std::optional<std::uint32_t> find_match(const Surfels& surfels, std::size_t i) {
-        using Difference = std::tuple<float, float, bool>;
-        std::optional<std::pair<Difference, std::uint32_t>> best;
-        bool has_twin = false;         // true if a surfel of another model fits equally well
-        std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
-        for (int corner = 0; corner < 8; ++corner)
-            keys.insert(
-                key_of(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1,
-                                                                     corner & 4 ? 1 : -1)));
-        for (const std::uint64_t key : keys) {
+        std::optional<Candidate> best;
+        bool has_twin = false;  // true if a surfel of another model fits equally well
+        for (const std::uint64_t key : cells_around(surfels.mean[i])) {
             const auto [first, last] = cells_.equal_range(key);
             for (auto cell = first; cell != last; ++cell) {
                 const std::uint32_t k = cell->second;
                 const float distance_m = glm::distance(run_.mean[k], surfels.mean[i]);
                 if (!(distance_m <= kSamePosition_m)) continue;
-                const float other = std::abs(run_.opacity_logit[k] - surfels.opacity_logit[i]) +
-                                    glm::length(run_.log_scale[k] - surfels.log_scale[i]);
-                // Prefers the nearest surfel, then the most similar one, then one that is
-                // not used yet.
-                const std::pair found(Difference(distance_m, other, used_[k]), k);
-                const bool is_tie =
-                    best && std::get<0>(best->first) == distance_m && std::get<1>(best->first) == other;
-                if (is_tie) has_twin |= run_model_[best->second] != run_model_[k];
-                else if (!best || found < *best) has_twin = false;
-                best = std::min(best.value_or(std::pair(Difference(kNone, kNone, true), k)), found);
+                const float difference = std::abs(run_.opacity_logit[k] - surfels.opacity_logit[i]) +
+                                         glm::length(run_.log_scale[k] - surfels.log_scale[i]);
+                const Candidate found{distance_m, difference, used_[k], k};
+                const bool is_tie = best && best->distance_m == distance_m && best->difference == difference;
+                if (is_tie && run_model_[best->surfel] != run_model_[k]) has_twin = true;
+                if (!best || found < *best) {
+                    if (!is_tie) has_twin = false;
+                    best = found;
+                }
             }
         }
         if (!best) return {};
-        n_twins_ += has_twin;
-        used_[best->second] = true;
-        return best->second;
+        if (has_twin) ++n_twins_;
+        used_[best->surfel] = true;
+        return best->surfel;
     }
     std::size_t count_unused() const { return std::size_t(std::ranges::count(used_, false)); }
     std::size_t count_twins() const { return n_twins_; }  ///< surfels that fit several models
 
 private:
     // Editors may round positions. Neighbouring surfels are farther apart.
-    static constexpr float kSamePosition_m = 1e-3f, kNone = std::numeric_limits<float>::infinity();
+    static constexpr float kSamePosition_m = 1e-3f;
+    /// Surfel of the run. The order prefers the nearest, then the most similar, then one
+    /// that is not used yet.
+    struct Candidate {
+        float distance_m, difference;  ///< difference of opacity and scales
+        bool is_used;
+        std::uint32_t surfel;
+        auto operator<=>(const Candidate&) const = default;
+    };
+    /// Returns the keys of the cells that the sphere of matching positions touches.
+    static std::set<std::uint64_t> cells_around(const glm::vec3& mean_m) {
+        std::set<std::uint64_t> keys;
+        for (const float x : {-kSamePosition_m, kSamePosition_m})
+            for (const float y : {-kSamePosition_m, kSamePosition_m})
+                for (const float z : {-kSamePosition_m, kSamePosition_m})
+                    keys.insert(key_of(mean_m + glm::vec3(x, y, z)));
+        return keys;
+    }
     static std::uint64_t key_of(const glm::vec3& mean_m) {
         return grid_key(glm::clamp(glm::dvec3(mean_m), -1e6, 1e6), 0.05);
     }
@@ -274,21 +305,24 @@ private:
 };
 
 /// Copies the missing properties from the surfels of the run at the same positions.
+/// @param model output: model of each surfel, if the file lacks it
 /// @return a note about the surfels that were matched
+/// @throws DataError if a surfel was moved, or if its model is ambiguous
 std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model, const PlyColumns& columns,
                             const Scene& scene) {
     const std::vector<std::uint32_t> run_model = list_models(scene);
     SurfelMatcher matcher(scene.surfels, run_model);
-    std::size_t n_moved = 0, first_moved = 0;
+    std::size_t n_moved = 0, first_moved = 0;  // surfels that match no surfel of the run
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const std::optional<std::uint32_t> match = matcher.find_match(surfels, i);
-        if (!match && n_moved++ == 0) first_moved = i;
-        for (std::size_t k = 0; match && k < columns.missing.size(); ++k) {
-            const PlyProperty& p = columns.missing[k];
+        if (!match) {
+            if (n_moved == 0) first_moved = i;
+            ++n_moved;
+            continue;
+        }
+        for (const PlyProperty& p : columns.missing) {
             if (p.kind == PlyProperty::model) model[i] = run_model[*match];
-            else
-                p.group->mutable_values(surfels)[i * p.group->count_floats() + p.index] =
-                    p.group->values(scene.surfels)[*match * p.group->count_floats() + p.index];
+            else p.value_in(surfels, i) = p.value_in(scene.surfels, *match);
         }
     }
     if (n_moved > 0) {
@@ -314,7 +348,8 @@ std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model,
         columns.missing.size(), columns.missing.front().name, matcher.count_unused(), scene.surfels.size());
 }
 
-/// Sorts the surfels by model. Keeps the order of the file within each model.
+/// Makes a scene from the surfels of a file. Sorts the surfels by model, and keeps the
+/// order of the file within each model.
 Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& models, const Scene& layout) {
     std::vector<std::uint32_t> order(models.size());
     std::iota(order.begin(), order.end(), 0u);
@@ -339,11 +374,11 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
 Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
                 std::string& note) {
     const std::string start = bytes.substr(0, kMaxPlyHeader);
-    const std::size_t end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
+    const std::size_t header_end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
-    if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
-    const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
-    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = bytes.size() - data;
+    if (header_end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
+    const PlyRecordLayout layout = parse_ply_header(start.substr(0, header_end));
+    const std::size_t data = start.find('\n', header_end + 1) + 1, n_bytes = bytes.size() - data;
     const PlyColumns columns = find_columns(layout, parameters);
     check_restorable(columns, scene_layout, parameters);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
@@ -359,9 +394,7 @@ Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParam
             std::memcpy(&value, bytes.data() + data + i * layout.stride + columns.offset[k], sizeof value);
             check_value(value, property, i, scene_layout.models.size());
             if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
-            else
-                property.group->mutable_values(surfels)[i * property.group->count_floats() + property.index] =
-                    value;
+            else property.value_in(surfels, i) = value;
         }
     if (!columns.missing.empty()) note = restore_columns(surfels, model, columns, scene_layout);
     return group_by_model(surfels, model, scene_layout);
