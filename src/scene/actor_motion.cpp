@@ -58,9 +58,11 @@ double half_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m
     const double azimuth = std::atan2(centre.y, centre.x);
     double largest = 0.0;
     for (int corner = 0; corner < 8; ++corner) {
+        // The three bits of `corner` are the signs of its coordinates.
         const glm::dvec3 sign(corner & 1 ? 1.0 : -1.0, corner & 2 ? 1.0 : -1.0, corner & 4 ? 1.0 : -1.0);
         const glm::dvec3 at = sensor_from_box * (sign * half_size_m);
-        largest = std::max(largest, std::abs(std::remainder(std::atan2(at.y, at.x) - azimuth, 2.0 * kPi)));
+        const double off_centre_rad = std::remainder(std::atan2(at.y, at.x) - azimuth, 2.0 * kPi);
+        largest = std::max(largest, std::abs(off_centre_rad));
     }
     return largest;
 }
@@ -72,20 +74,22 @@ TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm:
     const TimeSpan all = sweep_span(log, sweep);
     const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = seconds_per_rad(lidar);
-    if (all.last_s <= all.first_s || s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0)) return all;
+    const bool is_unknown = s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0);
+    if (is_unknown || all.last_s <= all.first_s) return all;
     const auto sensor_from_box = [&](double t_s) {
         return inverse(log.world_from_vehicle.mounted_pose_at(t_s, lidar.vehicle_from_sensor)) *
                world_from_box.pose_at(t_s);
     };
-    double faced_s = sweep.time_s;
     // The facing time depends on the pose of the box, which depends on the time. Three
     // iterations converge.
+    double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
         faced_s = facing_time_s(log, sensor_from_box(faced_s).translation, sweep);
     const double angle = half_width_rad(sensor_from_box(faced_s), half_size_m);
     const double half_s = ((1.0 + kWideningShare) * angle + kMaxBeamOffset_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
-    return angle < kPi && span.first_s >= all.first_s && span.last_s <= all.last_s ? span : all;
+    const bool is_in_sweep = span.first_s >= all.first_s && span.last_s <= all.last_s;
+    return angle < kPi && is_in_sweep ? span : all;
 }
 
 }  // namespace
@@ -100,13 +104,14 @@ InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, 
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.pose_at(measured.first_s),
                last = world_from_box.pose_at(measured.last_s);
-    const Twist twist = compute_twist(first, last);
+    const Twist twist = compute_twist(first, last);  // translation, then rotation vector
     const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);
-    const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]),
-                            per_s * glm::dvec3(twist[3], twist[4], twist[5]), middle_s - sweep.time_s,
-                            (1.0 + kLengtheningShare) * half_s};
-    if (!moves) return {world_from_box.pose_at(middle_s), true, middle_s, 0.0, motion};
-    return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
+    const PoseMotion motion{.velocity_mps = per_s * glm::dvec3(twist[0], twist[1], twist[2]),
+                            .angular_velocity_radps = per_s * glm::dvec3(twist[3], twist[4], twist[5]),
+                            .middle_s = middle_s - sweep.time_s,
+                            .half_span_s = (1.0 + kLengtheningShare) * half_s};
+    const Pose middle = moves ? interpolate(first, last, 0.5) : world_from_box.pose_at(middle_s);
+    return {.world_from_model = middle, .present = true, .time_s = middle_s, .phase = 0.0, .motion = motion};
 }
 
 }  // namespace relidar

@@ -33,11 +33,11 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
             const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(hit.time_s));
             const glm::dvec3 local = box_from_world * hit.point_m;
             if (!is_on_object(local, boxes[b].size_m)) continue;
-            // position, intensity and direction in the box frame; walked distance;
-            // frame number
-            samples[b].push_back({glm::vec3(local), hit.intensity,
-                                  glm::vec3(box_from_world.rotation * hit.direction),
-                                  static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
+            samples[b].push_back({.position = glm::vec3(local),
+                                  .intensity = hit.intensity,
+                                  .view = glm::vec3(box_from_world.rotation * hit.direction),
+                                  .walked_m = static_cast<float>(walked[b].walked_m(hit.time_s)),
+                                  .frame = frame.index});
         }
     });
 }
@@ -48,15 +48,16 @@ std::vector<LidarSamples> collect_samples(const Log& log, const std::vector<int>
                                           const Progress& progress) {
     std::vector<WalkedDistanceTrack> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
-    std::vector<LidarSamples> samples(boxes.size());
-    std::vector<std::vector<LidarSamples>> of_frame(frames.size(), std::vector<LidarSamples>(boxes.size()));
+    // Separate lists per frame, so that threads need no lock and the order stays fixed.
+    std::vector<std::vector<LidarSamples>> by_frame(frames.size(), std::vector<LidarSamples>(boxes.size()));
     progress_for(frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
         append_returns(log, log.frames[std::size_t(frames[index])], boxes, options.second_returns, walks,
-                       of_frame[index]);
+                       by_frame[index]);
     });
-    for (const std::vector<LidarSamples>& frame : of_frame)
+    std::vector<LidarSamples> samples(boxes.size());
+    for (const std::vector<LidarSamples>& of_frame : by_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b)
-            samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
+            samples[b].insert(samples[b].end(), of_frame[b].begin(), of_frame[b].end());
     return samples;
 }
 
@@ -80,6 +81,7 @@ void check_box(const BoxTrack& box) {
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
         fail("box {} has the size {} x {} x {} m, expected three lengths above 0", box.id, s.x, s.y, s.z);
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
+        // The sum over all components is not finite if one of them is not.
         const Pose& pose = box.world_from_box.pose[i];
         if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) +
                            glm::dot(pose.rotation, pose.rotation)))
@@ -112,6 +114,26 @@ void pad_samples(LidarSamples& samples, std::size_t min_count, const BoxTrack& b
     }
 }
 
+/// Makes the surfels of an actor that changes its shape, if its class is selected for
+/// this. Adds a note for the user with the result.
+/// @return surfels with period 0 if the actor is rigid
+DeformingActorSurfels deform_selected(const BoxTrack& box, const LidarSamples& samples,
+                                      const InitOptions& options, double incidence,
+                                      std::vector<std::string>* notes, const Progress& progress) {
+    const bool is_selected = options.deform == kEveryClass || has_word(options.deform, box.category) ||
+                             has_word(options.deform, name_of(guess_kind(box)));
+    if (!is_selected) return {};
+    DeformingActorSurfels changing =
+        make_deforming(samples, options, incidence, std::size_t(options.actor_points), progress);
+    const bool is_rigid = !changing.why_rigid.empty();
+    if (notes)
+        notes->push_back(
+            fmt::format("{} ({}) {}{}", box.id, box.category,
+                        is_rigid ? "is modelled as rigid, because " : "changes its shape from frame to frame",
+                        changing.why_rigid));
+    return changing;
+}
+
 /// Appends an actor to the scene. Does nothing if the box has too few points.
 /// @param incidence  strength of the dependence on the incidence angle
 /// (IntensityResponse)
@@ -120,44 +142,35 @@ void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples
     LidarSamples rigid = thin_samples(samples, std::size_t(options.actor_points));
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     pad_samples(rigid, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
-    const bool is_deformable = options.deform == kEveryClass || has_word(options.deform, box.category) ||
-                               has_word(options.deform, name_of(guess_kind(box)));
-    DeformingActorSurfels changing;
-    if (is_deformable) {
-        changing = make_deforming(samples, options, incidence, std::size_t(options.actor_points), progress);
-        const bool is_rigid = !changing.why_rigid.empty();
-        if (notes)
-            notes->push_back(fmt::format(
-                "{} ({}) {}{}", box.id, box.category,
-                is_rigid ? "is modelled as rigid, because " : "changes its shape from frame to frame",
-                changing.why_rigid));
-    }
+    DeformingActorSurfels changing = deform_selected(box, samples, options, incidence, notes, progress);
     const Surfels surfels =
         changing.period_m > 0.0 ? std::move(changing.surfels) : make_surfels(rigid, options, incidence);
     ObservedBoxSurface observed_surface(box.size_m);
     for (const LidarSample& s : samples)
         observed_surface.mark_observed(glm::dvec3(s.position), glm::dvec3(s.view));
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
-                            static_cast<std::uint32_t>(surfels.size()),
-                            glm::vec3(0.5 * box.size_m + kObjectMargin_m),
-                            static_cast<float>(changing.period_m), std::move(observed_surface)});
+    scene.models.push_back({.name = box.id,
+                            .first = static_cast<std::uint32_t>(scene.surfels.size()),
+                            .count = static_cast<std::uint32_t>(surfels.size()),
+                            .half_size_m = glm::vec3(0.5 * box.size_m + kObjectMargin_m),
+                            .stride_m = static_cast<float>(changing.period_m),
+                            .surface = std::move(observed_surface)});
     scene.surfels.append_surfels(surfels);
 }
 
-/// Returns the distance that an actor has walked at the start of a new track: the
-/// distance at the nearest recorded pose plus the distance from there to the new pose.
-double walked_at_start_m(const BoxTrack& logged_box, const PoseTrack& new_track) {
-    const Pose& at = new_track.pose.front();
-    const auto compute_distance_m = [&](const Pose& pose) {
-        return glm::distance(pose.translation, at.translation);
+/// Returns the distance that an actor has walked at the start of a new track, so that its
+/// steps continue the logged steps: the distance at the nearest logged pose plus the
+/// distance from there to the new pose.
+double walked_at_start_m(const PoseTrack& logged_track, const PoseTrack& new_track) {
+    const Pose& start = new_track.pose.front();
+    const auto distance_m = [&](const Pose& pose) {
+        return glm::distance(pose.translation, start.translation);
     };
-    const auto nearest = std::ranges::min_element(logged_box.world_from_box.pose, {}, compute_distance_m);
-    const double time_s =
-        logged_box.world_from_box.time_s[std::size_t(nearest - logged_box.world_from_box.pose.begin())];
-    const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
-    return WalkedDistanceTrack(logged_box.world_from_box).walked_m(time_s) +
-           glm::dot(at.translation - nearest->translation, ahead);
+    const auto nearest = std::ranges::min_element(logged_track.pose, {}, distance_m);
+    const double time_s = logged_track.time_s[std::size_t(nearest - logged_track.pose.begin())];
+    const glm::dvec3 ahead = start.rotation * glm::dvec3(1.0, 0.0, 0.0);
+    return WalkedDistanceTrack(logged_track).walked_m(time_s) +
+           glm::dot(start.translation - nearest->translation, ahead);
 }
 
 }  // namespace
@@ -213,7 +226,7 @@ std::string format_box_list(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep) {
     // a hash map, because a log can have a thousand tracks
-    std::unordered_map<std::string_view, const PoseTrack*> tracks;
+    std::unordered_map<std::string_view, const PoseTrack*> tracks;  // of the actors that exist now
     for (const BoxTrack& box : log.boxes)
         if (box.is_observed(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
     std::vector<const PoseTrack*> world_from_actor;
@@ -240,13 +253,11 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
                                : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
-        // The phase of the walk continues the logged walk if the caller supplied another
-        // track.
-        const BoxTrack* logged_box = find_box(log, instance.track);
-        const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
-        const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
-                                    ? walked_at_start_m(*logged_box, *track)
-                                    : 0.0;
+        const BoxTrack* box = find_box(log, instance.track);
+        const PoseTrack* logged_track =
+            box && !box->world_from_box.pose.empty() ? &box->world_from_box : nullptr;
+        const double before_m =
+            logged_track && logged_track != track ? walked_at_start_m(*logged_track, *track) : 0.0;
         placed.back().phase =
             (before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
     }

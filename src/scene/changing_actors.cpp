@@ -38,12 +38,6 @@ constexpr double kFramesBetween = 3.0;
 constexpr double kAveraging_s = 1.0;
 constexpr double kMaxStandingSpeed_mps = 0.2;
 
-std::map<int, SampleIndices> group_samples(const LidarSamples& samples) {
-    std::map<int, SampleIndices> groups;
-    for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
-    return groups;
-}
-
 /// Adapter that gives nanoflann access to some of the samples.
 struct SampleCloud {
     const LidarSamples& samples;
@@ -100,8 +94,10 @@ using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
 /// Groups the samples by frame, and computes the distance that the actor walks per frame.
 SamplesByFrame group_by_frame(const LidarSamples& samples) {
+    std::map<int, SampleIndices> by_frame;
+    for (std::size_t i = 0; i < samples.size(); ++i) by_frame[samples[i].frame].push_back(std::uint32_t(i));
     SamplesByFrame frames;
-    for (auto& [frame, of_frame] : group_samples(samples))
+    for (auto& [frame, of_frame] : by_frame)
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
     for (std::size_t k = 0; k < frames.size(); ++k) {
         const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);
@@ -112,34 +108,46 @@ SamplesByFrame group_by_frame(const LidarSamples& samples) {
     return frames;
 }
 
-/// Estimates how the surface around a sample moves, in metres per frame: the shift that
-/// moves the points around the sample onto those of two earlier and two later frames.
+/// Returns how badly a shift per frame moves some points of a frame onto the points of
+/// two earlier and two later frames: the sum of the distances to the nearest points.
+double shift_cost(const SamplesByFrame& frames, std::size_t frame, const LidarSamples& samples,
+                  const SampleIndices& patch, const glm::vec3& shift) {
+    constexpr double kMaxMatchDistance_m = 0.15;
+    constexpr float kMaxFrames = 3.0f;  // points that have moved farther are not comparable
+    const FrameSamples& here = *frames[frame];
+    // A small cost selects the smallest of several equally good shifts.
+    double sum = 1e-3 * double(glm::length(shift));
+    const std::size_t first = frame - std::min<std::size_t>(frame, 2),
+                      last = std::min(frame + 2, frames.size() - 1);
+    for (std::size_t other = first; other <= last; ++other) {
+        // Time between the frames, as a multiple of the mean walk per frame.
+        const auto n_frames = float((frames[other]->walked_m - here.walked_m) / here.spacing_m);
+        if (other == frame || std::abs(n_frames) > kMaxFrames) continue;
+        for (const std::uint32_t i : patch)
+            sum +=
+                frames[other]->index.nearest_m(samples[i].position + n_frames * shift, kMaxMatchDistance_m);
+    }
+    return sum;
+}
+
+/// Estimates how the surface around a sample moves in the frame of the actor's box, in
+/// metres per frame. Tries all shifts on a grid. An actor does not move sideways in its
+/// box, so y is 0.
 glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame, const LidarSamples& samples,
                          const LidarSample& sample) {
     constexpr float kMaxShift_m = 0.3f, kMaxShiftUp_m = 0.08f, kShiftStep_m = 0.04f;
-    constexpr double kPatchRadius_m = 0.12, kMaxMatchDistance_m = 0.15;
+    constexpr double kPatchRadius_m = 0.12;
     constexpr std::size_t kMaxPatchPoints = 6;
-    const FrameSamples& here = *frames[frame];
-    const std::vector<std::uint32_t> patch =
-        here.index.find_in_radius(sample.position, kPatchRadius_m, kMaxPatchPoints);
+    const SampleIndices patch =
+        frames[frame]->index.find_in_radius(sample.position, kPatchRadius_m, kMaxPatchPoints);
     glm::vec3 best(0.0f);
-    double least = std::numeric_limits<double>::infinity();
-    // Tries all shifts on a grid. An actor does not move sideways in its box, so y is 0.
+    double lowest_cost = std::numeric_limits<double>::infinity();
     for (float x = -kMaxShift_m; x < kMaxShift_m + 0.5f * kShiftStep_m; x += kShiftStep_m)
         for (float z = -kMaxShiftUp_m; z < kMaxShiftUp_m + 0.5f * kShiftStep_m; z += kShiftStep_m) {
             const glm::vec3 shift(x, 0.0f, z);
-            // A small cost selects the smallest of several equally good shifts.
-            double sum = 1e-3 * double(glm::length(shift));
-            for (std::size_t f = frame - std::min<std::size_t>(frame, 2);
-                 f < std::min(frame + 3, frames.size()); ++f) {
-                const auto n_frames = float((frames[f]->walked_m - here.walked_m) / here.spacing_m);
-                if (f == frame || std::abs(n_frames) > 3.0f) continue;
-                for (const std::uint32_t i : patch)
-                    sum += frames[f]->index.nearest_m(samples[i].position + n_frames * shift,
-                                                      kMaxMatchDistance_m);
-            }
-            if (sum < least) {
-                least = sum;
+            const double cost = shift_cost(frames, frame, samples, patch, shift);
+            if (cost < lowest_cost) {
+                lowest_cost = cost;
                 best = shift;
             }
         }
@@ -153,7 +161,7 @@ std::vector<glm::vec3> smooth_shifts(const LidarSamples& samples, const std::vec
     std::vector<std::uint32_t> all(samples.size());
     std::iota(all.begin(), all.end(), 0u);
     const SampleIndex index(samples, all);
-    std::vector<glm::vec3> medians(shifts);
+    std::vector<glm::vec3> medians(shifts);  // samples without a neighbour keep their shift
     for (std::size_t i = 0; i < samples.size(); ++i)
         for (int axis = 0; axis < 3; ++axis) {
             std::vector<float> values;
@@ -176,14 +184,16 @@ Surfels make_gait_surfels(const LidarSamples& samples, const std::vector<GaitPha
     return surfels;
 }
 
-/// Returns true for each sample near which most frames have a point.
+/// Returns true for each sample near which most frames have a point, because the shape of
+/// the actor does not change there. Compares at most kMaxComparedFrames frames.
 std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame& frames) {
     std::vector<char> is_static(samples.size());
     const std::size_t step = frames.size() / kMaxComparedFrames + 1;
     parallel_blocks(samples.size(), [&](std::size_t index) {
         std::size_t n_frames_with_point = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            n_frames_with_point += frames[k]->index.nearest_m(samples[index].position, 1.0) < kSameSurface_m;
+            if (frames[k]->index.nearest_m(samples[index].position, 1.0) < kSameSurface_m)
+                ++n_frames_with_point;
         is_static[index] = double(n_frames_with_point) >= kMinStaticShare * double(n_frames);
     });
     return is_static;
@@ -193,6 +203,7 @@ std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame&
 /// walks on: their opacity is a Gaussian of the walked distance. Its standard deviation
 /// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
 /// @param changing samples of this frame where the shape of the actor changes
+/// @param period_m walked distance after which the motion repeats
 Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_index,
                            const LidarSamples& samples, const LidarSamples& changing, double period_m,
                            const InitOptions& options, double incidence) {
@@ -201,11 +212,15 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
     parallel_blocks(changing.size(), [&](std::size_t i) {
         shifts[i] = estimate_shift(by_frame, frame_index, samples, changing[i]);
     });
-    std::vector<GaitPhaseWindow> gait;
+    // The phase angle grows by 1 / frames_per_rad from frame to frame. The swing times
+    // its sine therefore moves a surfel by `shift` per frame.
+    const auto frames_per_rad = float(period_m / (2.0 * kPi * frame.spacing_m));
+    std::vector<GaitPhaseWindow> gaits;
     for (const glm::vec3& shift : smooth_shifts(changing, shifts))
-        gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
-                        float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
-    return make_gait_surfels(changing, gait, options, incidence);
+        gaits.push_back({.phase = float(frame.walked_m / period_m),
+                         .sharpness = frames_per_rad,
+                         .swing = frames_per_rad * shift});
+    return make_gait_surfels(changing, gaits, options, incidence);
 }
 
 }  // namespace
@@ -214,35 +229,35 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
                                      double incidence, std::size_t max_count, const Progress& progress) {
     const SamplesByFrame frames = group_by_frame(samples);
     if (frames.size() < kFewestChanging)
-        return {{},
-                0.0,
-                fmt::format("the actor has LiDAR points in only {} frames, expected at least {}",
-                            frames.size(), kFewestChanging)};
+        return {.surfels = {},
+                .why_rigid = fmt::format("the actor has LiDAR points in only {} frames, expected at least {}",
+                                         frames.size(), kFewestChanging)};
     const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
     if (recorded_m < kFewestWalked_m)
-        return {
-            {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
+        return {.surfels = {},
+                .why_rigid =
+                    fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
     DeformingActorSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
-    // Parts that do not change are modelled once for all frames. They get at most half of
-    // the surfels.
-    const std::vector<char> rests = mark_static(samples, frames);
-    LidarSamples resting;
+    // Parts that do not change are modelled once for all frames, with default gaits that
+    // are always visible. They get at most half of the surfels.
+    const std::vector<char> is_static = mark_static(samples, frames);
+    LidarSamples static_samples;
     for (std::size_t i = 0; i < samples.size(); ++i)
-        if (rests[i]) resting.push_back(samples[i]);
-    if (!resting.empty()) {
-        resting = thin_samples(resting, max_count / 2);
-        actor.surfels =
-            make_gait_surfels(resting, std::vector<GaitPhaseWindow>(resting.size()), options, incidence);
+        if (is_static[i]) static_samples.push_back(samples[i]);
+    if (!static_samples.empty()) {
+        static_samples = thin_samples(static_samples, max_count / 2);
+        const std::vector<GaitPhaseWindow> still(static_samples.size());
+        actor.surfels = make_gait_surfels(static_samples, still, options, incidence);
     }
-    const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
+    const std::size_t max_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
         if (progress) progress("modelling the walking of actors", double(k) / double(frames.size()));
         LidarSamples changing;
         for (const std::uint32_t i : frames[k]->index.cloud.of)
-            if (!rests[i]) changing.push_back(samples[i]);
+            if (!is_static[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        changing = thin_samples(changing, most_in_frame);
+        changing = thin_samples(changing, max_in_frame);
         actor.surfels.append_surfels(
             make_frame_surfels(frames, k, samples, changing, actor.period_m, options, incidence));
     }
@@ -259,16 +274,18 @@ void fade_far_swings(Scene& scene, float alpha_min) {
         if (model.stride_m <= 0.0f) continue;
         for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
             GaitPhaseWindow& gait = surfels.gait[i];
-            // Sine of the phase angle at which the centre reaches the limit.
+            // The centre swings by `gait.swing` times the sine of the phase angle. At
+            // this sine it leaves the box.
             float sine = 1.0f;
             const glm::vec3 room_m = model.half_size_m + kSwingMargin_m - glm::abs(surfels.mean[i]);
-            for (int axis = 0; axis < 3; ++axis)
-                if (const float swing_m = std::abs(gait.swing[axis]); swing_m > 0.0f)
-                    sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
+            for (int axis = 0; axis < 3; ++axis) {
+                const float swing_m = std::abs(gait.swing[axis]);
+                if (swing_m > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
+            }
             const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
             if (sine >= 1.0f || opacity <= alpha_min) continue;
-            // opacity exp(k^2 (cosine - 1)) = alpha_min, and 1 - cosine = sine^2 / (1 +
-            // cosine)
+            // At this angle, opacity exp(sharpness^2 (cosine - 1)) = alpha_min. Uses
+            // 1 - cosine = sine^2 / (1 + cosine).
             const float cosine = std::sqrt(1.0f - sine * sine),
                         sharpness = std::sqrt(std::log(opacity / alpha_min) * (1.0f + cosine)) / sine;
             gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
@@ -276,34 +293,37 @@ void fade_far_swings(Scene& scene, float alpha_min) {
     }
 }
 
+/// Sums up the distances between the averaged positions at successive poses.
 WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track.time_s) {
-    const auto average = [&](double t_s) {
+    const auto mean_position = [&](double t_s) {
         // The window shrinks near the ends of the track, so that it stays symmetric.
-        const double half = std::min({0.5 * kAveraging_s, t_s - time_s_.front(), time_s_.back() - t_s});
+        const double half_s = std::min({0.5 * kAveraging_s, t_s - time_s_.front(), time_s_.back() - t_s});
         constexpr int kStepsPerSide = 5;  // number of steps in each direction
         glm::dvec3 sum(0.0);
         for (int k = -kStepsPerSide; k <= kStepsPerSide; ++k)
-            sum += track.pose_at(t_s + half * k / kStepsPerSide).translation;
+            sum += track.pose_at(t_s + half_s * k / kStepsPerSide).translation;
         return sum / double(2 * kStepsPerSide + 1);
     };
-    glm::dvec3 before(0.0);
-    double sum = 0.0;
+    glm::dvec3 previous(0.0);
+    double distance_m = 0.0;
     for (std::size_t i = 0; i < time_s_.size(); ++i) {
-        const glm::dvec3 at = average(time_s_[i]);
-        const double step = i == 0 ? 0.0 : glm::distance(before, at);
-        // Slower steps are jitter of the labels or standing, so they add no distance.
-        if (i > 0 && step > kMaxStandingSpeed_mps * (time_s_[i] - time_s_[i - 1])) sum += step;
-        walked_m_.push_back(sum);
-        before = at;
+        const glm::dvec3 position = mean_position(time_s_[i]);
+        if (i > 0) {
+            // Slower steps are jitter of the labels or standing, so they add no distance.
+            const double step_m = glm::distance(previous, position);
+            if (step_m > kMaxStandingSpeed_mps * (time_s_[i] - time_s_[i - 1])) distance_m += step_m;
+        }
+        walked_m_.push_back(distance_m);
+        previous = position;
     }
 }
 
 double WalkedDistanceTrack::walked_m(double t_s) const {
     if (time_s_.size() < 2) return 0.0;
-    const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
-    const std::size_t i = std::size_t(after - time_s_.begin());
-    const double s = (t_s - time_s_[i - 1]) / (time_s_[i] - time_s_[i - 1]);
-    return walked_m_[i - 1] + s * (walked_m_[i] - walked_m_[i - 1]);
+    const auto next = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
+    const std::size_t i = std::size_t(next - time_s_.begin());
+    const double share = (t_s - time_s_[i - 1]) / (time_s_[i] - time_s_[i - 1]);
+    return walked_m_[i - 1] + share * (walked_m_[i] - walked_m_[i - 1]);
 }
 
 }  // namespace relidar

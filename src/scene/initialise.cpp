@@ -21,7 +21,9 @@ namespace {
 constexpr double kGoneShare = 0.25;
 
 struct VoxelSums {
-    std::uint64_t first = 0;  ///< index of the first sample in the voxel, counted over all frames
+    /// order of the first sample in the voxel: its frame in the high 32 bits, and its
+    /// number in the frame in the low bits
+    std::uint64_t first = 0;
     glm::dvec3 position{0.0}, view{0.0};
     double intensity = 0.0;
     int count = 0;
@@ -72,9 +74,9 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
                           const InitOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const float nearest2 = sensors.nearest_distance_sq(point_m);
-        const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
-        level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
+        const double sensor_m = std::sqrt(double(sensors.nearest_distance_sq(point_m)));
+        const double wanted_edge = std::max(options.voxel_m, options.voxel_growth * sensor_m);
+        level = std::max(0, static_cast<int>(std::floor(std::log2(wanted_edge / options.voxel_m) + 0.5)));
     }
     const double edge = options.voxel_m * std::exp2(level);
     return {level, int(std::floor(point_m.x / edge)), int(std::floor(point_m.y / edge)),
@@ -84,9 +86,11 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
 struct VoxelSample {
     LidarSample sample;
     VoxelCell cell;
-    std::uint32_t number;
+    std::uint32_t number;  ///< of the sample in its frame
 };
 
+/// The voxels are divided into parts by hash, so that one thread per part can add samples
+/// without a lock.
 constexpr std::size_t kHashParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kHashParts>;
 
@@ -94,20 +98,36 @@ struct VoxelHashTable {
     std::unordered_map<VoxelCell, std::size_t, CellHash> index;
     std::vector<VoxelSums> voxels;
 
-    void add_sample(const VoxelSample& placed_sample, std::size_t frame_index) {
-        const auto [slot, is_new] = index.try_emplace(placed_sample.cell, voxels.size());
-        if (is_new) voxels.push_back({.first = std::uint64_t(frame_index) << 32 | placed_sample.number});
+    void add_sample(const VoxelSample& added, std::size_t frame_index) {
+        const auto [slot, is_new] = index.try_emplace(added.cell, voxels.size());
+        if (is_new) voxels.push_back({.first = std::uint64_t(frame_index) << 32 | added.number});
         VoxelSums& v = voxels[slot->second];
-        v.position += glm::dvec3(placed_sample.sample.position);
-        v.view += glm::dvec3(placed_sample.sample.view);
-        v.intensity += placed_sample.sample.intensity;
+        v.position += glm::dvec3(added.sample.position);
+        v.view += glm::dvec3(added.sample.view);
+        v.intensity += added.sample.intensity;
         ++v.count;
     }
 };
 
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
-/// order does not depend on the threads. Reads only a few frames at a time, so that
-/// memory does not grow with the number of frames.
+/// order does not depend on the threads.
+LidarSamples mean_samples(std::vector<VoxelHashTable> parts) {
+    std::vector<VoxelSums> voxels;
+    for (VoxelHashTable& part : parts) {
+        voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
+        part = {};  // frees memory
+    }
+    parallel_sort(voxels,
+                  [](const VoxelSums& left, const VoxelSums& right) { return left.first < right.first; });
+    LidarSamples means;
+    for (const VoxelSums& v : voxels)
+        means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
+                         glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
+    return means;
+}
+
+/// Averages the points of the background in each voxel. Reads only a few frames at a
+/// time, so that memory does not grow with the number of frames.
 LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames, const InitOptions& options,
                             const Progress& progress) {
     constexpr std::size_t kFramesPerBatch = 16;
@@ -120,33 +140,22 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
         std::vector<VoxelSamplesByPart> frames(std::min(kFramesPerBatch, train_frames.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
             const Frame& frame = log.frames[std::size_t(train_frames[begin + std::size_t(index)])];
+            VoxelSamplesByPart& by_part = frames[std::size_t(index)];
             std::uint32_t number = 0;
             for (const LidarSample& s : background_samples(log, frame, separate, options)) {
                 const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
-                // Divides the voxels into parts by hash, so that one thread per part can
-                // add samples without a lock.
-                frames[std::size_t(index)][CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
+                by_part[CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
             }
         });
+        // One thread per part adds the points to the sums of its voxels.
         parallel_for(kHashParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
-                for (const VoxelSample& placed : frames[i][std::size_t(part)])
-                    parts[std::size_t(part)].add_sample(placed, begin + i);
+                for (const VoxelSample& sample : frames[i][std::size_t(part)])
+                    parts[std::size_t(part)].add_sample(sample, begin + i);
         });
     }
     if (progress) progress("collecting the points of the background", 1.0);
-    std::vector<VoxelSums> voxels;
-    for (VoxelHashTable& part : parts) {
-        voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
-        part = {};
-    }
-    parallel_sort(voxels,
-                  [](const VoxelSums& first, const VoxelSums& second) { return first.first < second.first; });
-    LidarSamples means;
-    for (const VoxelSums& v : voxels)
-        means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
-                         glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
-    return means;
+    return mean_samples(std::move(parts));
 }
 
 /// Removes samples at positions where other frames observe empty space. Such samples
