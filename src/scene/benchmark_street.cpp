@@ -23,9 +23,10 @@ class NumpyRandomState {
 public:
     explicit NumpyRandomState(std::uint32_t seed) : generator_(seed) {}
 
+    /// Draws from 0 to 1 with 53 random bits: 27 bits of one number and 26 of the next.
     double draw_uniform() {
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
-        return (high * 67108864.0 + low) / 9007199254740992.0;
+        return (high * 0x1p26 + low) / 0x1p53;
     }
     /// Draws from the standard normal distribution by Marsaglia's polar method, which
     /// yields two numbers at a time. The second one is kept for the next call.
@@ -80,8 +81,9 @@ Rectangles make_rectangles() {
     NumpyRandomState random(1);
     const double half = kStreetLength_m / 2;
     Rectangles rectangles{
-        {{-half, -kHalfWidth_m, 0}, {kStreetLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
+        {{-half, -kHalfWidth_m, 0}, {kStreetLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};  // ground
     for (const int side : {-1, 1}) {
+        // Facades, 8 to 18 m wide, which face the street. A tenth are gaps.
         for (double x = -half; x < half - 1e-9;) {
             const double width = std::min(8 + 10 * random.draw_uniform(), half - x);
             const double setback = 1.5 * random.draw_uniform();
@@ -93,6 +95,7 @@ Rectangles make_rectangles() {
             if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
             x += width;
         }
+        // Parked cars, 6.5 m apart. Three of ten places are free.
         for (double x = -half + 3; x < half - 5; x += 6.5) {
             const bool skip = random.draw_uniform() < 0.3;
             const double along = random.draw_uniform();
@@ -108,35 +111,39 @@ Rectangles make_rectangles() {
 RectangleIndices sample_rectangles(std::size_t n, const Rectangles& rectangles, NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
-    for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
-    for (double& c : cumulative) c /= total;
-    RectangleIndices index(n);
-    for (std::uint16_t& i : index) {
-        const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.draw_uniform()) -
-                        cumulative.begin();
-        i = std::uint16_t(std::min<std::ptrdiff_t>(at, std::ptrdiff_t(rectangles.size()) - 1));
+    for (const Rectangle& r : rectangles) {
+        total += r.area;
+        cumulative.push_back(total);
     }
-    return index;
+    for (double& c : cumulative) c /= total;
+    RectangleIndices indices(n);
+    for (std::uint16_t& index : indices) {
+        const auto chosen = std::ranges::upper_bound(cumulative, random.draw_uniform()) - cumulative.begin();
+        // Rounding can leave the last sum below 1.
+        index = std::uint16_t(std::min<std::ptrdiff_t>(chosen, std::ptrdiff_t(rectangles.size()) - 1));
+    }
+    return indices;
 }
 
 /// Places each surfel at random on its rectangle, with a normally distributed offset of
 /// 2 cm along the normal. Draws numbers in the order of the Python generator.
 void sample_positions(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
-    std::vector<glm::dvec2> along(indices.size());
-    for (glm::dvec2& ab : along) {
-        ab.x = random.draw_uniform();
-        ab.y = random.draw_uniform();
+    std::vector<glm::dvec2> uv(indices.size());  // position on the rectangle, 0 to 1
+    for (glm::dvec2& position : uv) {
+        position.x = random.draw_uniform();
+        position.y = random.draw_uniform();
     }
     for (std::size_t i = 0; i < indices.size(); ++i) {
         const Rectangle& r = rectangles[indices[i]];
-        surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
+        surfels.mean[i] = glm::vec3(r.corner + uv[i].x * r.edge_u + uv[i].y * r.edge_v +
                                     r.normal * (0.02 * random.draw_normal()));
     }
 }
 
 /// Returns the unit quaternion (w, x, y, z) of a rotation matrix with these columns. The
-/// largest component of the quaternion is positive.
+/// largest component of the quaternion is positive. Row k of `candidates` is 4 q_k q, so
+/// the row with the largest q_k is the most accurate.
 glm::dvec4 quaternion_of_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis, const glm::dvec3& z_axis) {
     const double trace = x_axis.x + y_axis.y + z_axis.z;
     const std::array<glm::dvec4, 4> candidates{
@@ -183,26 +190,31 @@ void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
     }
 }
 
-/// Draws random spherical harmonics. Rounds them to multiples of 1/4096 (degree 0) or
-/// 1/256 (other degrees), and half to even. scene_gen.py rounds in the same way, so that
-/// both make the same surfels.
+/// Draws random spherical harmonics (SH): first degree 0, which sets the mean intensity,
+/// hit logit and drop logit of a surfel, then the other degrees. scene_gen.py rounds the
+/// coefficients to the same steps, half to even, so that both make the same surfels.
 void sample_harmonics(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
-    const auto put_dc = [&](std::size_t surfel, int channel, double value) {
-        const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
-        surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
+    const auto set_coefficient = [&](std::size_t surfel, int channel, int k, double value) {
+        surfels.sh[surfel * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(value);
+    };
+    const auto set_mean = [&](std::size_t surfel, int channel, double mean) {
+        const double steps = std::clamp(std::nearbyint((mean - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
+        set_coefficient(surfel, channel, 0, steps / 4096);
     };
     const std::size_t n = indices.size();
-    for (std::size_t i = 0; i < n; ++i)
-        put_dc(i, 0, std::clamp(rectangles[indices[i]].intensity + 0.08 * random.draw_normal(), 0.02, 0.98));
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.draw_normal());
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.draw_normal());
+    for (std::size_t i = 0; i < n; ++i) {
+        const double intensity = rectangles[indices[i]].intensity + 0.08 * random.draw_normal();
+        set_mean(i, 0, std::clamp(intensity, 0.02, 0.98));
+    }
+    for (std::size_t i = 0; i < n; ++i) set_mean(i, 1, 1.0 + 0.3 * random.draw_normal());
+    for (std::size_t i = 0; i < n; ++i) set_mean(i, 2, 0.3 * random.draw_normal());
     for (std::size_t i = 0; i < n; ++i)
         for (int k = 1; k < kShCoefficients; ++k)
             for (int channel = 0; channel < kShChannels; ++channel) {
                 const double steps =
                     std::clamp(std::nearbyint(0.05 * random.draw_normal() * 256), -127.0, 127.0);
-                surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(steps / 256);
+                set_coefficient(i, channel, k, steps / 256);
             }
 }
 

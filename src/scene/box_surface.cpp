@@ -59,13 +59,15 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
 
 /// Returns the patch where a line from the box centre through a point leaves the box.
 auto ObservedBoxSurface::find_patch(const glm::dvec3& point_m) const -> std::optional<BoxSurfacePatch> {
-    const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
-    const int axis = longest_axis(size);
-    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))
-        return std::nullopt;
-    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(share[axis] < 0.0);
+    // The line leaves through the side along which the point is, relative to the size of
+    // the box, farthest from the centre.
+    const glm::dvec3 relative = point_m / half_m_, distance = glm::abs(relative);
+    const int axis = longest_axis(distance);
+    const bool is_bottom = axis == 2 && relative.z < 0.0;
+    if (is_bottom || !(distance[axis] > 0.0) || !std::isfinite(distance[axis])) return std::nullopt;
+    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(relative[axis] < 0.0);
     const BoxSideAxes& frame = kSideFrames[side];
-    const glm::dvec3 on_surface = point_m / size[axis];
+    const glm::dvec3 on_surface = point_m / distance[axis];
     const BoxSurfacePatch patch{
         BoxSide(side), patch_index(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
         patch_index(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
@@ -110,29 +112,34 @@ bool ObservedBoxSurface::is_mirror_observed(const glm::dvec3& point_m) const {
     return patch && !is_patch_set(*patch) && is_patch_set(mirror_patch(*patch));
 }
 
+/// Returns the share of the area of one side, or of all sides, whose patches were
+/// observed. Leaves out patches near the ground.
+/// @param only_mirrored if true, counts the patches of which only the mirror patch was
+/// observed, instead of the observed patches
 double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const {
-    double held_m2 = 0.0, all_m2 = 0.0;
+    const auto is_counted = [&](const BoxSurfacePatch& patch) {
+        if (only_mirrored) return !is_patch_set(patch) && is_patch_set(mirror_patch(patch));
+        return is_patch_set(patch);
+    };
+    double counted_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         if (only_side && BoxSide(s) != *only_side) continue;
         const BoxSideAxes& frame = kSideFrames[s];
         const auto [columns, rows] = n_[s];
         // All patches of a side have the same area.
         const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
-        double side_held_m2 = 0.0, side_m2 = 0.0;
+        double side_counted_m2 = 0.0, side_m2 = 0.0;
         for (int row = 0; row < rows; ++row)
             for (int column = 0; column < columns; ++column) {
-                // Observed, or with only_mirrored: only the mirror patch was observed.
                 const BoxSurfacePatch patch{BoxSide(s), column, row};
                 if (!is_above_ground(patch)) continue;
-                const bool held = is_patch_set(patch) != only_mirrored &&
-                                  (!only_mirrored || is_patch_set(mirror_patch(patch)));
-                side_held_m2 += held ? patch_m2 : 0.0;
+                if (is_counted(patch)) side_counted_m2 += patch_m2;
                 side_m2 += patch_m2;
             }
-        held_m2 += side_held_m2;
+        counted_m2 += side_counted_m2;
         all_m2 += side_m2;
     }
-    return held_m2 / all_m2;
+    return counted_m2 / all_m2;
 }
 
 double ObservedBoxSurface::observed_fraction(std::optional<BoxSide> side) const {
@@ -160,8 +167,10 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
     struct Mean {
         double sum_m = 0.0;
         int n = 0;
+        double value_m() const { return sum_m / n; }
     };
-    // By patch (side, column, row): distance of its points from the centre plane.
+    // By patch (side, column, row): distance of its points from the box centre along the
+    // normal of the side.
     std::map<std::array<int, 3>, Mean> outward;
     for (const glm::vec3& point_m : points_m) {
         const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
@@ -170,15 +179,15 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
         mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
         ++mean.n;
     }
-    std::vector<double> apart_m;
-    for (const auto& [key, here] : outward) {
+    std::vector<double> differences_m;
+    for (const auto& [key, mean] : outward) {
         const BoxSurfacePatch other = mirror_patch({BoxSide(key[0]), key[1], key[2]});
-        const auto there = outward.find({int(other.side), other.column, other.row});
+        const auto mirrored = outward.find({int(other.side), other.column, other.row});
         // The order of the keys counts each pair of patches once.
-        if (there != outward.end() && key < there->first)
-            apart_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
+        if (mirrored != outward.end() && key < mirrored->first)
+            differences_m.push_back(std::abs(mean.value_m() - mirrored->second.value_m()));
     }
-    return apart_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(apart_m));
+    return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
 }
 
 std::string ObservedBoxSurface::format_patches(BoxSide side) const {
@@ -220,18 +229,18 @@ Surfels mirror_surfels(Surfels surfels) {
 }
 
 std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface) {
-    // surfels with an opacity above 0.5
+    // Compares the two sides where the surface is opaque (opacity above 0.5).
     std::vector<glm::vec3> opaque_m;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
     if (surface.asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
     std::vector<std::uint32_t> remaining, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
-        const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
+        const glm::dvec3 position(surfels.mean[i]), mirrored(position.x, -position.y, position.z);
         // A mirrored surfel replaces this one if only the mirror patch was observed.
-        if (!surface.is_mirror_observed(here)) remaining.push_back(i);
+        if (!surface.is_mirror_observed(position)) remaining.push_back(i);
         // The mirror image of this surfel would fill an unobserved patch.
-        if (surface.is_mirror_observed(there)) copied.push_back(i);
+        if (surface.is_mirror_observed(mirrored)) copied.push_back(i);
     }
     if (copied.empty()) return 0;
     const Surfels mirrored_surfels = mirror_surfels(surfels.reorder(copied));

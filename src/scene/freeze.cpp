@@ -80,10 +80,10 @@ void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
     surfels.mean[surfel] =
         glm::vec3(glm::dvec3(surfels.mean[surfel]) + std::sin(angle) * glm::dvec3(gait.swing));
-    const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
-    if (presence == 1.0) return;
-    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[surfel])));
-    constexpr double kMinOpacity = 1e-30;
+    const double visibility = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
+    if (visibility == 1.0) return;  // keeps the exact logit
+    const double opacity = visibility / (1.0 + std::exp(-double(surfels.opacity_logit[surfel])));
+    constexpr double kMinOpacity = 1e-30;  // keeps the logit finite
     surfels.opacity_logit[surfel] = float(std::log(std::max(opacity, kMinOpacity) / (1.0 - opacity)));
 }
 
@@ -93,10 +93,11 @@ void surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
     const ShRotation sh_rotation = make_sh_rotation(world_from_model.rotation);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
+        // Surfels store (w, x, y, z) in the components x, y, z, w of a vector.
         const glm::dquat q(double(surfels.rotation[index].x), double(surfels.rotation[index].y),
                            double(surfels.rotation[index].z), double(surfels.rotation[index].w));
-        const glm::dquat turned = world_from_model.rotation * q;
-        surfels.rotation[index] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
+        const glm::dquat rotated = world_from_model.rotation * q;
+        surfels.rotation[index] = glm::vec4(rotated.w, rotated.x, rotated.y, rotated.z);
         for (std::size_t c = 0; c < kShChannels; ++c)
             rotate_sh(sh_rotation, &surfels.sh[index * kShFloats + c * kShCoefficients]);
     });
