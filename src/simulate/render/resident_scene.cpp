@@ -24,26 +24,32 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
     if (scene.blocks.empty()) renderer_.emplace(device, scene, model_, options_);
 }
 
+/// Replaces the renderer by a renderer of another scene.
+/// @return bytes of device memory that the new renderer needs
+std::uint64_t ResidentScene::load_scene(const Scene& scene) {
+    if (renderer_) past_.add_times(renderer_->stream().times());
+    renderer_.reset();  // frees memory before the new renderer allocates
+    const std::uint64_t before = device_.allocated_bytes();
+    renderer_.emplace(device_, scene, model_, options_);
+    return device_.allocated_bytes() - before;
+}
+
 /// Replaces the renderer by a renderer of these blocks. Measures the memory per surfel,
 /// which predicts how many blocks fit.
 void ResidentScene::load_blocks(const std::vector<std::size_t>& blocks) {
-    if (renderer_) past_.add_times(renderer_->stream().times());
-    // frees memory before the new renderer allocates
-    renderer_.reset();
-    loaded_.clear();
+    loaded_.clear();  // nothing is loaded if an allocation fails
     const Scene scene = with_blocks(scene_, blocks);
-    const std::uint64_t before = device_.allocated_bytes();
-    renderer_.emplace(device_, scene, model_, options_);
-    bytes_per_surfel_ =
-        double(device_.allocated_bytes() - before) / double(std::max<std::size_t>(scene.surfels.size(), 1));
+    const std::uint64_t n_bytes = load_scene(scene);
+    bytes_per_surfel_ = double(n_bytes) / double(std::max<std::size_t>(scene.surfels.size(), 1));
     loaded_ = blocks;
 }
 
 /// Adds other loaded blocks to the blocks that a scan needs, while they fit into memory.
 /// Prefers the most recently needed blocks, because the sensor may return to them.
 std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> blocks) const {
-    double bytes = 0.0;
-    for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
+    double n_bytes = 0.0;
+    for (const std::size_t i : blocks) n_bytes += scene_.blocks[i].count * bytes_per_surfel_;
+    // Loaded blocks that this scan does not need, the most recently needed first.
     std::vector<std::size_t> others;
     std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(),
                         std::back_inserter(others));
@@ -51,8 +57,8 @@ std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_
         return last_needed_[first] > last_needed_[second];
     });
     for (const std::size_t i : others) {
-        bytes += scene_.blocks[i].count * bytes_per_surfel_;
-        if (bytes > memory_bytes_) break;
+        n_bytes += scene_.blocks[i].count * bytes_per_surfel_;
+        if (n_bytes > memory_bytes_) break;
         blocks.push_back(i);
     }
     std::sort(blocks.begin(), blocks.end());
@@ -61,14 +67,13 @@ std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_
 
 void ResidentScene::load_near(const glm::vec3& sensor_position_m, double max_range_m) {
     ++scans_;
+    const double reach_m = max_range_m + kMaxSweepMotion_m;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
-        if (scene_.blocks[i].count == 0 ||
-            scene_.blocks[i].distance_m(sensor_position_m) > max_range_m + kMaxSweepMotion_m)
-            continue;
+        const SceneBlock& block = scene_.blocks[i];
+        if (block.count == 0 || block.distance_m(sensor_position_m) > reach_m) continue;
         needed.push_back(i);
-        // Number of the last scan that needed the block.
-        last_needed_[i] = scans_;
+        last_needed_[i] = scans_;  // number of the last scan that needed the block
     }
     // Loads only if a needed block is missing. Both lists are ascending.
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
@@ -89,19 +94,13 @@ std::uint32_t ResidentScene::add_model(const Scene& added) {
     if (!renderer_) return append_model(scene_, added, 0);
     std::uint32_t model = 0;
     if (must_reload(added)) {
-        const auto load = [&](const Scene& scene) {
-            past_.add_times(renderer_->stream().times());
-            renderer_.reset();  // frees memory first
-            renderer_.emplace(device_, scene, model_, options_);
-        };
         const Scene before = renderer_->download_scene();
         Scene scene = before;
         model = append_model(scene, added, 0);
         try {
-            load(scene);
+            load_scene(scene);
         } catch (const OutOfDeviceMemory&) {
-            // Loads the old scene again, so that the renderer stays usable.
-            load(before);
+            load_scene(before);  // so that the renderer stays usable
             throw;
         }
     } else {
@@ -119,8 +118,7 @@ void ResidentScene::add_instance(const ModelInstance& instance) {
 
 Scene ResidentScene::copy_model(std::uint32_t model) {
     Scene copy;
-    // instance of model 0 with a placeholder as track
-    copy.instances = {{0, "copy"}};
+    copy.instances = {{.model = 0, .track = "copy"}};  // a placeholder, because actors need a track
     if (!renderer_) {
         append_model(copy, scene_, model);
         return copy;

@@ -40,6 +40,7 @@ public:
     const KernelTimes& kernel_times();
 
 private:
+    std::uint64_t load_scene(const Scene& scene);
     void load_blocks(const std::vector<std::size_t>& blocks);
     std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> blocks) const;
 
