@@ -26,18 +26,13 @@ constexpr std::string_view kVehicleClasses[] = {
 constexpr std::string_view kCyclistClasses[] = {"cyclist",       "bicycle",         "motorcycle",
                                                 "rider",         "bicyclist",       "motorcyclist",
                                                 "wheeled_rider", "vehicle.bicycle", "vehicle.motorcycle"};
-constexpr std::string_view kPersonClasses[] = {"pedestrian",
-                                               "person",
-                                               "person (sitting)",
-                                               "person_sitting",
-                                               "official_signaler",
-                                               "human.pedestrian.adult",
-                                               "human.pedestrian.child",
-                                               "human.pedestrian.construction_worker",
-                                               "human.pedestrian.police_officer",
-                                               "human.pedestrian.personal_mobility",
-                                               "human.pedestrian.stroller",
-                                               "human.pedestrian.wheelchair"};
+constexpr std::string_view kPersonClasses[] = {
+    // KITTI, KITTI-360, Waymo, Argoverse 2
+    "pedestrian", "person", "person (sitting)", "person_sitting", "official_signaler",
+    // nuScenes
+    "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
+    "human.pedestrian.police_officer", "human.pedestrian.personal_mobility", "human.pedestrian.stroller",
+    "human.pedestrian.wheelchair"};
 
 bool is_word_in_list(std::span<const std::string_view> words, std::string_view word) {
     return std::ranges::find(words, word) != words.end();
@@ -47,6 +42,9 @@ bool is_word_in_list(std::span<const std::string_view> words, std::string_view w
 constexpr double kGroundHeight_m = 0.15;
 // Minimum length of a vehicle without a class. Cyclists are shorter.
 constexpr double kShortestVehicle_m = 3.0;
+// Limits for persons and cyclists without a class.
+constexpr double kMaxPersonWidth_m = 1.1, kMinPersonHeight_m = 1.2;
+constexpr double kMaxPersonLength_m = 1.3, kMaxCyclistLength_m = 2.2;
 
 /// Returns the corners of the part of a box that contains the points of the object.
 std::pair<glm::dvec3, glm::dvec3> object_corners(const glm::dvec3& size_m) {
@@ -62,6 +60,7 @@ Pose median_pose(const PoseTrack& track) {
         for (const Pose& pose : track.pose) values.push_back(pose.translation[axis]);
         middle_m[axis] = compute_median(std::move(values));
     }
+    // A median of rotations is not defined, so the nearest pose supplies its rotation.
     const auto distance_m = [&](const Pose& pose) { return glm::distance(pose.translation, middle_m); };
     return {std::ranges::min_element(track.pose, {}, distance_m)->rotation, middle_m};
 }
@@ -86,9 +85,10 @@ ObjectKind guess_kind(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return parse_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
     if (length >= kShortestVehicle_m) return ObjectKind::vehicle;
-    if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
-    if (length < 1.3) return ObjectKind::person;
-    return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
+    const bool is_narrow_and_tall = width <= kMaxPersonWidth_m && box.size_m.z >= kMinPersonHeight_m;
+    if (!is_narrow_and_tall) return ObjectKind::other;
+    if (length < kMaxPersonLength_m) return ObjectKind::person;
+    return length < kMaxCyclistLength_m ? ObjectKind::cyclist : ObjectKind::other;
 }
 
 std::string label_of(const BoxTrack& box) {
@@ -109,11 +109,18 @@ std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm:
     return glm::dvec2(std::max(inside->enter, 0.0), inside->leave);
 }
 
+std::vector<std::string> actor_names(const Scene& scene) {
+    std::vector<std::string> names;
+    for (const ModelInstance& instance : scene.instances)
+        if (!instance.track.empty()) names.push_back(instance.track);  // the background has no track
+    return names;
+}
+
 std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options) {
     const std::vector<std::string> actor_tracks = split_list(options.actor_tracks);
     std::vector<BoxTrack> standing;
     for (const BoxTrack& box : log.boxes) {
-        // Training removes the points of these boxes from the background.
+        // Training removes the points of selected tracks from the background.
         const bool is_removed = std::ranges::find(actor_tracks, box.id) != actor_tracks.end();
         const bool has_model =
             std::ranges::find(scene.instances, box.id, &ModelInstance::track) != scene.instances.end();

@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include <relidar/scene/device_scene.hpp>
-#include <relidar/scene/scene.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "base/fail.hpp"
 #include "base/geometry/ray_box.hpp"
@@ -48,9 +48,9 @@ void Surfels::add_still_gait() {
 
 void Surfels::check_lengths() const {
     for (const SurfelParameterGroup& group : kParameterGroups) {
-        const bool is_there = has_group(parameters_used(), group);
+        const bool is_used = has_group(parameters_used(), group);
         const std::size_t n_values = group.values(*this).size(),
-                          n_expected_values = is_there ? size() * group.count_floats() : 0;
+                          n_expected_values = is_used ? size() * group.count_floats() : 0;
         if (n_values != n_expected_values)
             fail("cannot use {} {}: the array {} has {} values, expected {}", size(),
                  properties_of(primitive).label, group.name, n_values, n_expected_values);
@@ -62,13 +62,13 @@ void Surfels::append_surfels(const Surfels& other) {
         fail("cannot join {} with {}, expected runs with the same setting image.primitive",
              properties_of(primitive).label, properties_of(other.primitive).label);
     if (other.size() > 0) primitive = other.primitive;
-    if (other.bends) add_still_gait();
+    if (other.bends) add_still_gait();  // the result has gaits if one of both has gaits
     const std::size_t n = size() + other.size();
     for (const SurfelParameterGroup& group : kParameterGroups) {
-        const std::size_t before = group.values(*this).size();
-        const std::span<const float> more = group.values(other);
-        group.resize(*this, before + more.size());
-        std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
+        const std::size_t n_before = group.values(*this).size();
+        const std::span<const float> added = group.values(other);
+        group.resize(*this, n_before + added.size());
+        std::ranges::copy(added, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(n_before));
     }
     if (bends) gait.resize(n);  // if the appended surfels have no gait, adds gaits without motion
 }
@@ -101,16 +101,16 @@ void convert_surfels(Surfels& surfels, PrimitiveType primitive, double relative_
 }
 
 Scene replace_background(const Scene& scene, const Surfels& background) {
-    const std::uint32_t before = scene.models.front().count,
-                        n = static_cast<std::uint32_t>(background.size());
+    const std::uint32_t n_before = scene.models.front().count,
+                        n_after = static_cast<std::uint32_t>(background.size());
     Scene other = strip_surfels(scene);
     other.blocks.clear();
     other.surfels = background.reorder(kd_tree_order(background.mean));
-    other.models.front().count = n;
-    // If the new background has fewer surfels, `n - before` wraps around (modulo 2^32).
-    // The sum wraps back to the correct index.
-    for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
-    other.surfels.append_surfels(scene.surfels.slice(before, scene.surfels.size() - before));
+    other.models.front().count = n_after;
+    // The surfels of the actors follow the background, so their indices shift.
+    for (std::size_t i = 1; i < other.models.size(); ++i)
+        other.models[i].first = other.models[i].first - n_before + n_after;
+    other.surfels.append_surfels(scene.surfels.slice(n_before, scene.surfels.size() - n_before));
     return other;
 }
 
@@ -135,12 +135,13 @@ Scene wrap_background(Surfels surfels) {
 std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points) {
     std::vector<std::uint32_t> order(points.size());
     std::iota(order.begin(), order.end(), 0u);
-    // Stack of ranges [first, last) that must still be split.
+    // Stack of the nodes that must still be split: ranges [first, last) of `order`.
     std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
     while (!ranges.empty()) {
         const auto [first, last] = ranges.back();
         ranges.pop_back();
-        if (last - first < 3) continue;
+        if (last - first < 3) continue;  // a node of one or two points is a leaf
+        // Splits at the median of the axis along which the points spread most.
         glm::vec3 low(1e30f), high(-1e30f);
         for (std::size_t i = first; i < last; ++i) {
             low = glm::min(low, points[order[i]]);
@@ -149,12 +150,10 @@ std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points) {
         const glm::vec3 size = high - low;
         const int axis = longest_axis(size);
         const std::size_t middle = (first + last) / 2;
-        std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
-                         order.begin() + static_cast<std::ptrdiff_t>(middle),
-                         order.begin() + static_cast<std::ptrdiff_t>(last),
-                         [&](std::uint32_t left, std::uint32_t right) {
-                             return points[left][axis] < points[right][axis];
-                         });
+        const auto at = [&](std::size_t i) { return order.begin() + static_cast<std::ptrdiff_t>(i); };
+        std::nth_element(at(first), at(middle), at(last), [&](std::uint32_t left, std::uint32_t right) {
+            return points[left][axis] < points[right][axis];
+        });
         ranges.push_back({first, middle});
         ranges.push_back({middle, last});
     }
@@ -184,15 +183,16 @@ double model_extent_m(const Scene& scene, std::size_t model) {
     if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
     const SurfelModel& range = scene.models[model];
     if (range.half_size_m.x > 0.0f) return actor_extent_m(range.half_size_m);
-    const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
+    // Without a box, the distances of the surfels from their centre give the extent.
+    const std::span<const glm::vec3> means = std::span(scene.surfels.mean).subspan(range.first, range.count);
     glm::dvec3 centre(0.0);
-    for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
+    for (const glm::vec3& mean : means) centre += glm::dvec3(mean);
     centre /= double(range.count);
+    std::vector<double> diameters_m;
+    for (const glm::vec3& mean : means) diameters_m.push_back(2.0 * glm::length(glm::dvec3(mean) - centre));
     // The 90th percentile ignores a few surfels that are far away.
-    std::vector<double> distance;
-    for (auto p = first; p != last; ++p) distance.push_back(2.0 * glm::length(glm::dvec3(*p) - centre));
-    const auto q90 = distance.begin() + static_cast<std::ptrdiff_t>(0.9 * double(distance.size() - 1));
-    std::nth_element(distance.begin(), q90, distance.end());
+    const auto q90 = diameters_m.begin() + static_cast<std::ptrdiff_t>(0.9 * double(diameters_m.size() - 1));
+    std::nth_element(diameters_m.begin(), q90, diameters_m.end());
     return 3.0 * *q90;
 }
 
@@ -208,32 +208,32 @@ std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_
 }
 
 Scene unshare_models(Scene scene) {
-    std::vector<bool> owned(scene.models.size(), false);
+    std::vector<bool> has_instance(scene.models.size(), false);
     for (ModelInstance& instance : scene.instances) {
         // The first instance keeps the model. Each further instance gets a copy.
-        if (!owned[instance.model]) {
-            owned[instance.model] = true;
+        if (!has_instance[instance.model]) {
+            has_instance[instance.model] = true;
             continue;
         }
         instance.model = append_model(scene, scene, instance.model);
-        owned.push_back(true);
+        has_instance.push_back(true);
     }
     return scene;
 }
 
 std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& instance_names) {
+    std::vector<std::string> part_names = actor_names(scene);
+    part_names.insert(part_names.begin(), {"background", "actors"});
     std::vector<bool> selected(scene.instances.size(), false);
-    std::vector<std::string> part_names{"background", "actors"};
-    for (const ModelInstance& instance : scene.instances)
-        if (!instance.track.empty()) part_names.push_back(instance.track);
     for (const std::string& name : instance_names) {
         if (std::find(part_names.begin(), part_names.end(), name) == part_names.end())
             fail<UsageError>("cannot select the part \"{}\" of the scene{} (known parts: {})", name,
                              did_you_mean(name, part_names, "\""), fmt::join(part_names, ", "));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
-            // Only the background has no track.
-            if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;
+            const bool is_background = track.empty();
+            const bool is_named = is_background ? name == "background" : name == "actors" || name == track;
+            if (is_named) selected[i] = true;
         }
     }
     return selected;

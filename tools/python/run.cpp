@@ -411,12 +411,7 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
             "actors",
-            [](const LoadedRun& run) {
-                std::vector<std::string> track_names;
-                for (const ModelInstance& instance : run.run.scene.instances)
-                    if (!instance.track.empty()) track_names.push_back(instance.track);
-                return track_dict(run.run.sequence, track_names);
-            },
+            [](const LoadedRun& run) { return track_dict(run.run.sequence, actor_names(run.run.scene)); },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses [n,4,4]) "
             "of the centre of the box, in the form of render().")
         .def_property_readonly(

@@ -5,6 +5,7 @@
 #include <set>
 
 #include <relidar/base/error.hpp>
+#include <relidar/scene/labels.hpp>
 
 #include "asset_catalogue.hpp"
 #include "geometry_messages.hpp"
@@ -85,12 +86,7 @@ Weather read_weather(const std::string& text) {
 
 }  // namespace
 
-std::vector<std::string> run_actor_names(const Run& run) {
-    std::vector<std::string> names;
-    for (const ModelInstance& instance : run.scene.instances)
-        if (!instance.track.empty()) names.push_back(instance.track);
-    return names;
-}
+std::vector<std::string> run_actor_names(const Run& run) { return actor_names(run.scene); }
 
 RequestReader::RequestReader(SceneSet& scenes)
     : RequestReader(scenes.runs(), scenes.sources(), scenes.assets(), scenes.spawned()) {}

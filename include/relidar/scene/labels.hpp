@@ -37,6 +37,9 @@ std::optional<glm::dvec2> object_interval(const glm::dvec3& origin_m, const glm:
 /// labels jitter and the background does not move.
 std::vector<BoxTrack> list_standing(const Scene& scene, const Log& log, const InitOptions& options);
 
+/// Returns the names (track ids) of all actors, in the order of the scene's instances.
+std::vector<std::string> actor_names(const Scene& scene);
+
 /// Makes surfels fade earlier whose learned motion carries them out of their actor while
 /// they are visible. Their opacity is then at most alpha_min as soon as their centre is
 /// 0.2 m outside the box of the label.

@@ -77,24 +77,26 @@ std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
 }
 
 /// Returns the training frames in which the log has a box of at least one instance.
-std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxTrack*>& box_per_instance) {
+/// @param boxes [instances] null if an instance has no box
+std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxTrack*>& boxes) {
     std::vector<int> positions;
-    for (const int i : run.split.train) {
-        const double time_s = run.sequence.frames[std::size_t(i)].time_s;
-        if (std::ranges::any_of(box_per_instance,
-                                [&](const BoxTrack* b) { return b && b->is_observed(time_s); }))
-            positions.push_back(i);
+    for (const int position : run.split.train) {
+        const double time_s = run.sequence.frames[std::size_t(position)].time_s;
+        const auto is_present = [&](const BoxTrack* box) { return box && box->is_observed(time_s); };
+        if (std::ranges::any_of(boxes, is_present)) positions.push_back(position);
     }
     return positions;
 }
 
 /// Adds the hits of a scan to the actors, as points and ray directions in the box frame.
+/// @param boxes [instances] null if an instance has no box
+/// @param observed output, by track
 void add_observations(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
                       ObservationsByTrack& observed) {
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
-        if (!box || !(scan.median_range_m[i] > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
+        if (!box || !is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i])) continue;
         const Pose box_from_world =
             inverse(box->world_from_box.pose_at(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.pose_of(i);
@@ -120,6 +122,7 @@ constexpr double kAssetMost = 1e9;  // largest valid count or length
 constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person,
                                       ObjectKind::other};
 
+/// Returns the text of the file that read_description() reads.
 std::string to_json(const AssetDescription& facts) {
     nlohmann::ordered_json sides;
     for (std::size_t s = 0; s < kBoxSides; ++s) sides[name_of(BoxSide(s))] = facts.seen_sides[s];
@@ -142,6 +145,24 @@ std::string to_json(const AssetDescription& facts) {
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
+/// Describes an actor of a run by its box and the parts of the box that the log observed.
+AssetDescription describe_actor(const Run& run, const BoxTrack& box, const ObservedBoxSurface& surface,
+                                double nearest_m) {
+    AssetDescription facts;
+    facts.name = make_asset_name(box);
+    facts.category = box.category;
+    facts.kind = guess_kind(box);
+    facts.size_m = box.size_m;
+    if (!run.folder.empty()) facts.source_run = fs::absolute(run.folder).lexically_normal().string();
+    facts.source_track = box.id;
+    facts.sensor = run.sequence.lidars.front().sensor.name;
+    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.observed_fraction(BoxSide(s));
+    facts.seen = surface.observed_fraction();
+    facts.nearest_m = nearest_m;
+    facts.clearance_m = ground_clearance({run.scene, run.sequence}, box.id).value_or(0.0);
+    return facts;
+}
+
 ObjectKind read_kind(const JsonField& field) {
     const std::string word = field.text();
     const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == name_of(k); });
@@ -161,9 +182,8 @@ ObservedBoxSurface observed_surface(const glm::dvec3& box_size_m, const ActorObs
 
 ActorAsset extract_asset(const Run& run, const std::string& track, const ActorObservations& observations) {
     SceneWithLog alone = run.driving_scene();
-    std::vector<std::string> others;
-    for (const ModelInstance& instance : alone.scene.instances)
-        if (!instance.track.empty() && instance.track != track) others.push_back(instance.track);
+    std::vector<std::string> others = actor_names(alone.scene);
+    std::erase(others, track);
     alone = remove_background(std::move(alone));
     for (const std::string& other : others) alone = remove_track(std::move(alone), other);
     const auto box =
@@ -174,25 +194,16 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
 
     ObservedBoxSurface surface = observed_surface(box->size_m, observations);
     ActorAsset asset;
+    asset.facts = describe_actor(run, *box, surface, observations.nearest_m);
     AssetDescription& facts = asset.facts;
-    facts = {make_asset_name(*box),
-             box->category,
-             guess_kind(*box),
-             box->size_m,
-             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
-             track,
-             run.sequence.lidars.front().sensor.name};
-    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.observed_fraction(BoxSide(s));
-    facts.seen = surface.observed_fraction();
-    facts.nearest_m = observations.nearest_m;
-    facts.clearance_m = ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
+    // Removes surfels that are never visible, and completes the unobserved side.
     SurfelModel& model = alone.scene.models[1];
     Surfels& surfels = alone.scene.surfels;
-    std::vector<std::uint32_t> shown;
+    std::vector<std::uint32_t> visible;
     for (std::uint32_t i = 0; i < surfels.size(); ++i)
-        if (is_useful(surfels, i, model, run.config.image)) shown.push_back(i);
-    surfels = surfels.reorder(shown);
+        if (is_useful(surfels, i, model, run.config.image)) visible.push_back(i);
+    surfels = surfels.reorder(visible);
     if (facts.kind == ObjectKind::vehicle) {
         facts.mirrored = mirror_unobserved(surfels, surface);
         facts.completed = surface.is_completed ? surface.mirrorable_fraction() : 0.0;
@@ -201,6 +212,7 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
     surfels = surfels.reorder(kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();
 
+    // Makes a run with this actor, which has the name of the asset.
     BoxTrack named = *box;
     named.id = facts.name;
     model = {facts.name, 0, std::uint32_t(surfels.size()), model.half_size_m, model.stride_m, surface};
@@ -218,9 +230,7 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
 }
 
 std::string only_track(const Run& run) {
-    std::vector<std::string> tracks;
-    for (const ModelInstance& instance : run.scene.instances)
-        if (!instance.track.empty()) tracks.push_back(instance.track);
+    const std::vector<std::string> tracks = actor_names(run.scene);
     if (tracks.size() == 1) return tracks.front();
     fail<UsageError>("{} is a run with {} actors, expected an asset, or RUN#TRACK{}", run.folder.string(),
                      tracks.size(),

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 
 namespace relidar {
@@ -110,10 +111,12 @@ void SimulatedSweepBuilder::name_instance(std::uint32_t instance, const std::str
 
 std::uint32_t SimulatedSweepBuilder::find_actor(const std::string& name) const {
     const auto match = instance_of_.find(name);
-    if (match != instance_of_.end()) return match->second;
-    std::vector<std::string> names;
-    for (const ModelInstance& instance : layout_.instances)
-        if (!instance.track.empty()) names.push_back(instance.track);
+    if (match == instance_of_.end()) fail_unknown_actor(name);
+    return match->second;
+}
+
+void SimulatedSweepBuilder::fail_unknown_actor(const std::string& name) const {
+    const std::vector<std::string> names = actor_names(layout_);
     fail<UsageError>("cannot find an actor: found track \"{}\", expected a track of the scene{}", name,
                      names.empty() ? ", which has no actors" : did_you_mean(name, names, "\""));
 }
@@ -149,8 +152,7 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     // The sweep starts at an azimuth that depends on the scan pattern. Without a pattern,
     // find_sweep_start() uses the log's spinning LiDAR.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    // without a value: the rays of the sensor
-    std::optional<RayTable> rays;
+    std::optional<RayTable> rays;  // without a value: the rays of the sensor
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     if (makes_rays || !log_.rolling_shutter) {
         rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
@@ -161,9 +163,11 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
     sweep.instances = pose_instances(layout_, log_, now, world_from_actor);
-    for (std::size_t i = 0; i < sweep.instances.size(); ++i)
-        sweep.instances[i].present =
-            sweep.instances[i].present && shown_[i] && (i < n_logged_ || !layout_.instances[i].track.empty());
+    for (std::size_t i = 0; i < sweep.instances.size(); ++i) {
+        // An added instance without a name is a free slot.
+        const bool is_free = i >= n_logged_ && layout_.instances[i].track.empty();
+        if (!shown_[i] || is_free) sweep.instances[i].present = false;
+    }
     return sweep;
 }
 
@@ -191,16 +195,16 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
     // The actors of a request replace all logged motions. All others are absent.
     InstanceTracks tracks = request.dataset_from_actor ? InstanceTracks(layout_.instances.size(), nullptr)
                                                        : logged_tracks(request.time_s);
-    std::deque<PoseTrack> world_from_actor;  // keeps its elements where they are
+    std::deque<PoseTrack> world_from_actor;  // a deque, because `tracks` points to its elements
     if (request.dataset_from_actor)
         for (const auto& [name, track] : *request.dataset_from_actor) {
-            // throws for an unknown name
-            static_cast<void>(find_actor(name));
-            const PoseTrack& moved = world_from_actor.emplace_back(in_world(track, "actor " + name));
-            // Several instances can have the same name.
             const auto [first, last] = instance_of_.equal_range(name);
-            for (auto match = first; match != last; ++match) tracks[match->second] = &moved;
+            if (first == last) fail_unknown_actor(name);
+            const PoseTrack& in_scene = world_from_actor.emplace_back(in_world(track, "actor " + name));
+            // Several instances can have the same name.
+            for (auto match = first; match != last; ++match) tracks[match->second] = &in_scene;
         }
+    // Actors that spawn() has added are placed by their handles.
     for (const auto& [actor, track] : request.placed) {
         const auto instance = std::size_t(actor);
         if (instance >= tracks.size() || layout_.instances[instance].track.empty())

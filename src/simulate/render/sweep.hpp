@@ -71,6 +71,7 @@ private:
 
     /// [instances] null if absent
     using InstanceTracks = std::vector<const PoseTrack*>;
+    [[noreturn]] void fail_unknown_actor(const std::string& name) const;
     InstanceTracks logged_tracks(double time_s) const;
     SimulatedSweep along_track(const SimulatedSensor& sensor, double time_s, PoseTrack world_from_sensor,
                                const InstanceTracks& world_from_actor);

@@ -6,6 +6,7 @@
 
 #include <relidar/run/run.hpp>
 #include <relidar/scene/device_scene.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
@@ -116,10 +117,7 @@ SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const 
 }
 
 IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
-    IgnoredMeasurements masks{config.init, {}, {}};
-    for (const ModelInstance& instance : scene.instances)
-        if (!instance.track.empty()) masks.actors.push_back(instance.track);
-    return masks;
+    return {config.init, actor_names(scene), {}};
 }
 
 TrainingRays make_training_rays(const Run& run, const Frame& frame) {
