@@ -2,6 +2,7 @@
 #include "simulate/render/body_rays.hpp"
 
 #include <relidar/log/classes.hpp>
+#include <relidar/simulate/weather.hpp>
 #include "base/parallel.hpp"
 
 namespace relidar {
@@ -10,21 +11,19 @@ namespace {
 // Assumption: dark paint, as most returns from the own vehicle have a low intensity.
 constexpr float kBodyIntensity = 0.1f;
 
-/// Sets an optional channel of a ray that hits the vehicle's own body.
+/// Returns the value of an optional channel for a ray that hits the vehicle's own body.
+/// @param direction unit vector of the ray
 /// @param is_kept true if the sensor reports such returns
 template <class T>
-void fill_value(const ChannelInfo& channel, std::vector<T>& values, std::size_t ray, const BodyHit& hit,
-                const glm::vec3& direction, bool is_kept) {
+T value_on_body(const ChannelInfo& channel, const BodyHit& hit, const glm::vec3& direction, bool is_kept) {
     if constexpr (std::is_same_v<T, glm::vec3>) {
-        // Vector channels are 0 on the body, except the normal.
-        values[ray] = channel.name == "normal" ? glm::vec3(hit.normal) : glm::vec3(0.0f);
+        return channel.name == "normal" ? glm::vec3(hit.normal) : glm::vec3(0.0f);
     } else {
-        // Channels that the body does not define get the value for unknown.
-        values[ray] = T(channel.none);
-        if (channel.name == "incidence") values[ray] = T(-glm::dot(glm::vec3(hit.normal), direction));
-        if (channel.name == "class") values[ray] = T(SurfaceClass::ego);
-        if (channel.name == "surfel_drop_prob") values[ray] = is_kept ? T(0) : T(1);
-        if (channel.name == "source" && is_kept) values[ray] = T(0);  // ReturnCause::surface
+        if (channel.name == "incidence") return T(-glm::dot(glm::vec3(hit.normal), direction));
+        if (channel.name == "class") return T(SurfaceClass::ego);
+        if (channel.name == "surfel_drop_prob") return is_kept ? T(0) : T(1);
+        if (channel.name == "source" && is_kept) return T(ReturnCause::surface);
+        return T(channel.none);  // the body has no value in this channel
     }
 }
 
@@ -39,10 +38,10 @@ void block_rays(RenderedScan& scan, const VehicleBody& body, const RangeLimits& 
         if (!hit) return;
         const float range_m = float(hit->range_m), median_m = scan.median_range_m[i];
         const bool has_surface = scan.weight[i] >= 0.5f || scan.image.drop_prob[i] < kDropThreshold;
-        // Something can be between the sensor and the body. Noise moves points of the
-        // body.
-        if (scan.instance[i] != kOwnVehicleInstance && has_surface && median_m > 0.0f && median_m < range_m)
-            return;
+        // Another surface can be between the sensor and the body. A point that already
+        // belongs to the body can be nearer because of noise.
+        const bool is_hidden = has_surface && median_m > 0.0f && median_m < range_m;
+        if (is_hidden && scan.instance[i] != kOwnVehicleInstance) return;
         const bool is_kept = body.keeps_points && limits.contains(hit->range_m);
         scan.image.range_m[i] = scan.median_range_m[i] = scan.mean_range_m[i] = range_m;
         scan.image.intensity[i] = is_kept ? kBodyIntensity : 0.0f;
@@ -51,8 +50,11 @@ void block_rays(RenderedScan& scan, const VehicleBody& body, const RangeLimits& 
         scan.instance[i] = kOwnVehicleInstance;
         for (AdditionalReturns& second : scan.second_returns) second.range_m[i] = second.intensity[i] = 0.0f;
         for (ScanChannel& channel : scan.channels)
-            std::visit([&](auto& values) { fill_value(channel.info, values, i, *hit, direction, is_kept); },
-                       channel.values);
+            std::visit(
+                [&]<class T>(std::vector<T>& values) {
+                    values[i] = value_on_body<T>(channel.info, *hit, direction, is_kept);
+                },
+                channel.values);
     });
 }
 

@@ -71,24 +71,27 @@ ChannelValues make_velocity(const RenderedScan& scan, const ChannelInputs& conte
 /// Returns the class of the surface that each ray hits. For the background, looks up the
 /// class at the point at the median range.
 ChannelValues make_classes(const RenderedScan& scan, const ChannelInputs& context) {
-    std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
-    parallel_blocks(of_rays.size(), [&](std::size_t ray) {
+    std::vector<std::int32_t> classes(scan.instance.size(), -1);  // -1: the ray hits nothing
+    parallel_blocks(classes.size(), [&](std::size_t ray) {
         const std::int32_t instance = scan.instance[ray];
         if (instance < 0) return;
-        of_rays[ray] = context.classes[std::size_t(instance)];
-        if (of_rays[ray] != 0 || !context.background) return;
-        of_rays[ray] = std::int32_t(context.background->find_class(
-            scan.firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m));
+        classes[ray] = context.classes[std::size_t(instance)];
+        const bool is_background = classes[ray] == 0;
+        if (!is_background || !context.background) return;
+        const glm::dvec3 hit_m =
+            scan.firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m;
+        classes[ray] = std::int32_t(context.background->find_class(hit_m));
     });
-    return of_rays;
+    return classes;
 }
 
 ChannelValues make_observed(const RenderedScan& scan, const ChannelInputs& context) {
-    const LogObservedSpace& log = context.log;
-    if (log.coverage.empty()) return {};
-    std::vector<std::size_t> rays;
-    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) rays.push_back(i);
-    return observed_shares(scan, rays, log);
+    if (context.log.coverage.empty()) return {};
+    std::vector<float> shares(scan.median_range_m.size());
+    parallel_blocks(shares.size(), [&](std::size_t ray) {
+        shares[ray] = observed_share(surface_ray(scan, ray), context.log);
+    });
+    return shares;
 }
 
 /// Exactly one of the three functions is set.
@@ -128,14 +131,13 @@ RayMotion MotionDuringScan::motion_of_ray(const RenderedScan& scan, std::size_t 
     const double time_s = scan.time_s + double(scan.time_offset_s[ray]);
     const Pose world_from_firing = world_from_sensor.pose_at(time_s);
     const glm::dvec3 origin_m(scan.image.origin[ray]);
-    RayMotion motion{world_from_firing * origin_m,
-                     world_from_firing.rotation * glm::dvec3(scan.image.direction[ray]), 0.0};
-    // With a single pose the sensor rests, and its speed stays 0.
-    if (world_from_sensor.pose.size() > 1)
-        motion.sensor_away_mps =
-            glm::dot(motion.direction, world_from_sensor.pose_at(time_s + kVelocityStep_s) * origin_m -
-                                           world_from_sensor.pose_at(time_s - kVelocityStep_s) * origin_m) /
-            (2.0 * kVelocityStep_s);
+    RayMotion motion{.start_m = world_from_firing * origin_m,
+                     .direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[ray]),
+                     .sensor_away_mps = 0.0};
+    if (world_from_sensor.pose.size() == 1) return motion;  // the sensor rests
+    const glm::dvec3 moved_m = world_from_sensor.pose_at(time_s + kVelocityStep_s) * origin_m -
+                               world_from_sensor.pose_at(time_s - kVelocityStep_s) * origin_m;
+    motion.sensor_away_mps = glm::dot(motion.direction, moved_m) / (2.0 * kVelocityStep_s);
     return motion;
 }
 
@@ -148,6 +150,8 @@ glm::dvec3 MotionDuringScan::object_velocity(std::int32_t instance, double after
     return object.motion.velocity_mps + glm::cross(object.motion.angular_velocity_radps, point_m - middle_m);
 }
 
+// The poses of a moving sensor are kept per column. NaN differs from every time, so the
+// first ray of each column computes a pose.
 FiringPoseInterpolator::FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset)
     : scan_(scan),
       target_from_dataset_(target_from_dataset),
@@ -170,25 +174,19 @@ double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogO
     return double(std::ranges::count_if(shares, is_unobserved)) / double(n_rays);
 }
 
-std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
-                                   const LogObservedSpace& space) {
-    std::vector<float> shares(rays.size());
-    parallel_blocks(rays.size(), [&](std::size_t index) {
-        shares[index] = observed_share(surface_ray(scan, rays[index]), space);
-    });
-    return shares;
-}
-
 void set_unseen_share(RenderedScan& scan, const LogObservedSpace& space) {
     const std::size_t n = scan.median_range_m.size();
     if (space.coverage.empty() || n == 0) return;
-    const auto ray_at = [&](std::size_t index) {
-        return surface_ray(scan, DevicePointComputer::sample_ray(index, n));
+    if (const std::vector<float>* observed = find_values<float>(scan.channels, "seen")) {
+        scan.unseen_share =
+            double(std::ranges::count_if(*observed, is_unobserved)) / double(observed->size());
+        return;
+    }
+    // Without this channel, a sample of the rays gives an estimate.
+    const auto sampled_ray = [&](std::size_t sample) {
+        return surface_ray(scan, DevicePointComputer::sample_ray(sample, n));
     };
-    // Without the channel `seen`, a sample of the rays gives an estimate.
-    if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
-        scan.unseen_share = double(std::ranges::count_if(*shares, is_unobserved)) / double(shares->size());
-    else scan.unseen_share = unobserved_share(DevicePointComputer::sample_count(n), ray_at, space);
+    scan.unseen_share = unobserved_share(DevicePointComputer::sample_count(n), sampled_ray, space);
 }
 
 static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&

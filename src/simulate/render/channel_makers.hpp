@@ -41,10 +41,6 @@ using RaySource = std::function<RayWithSurfaceRange(std::size_t)>;
 /// Returns the share of rays of whose path the log observed less than half.
 double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogObservedSpace& space);
 
-/// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.
-std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
-                                   const LogObservedSpace& space);
-
 /// Sets RenderedScan::unseen_share. Uses the channel "seen" if the scan has it, otherwise
 /// a sample of the rays. Sets no value if the observed space is unknown.
 void set_unseen_share(RenderedScan& scan, const LogObservedSpace& space);

@@ -12,32 +12,28 @@ namespace {
 // Limits probabilities to 1e-4 ... 1 - 1e-4, and so the logits to -9.2 ... 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
-/// Returns a function that computes one input value of the ray-drop network for a ray.
-/// `channel` selects the value (RELIDAR_DROP_*). The kernel simulate/render/drop_channels
-/// computes equal values.
-RayFunction drop_input(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
-    if (channel == RELIDAR_DROP_LOG_RANGE)
-        return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };
-    if (channel == RELIDAR_DROP_INTENSITY)
-        return [&](std::size_t index) { return scan.image.intensity[index]; };
-    if (channel == RELIDAR_DROP_LOGIT)
-        return [&](std::size_t index) {
+/// Returns one input value of the ray-drop network for a ray. The kernel
+/// simulate/render/drop_channels computes equal values.
+/// @param channel selects the value (RELIDAR_DROP_*)
+/// @param cosine [rays] cosine of the angle of incidence; null if unknown
+/// @param origin_m position of the sensor, an input that all rays share
+float drop_input(const RenderedScan& scan, std::uint32_t channel, std::size_t ray,
+                 const std::vector<float>* cosine, const glm::vec3& origin_m) {
+    switch (channel) {
+        case RELIDAR_DROP_LOG_RANGE: return std::log1p(std::max(scan.median_range_m[ray], 0.0f));
+        case RELIDAR_DROP_INTENSITY: return scan.image.intensity[ray];
+        case RELIDAR_DROP_LOGIT: {
             const float p =
-                std::clamp(scan.image.drop_prob[index], kLeastProbability, 1.0f - kLeastProbability);
+                std::clamp(scan.image.drop_prob[ray], kLeastProbability, 1.0f - kLeastProbability);
             return std::log(p / (1.0f - p));
-        };
-    if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
-    if (channel == RELIDAR_DROP_SPREAD)
-        return [&](std::size_t index) {
-            return std::log1p(std::abs(scan.median_range_m[index] - scan.mean_range_m[index]));
-        };
-    if (channel == RELIDAR_DROP_COSINE) {
-        const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidenceChannel);
-        return [cosine](std::size_t index) { return cosine ? (*cosine)[index] : 0.0f; };
+        }
+        case RELIDAR_DROP_WEIGHT: return scan.weight[ray];
+        case RELIDAR_DROP_SPREAD:
+            return std::log1p(std::abs(scan.median_range_m[ray] - scan.mean_range_m[ray]));
+        case RELIDAR_DROP_COSINE: return cosine ? (*cosine)[ray] : 0.0f;
+        case RELIDAR_DROP_ELEVATION: return scan.image.direction[ray].z;
+        default: return origin_m[int(channel - RELIDAR_DROP_ORIGIN)];
     }
-    if (channel == RELIDAR_DROP_ELEVATION)
-        return [&](std::size_t index) { return scan.image.direction[index].z; };
-    return [of_all = origin_m[int(channel - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
 }
 
 }  // namespace
@@ -52,14 +48,14 @@ RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::st
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
+    const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidenceChannel);
     const std::size_t n = scan.median_range_m.size();
     image.channels.resize(inputs.size() * n);
-    // One plane of n values per channel.
-    std::size_t first = 0;
-    for (const std::uint32_t number : channel_numbers(inputs)) {
-        const auto channel = drop_input(scan, number, origin_m);
-        parallel_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
-        first += n;
+    float* plane = image.channels.data();  // values of the current channel, [n]
+    for (const std::uint32_t channel : channel_numbers(inputs)) {
+        parallel_blocks(
+            n, [&](std::size_t ray) { plane[ray] = drop_input(scan, channel, ray, cosine, origin_m); });
+        plane += n;
     }
     return image;
 }

@@ -76,12 +76,11 @@ void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& tar
     for_all_channels(
         source, target,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-            if constexpr (std::is_same_v<T, float>) {
-                if (channel.join == ChannelMergeRule::drop) return;
-                if (channel.join == ChannelMergeRule::range)
-                    return void(of_cells[cell] = glm::length(origin + of_rays[ray] * direction));
-            }
+            if (channel.join == ChannelMergeRule::drop) return;
             of_cells[cell] = of_rays[ray];
+            if constexpr (std::is_same_v<T, float>)
+                if (channel.join == ChannelMergeRule::range)
+                    of_cells[cell] = glm::length(origin + of_rays[ray] * direction);
         });
     target.time_offset_s[cell] = source.time_offset_s[ray];
 }
@@ -160,41 +159,39 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
                      [n]<class T>(const ChannelInfo& channel, const std::vector<T>&,
                                   std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
     result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray that each pixel shows; 2 without a ray
-    std::vector<float> winner_drop(n, 2.0f);
+    // [cells] drop probability of the ray that each pixel shows
+    constexpr float kNoRay = 2.0f;
+    std::vector<float> shown_drop(n, kNoRay);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.end_of(i);
-        const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(point));
-        if (!cell) continue;
-        const std::size_t c = std::size_t(*cell);
+        const std::optional<int> pixel = project_to_pixel(grid, glm::dvec3(point));
+        if (!pixel) continue;
+        const auto cell = std::size_t(*pixel);
         const float drop = scan.image.drop_prob[i];
-        merge_drop(scan, i, result, c);
-        const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
-        const bool is_nearer = glm::length(point) < result.median_range_m[c];
-        // A returned ray wins over a dropped one. Of two returned rays, the nearer wins.
-        // Of two dropped rays, the one with the lower probability wins.
-        bool wins = returns;
-        if (returns == winner_returns) wins = returns ? is_nearer : drop < winner_drop[c];
-        if (!wins && winner_drop[c] < 1.5f) continue;
-        winner_drop[c] = drop;
-        copy_to_cell(scan, i, result, c);
+        merge_drop(scan, i, result, cell);
+        // A returned ray replaces a dropped one. Of two returned rays, the pixel shows
+        // the nearer one, and of two dropped rays the one with the lower probability.
+        const bool returns = drop < kDropThreshold, shown_returns = shown_drop[cell] < kDropThreshold;
+        const bool is_nearer = glm::length(point) < result.median_range_m[cell];
+        bool replaces = returns;
+        if (returns == shown_returns) replaces = returns ? is_nearer : drop < shown_drop[cell];
+        if (!replaces && shown_drop[cell] != kNoRay) continue;
+        shown_drop[cell] = drop;
+        copy_to_cell(scan, i, result, cell);
     }
     return result;
 }
 
 RangeImage measured_image(const Config& config, const Scan& scan) {
     RangeImage image;
-    // {}: drop probabilities, set below
+    RayTable rays;  // one for each pixel
     if (config.sensor.grid == "native") {
-        image = {scan.rays.rows,
-                 scan.rays.columns,
-                 to_vector(scan.range_m),
-                 to_vector(scan.intensity),
-                 {},
-                 to_vector(scan.rays.origin),
-                 to_vector(scan.rays.direction)};
+        rays = scan.rays;
+        image.range_m = to_vector(scan.range_m);
+        image.intensity = to_vector(scan.intensity);
     } else {
+        // Bins the points of the scan into the pixels of the grid.
         const RangeImageGrid grid = find_grid(config.sensor.grid);
         std::vector<glm::vec3> points;
         std::vector<float> intensity;
@@ -204,16 +201,14 @@ RangeImage measured_image(const Config& config, const Scan& scan) {
             intensity.push_back(scan.intensity[i]);
         }
         const ProjectedRangeImage binned = project_points(grid, points, intensity);
-        // The rays of the grid's pixels replace the rays of the scan.
-        const RayTable cells = make_rays(grid);
-        image = {grid.rows,
-                 grid.columns,
-                 binned.range_m,
-                 binned.intensity,
-                 {},
-                 to_vector(cells.origin),
-                 to_vector(cells.direction)};
+        rays = make_rays(grid);
+        image.range_m = binned.range_m;
+        image.intensity = binned.intensity;
     }
+    image.rows = rays.rows;
+    image.columns = rays.columns;
+    image.origin = to_vector(rays.origin);
+    image.direction = to_vector(rays.direction);
     for (const float range : image.range_m) image.drop_prob.push_back(range > 0.0f ? 0.0f : 1.0f);
     return image;
 }
