@@ -13,11 +13,13 @@
 namespace relidar {
 namespace {
 
-/// Copies points from the device. Rounds their intensities to the steps of the sensor.
+/// Copies points that the device has computed. Rounds their intensities to the steps of
+/// the sensor.
+/// @param points output; its arrays keep their memory
 void copy_points(std::span<const shared::ReturnedPoint> returned, const IntensityScatterModel& scatter,
                  LidarPoints& points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
-    static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
+    static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);  // host value for "no instance"
     const std::size_t n = returned.size();
     points.position_m.resize(n);
     points.intensity.resize(n);
@@ -44,13 +46,15 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                 const ScanRenderPlan& plan, SubmissionTiming timing,
                                                 PointMemory memory) try {
-    const int side_by_side = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
-    const bool joins = side_by_side > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);
-    ParallelScanResources& lane = joins ? lanes->next_lane() : lanes->single_lane();
+    // A scene with blocks has no copies for further lanes.
+    const int parallel_limit = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
+    const bool is_in_batch =
+        parallel_limit > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);
+    ParallelScanResources& lane = is_in_batch ? lanes->next_lane() : lanes->single_lane();
     prepare_scene(lane, sweep);
-    const bool corrects = plan.network == ScanRenderPlan::RayDropStage::device;
+    const bool has_network = plan.network == ScanRenderPlan::RayDropStage::device;
     PendingPoints scan{
-        .rays = record_trace(lane, sweep, sweep.rays(), corrects),
+        .rays = record_trace(lane, sweep, sweep.rays(), has_network),
         .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.sequence().world_offset_m),
         .dataset_from_points = dataset_from_points,
         .time_s = sweep.time_s,
@@ -68,10 +72,10 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
                                      {.points_from_sensor = points_from_sensor,
                                       .time_s = sweep.time_s,
                                       .of_image = config.render.points != "median",
-                                      .refined = corrects,
+                                      .refined = has_network,
                                       .target = scan.on_device ? &scan.on_device->points : nullptr},
                                      scan.renderer->forward_pass().n_truncated_rays());
-    if (!joins) scan.renderer->stream().submit_commands();
+    if (!is_in_batch) scan.renderer->stream().submit_commands();
     else if (timing == SubmissionTiming::now) lanes->submit_batch();
     return scan;
 } catch (...) {
@@ -79,13 +83,21 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
     throw;
 }
 
-/// Waits for the points of a requested scan.
-RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoints memory) {
-    if (scan.ready) return std::move(*scan.ready);
+/// Waits until the device has computed the points of a requested scan.
+DevicePointComputer::GatheredPoints ScanRenderer::Impl::wait_gathered(PendingPoints& scan) {
     lanes->submit_batch();
     const DevicePointComputer::GatheredPoints gathered =
         DevicePointComputer::wait(scan.renderer->stream(), *scan.points);
     if (gathered.n_capped > 0) scan.renderer->check_truncation();
+    return gathered;
+}
+
+/// Waits for the points of a requested scan. Also computes the share of its rays in space
+/// that the log has not observed.
+/// @param memory arrays to reuse
+RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoints memory) {
+    if (scan.ready) return std::move(*scan.ready);
+    const DevicePointComputer::GatheredPoints gathered = wait_gathered(scan);
     const RayTable& rays = scan.rays->ray_table();
     IntensityScatterModel steps;
     steps.step = scan.step;
@@ -97,27 +109,24 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoin
     result.points.time_s = scan.time_s;
     copy_points(gathered.points, steps, result.points);
     if (settings.coverage.empty() || !scan.is_background_shown) return result;
-    const auto ray_at = [&](std::size_t index) {
-        const std::size_t i = DevicePointComputer::sample_ray(index, rays.size());
-        return RayWithSurfaceRange{
-            scan.dataset_from_sensor.pose_at(scan.time_s + double(rays.time_offset_s[i])),
-            glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.requested_m[index]};
+    const auto sampled_ray = [&](std::size_t sample) {
+        const std::size_t i = DevicePointComputer::sample_ray(sample, rays.size());
+        const double time_s = scan.time_s + double(rays.time_offset_s[i]);
+        return RayWithSurfaceRange{.dataset_from_firing = scan.dataset_from_sensor.pose_at(time_s),
+                                   .origin_m = glm::dvec3(rays.origin[i]),
+                                   .direction = glm::dvec3(rays.direction[i]),
+                                   .met_m = gathered.sampled_m[sample]};
     };
-    result.unseen_share =
-        relidar::unobserved_share(gathered.requested_m.size(), ray_at,
-                                  {settings.coverage, sweeps.sequence().world_offset_m, scan.max_range_m});
+    const LogObservedSpace space{settings.coverage, sweeps.sequence().world_offset_m, scan.max_range_m};
+    result.unseen_share = relidar::unobserved_share(gathered.sampled_m.size(), sampled_ray, space);
     return result;
 }
 
 /// Waits for the points of a scan that stay on the device.
 DevicePoints ScanRenderer::Impl::collect_on_device(PendingPoints& scan) {
     if (!scan.points) return std::move(*scan.on_device);
-    lanes->submit_batch();
-    const DevicePointComputer::GatheredPoints gathered =
-        DevicePointComputer::wait(scan.renderer->stream(), *scan.points);
-    if (gathered.n_capped > 0) scan.renderer->check_truncation();
+    scan.on_device->n_points = wait_gathered(scan).n_points;
     scan.points.reset();
-    scan.on_device->n_points = gathered.n_points;
     return std::move(*scan.on_device);
 }
 
@@ -126,13 +135,16 @@ DevicePoints ScanRenderer::Impl::upload_points(const RenderedPoints& rendered) {
     const LidarPoints& from = rendered.points;
     std::vector<shared::ReturnedPoint> points;
     for (std::size_t i = 0; i < from.position_m.size(); ++i)
-        points.push_back({from.position_m[i], from.intensity[i], from.time_offset_s[i], from.ring[i],
-                          std::uint32_t(from.instance[i])});
-    return {{device, points, "points of a scan"},
-            points.size(),
-            rendered.n_rays,
-            from.world_from_points,
-            from.time_s};
+        points.push_back({.position = from.position_m[i],
+                          .intensity = from.intensity[i],
+                          .time_offset_s = from.time_offset_s[i],
+                          .ring = from.ring[i],
+                          .instance = std::uint32_t(from.instance[i])});
+    return {.points = {device, points, "points of a scan"},
+            .n_points = points.size(),
+            .n_rays = rendered.n_rays,
+            .dataset_from_points = from.world_from_points,
+            .time_s = from.time_s};
 }
 
 void ScanRenderer::Impl::finish_pending() {

@@ -65,27 +65,33 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
     return record_readback(stream, n, truncated, options.target != nullptr);
 }
 
+// The buffer of points is allocated by record_readback(), which knows its size.
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
     : count(device, sizeof(std::uint32_t), "number of returned points"),
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
-/// Records the copies to host buffers. A slot is free if no pending scan refers to it.
+/// Records the copies of the results of a scan to host buffers, which stay in use until
+/// the caller releases them.
+/// @param on_device if true, the points stay on the device
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated, bool on_device) {
+    // A slot is free if no pending scan refers to it.
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
     if (free_slot == slots_.end())
         free_slot = slots_.insert(free_slot, std::make_shared<PointReadbackSlot>(device_));
     PointReadbackSlot& slot = **free_slot;
     slot.on_device = on_device;
-    if (!on_device && n_rays > slot.point_capacity) {
-        slot.points.emplace(device_, n_rays * sizeof(shared::ReturnedPoint), "returned points");
-        slot.point_capacity = n_rays;
-    }
     slot.n_rays = n_rays;
-    if (!on_device)
-        slot.points->record_copy(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
+    if (!on_device) {
+        const std::size_t n_bytes = n_rays * sizeof(shared::ReturnedPoint);  // if all rays return
+        if (n_rays > slot.point_capacity) {
+            slot.points.emplace(device_, n_bytes, "returned points");
+            slot.point_capacity = n_rays;
+        }
+        slot.points->record_copy(stream, points_.buffer(), n_bytes);
+    }
     slot.count.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
     slot.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(), sample_count(n_rays) * sizeof(float));
     slot.capped.record_copy(stream, truncated.buffer(), sizeof(std::uint32_t));
@@ -93,18 +99,18 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
 }
 
 DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, PointReadbackSlot& buffers) {
-    const auto number = [&](ReadbackBuffer& readback) {
+    const auto read_number = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    const std::size_t n = number(buffers.count);
+    const std::size_t n = read_number(buffers.count);
     std::span<const shared::ReturnedPoint> points;
     if (!buffers.on_device)
         points = {static_cast<const shared::ReturnedPoint*>(buffers.points->wait_for_bytes(stream)), n};
-    return {n,
-            points,
-            {static_cast<const float*>(buffers.sampled_ranges.wait_for_bytes(stream)),
-             sample_count(buffers.n_rays)},
-            number(buffers.capped)};
+    const auto* sampled_m = static_cast<const float*>(buffers.sampled_ranges.wait_for_bytes(stream));
+    return {.n_points = n,
+            .points = points,
+            .sampled_m = {sampled_m, sample_count(buffers.n_rays)},
+            .n_capped = read_number(buffers.capped)};
 }
 
 }  // namespace relidar

@@ -29,6 +29,7 @@ struct PointComputeOptions {
 
 class DevicePointComputer {
 public:
+    /// Host buffers that receive the points of one scan.
     struct PointReadbackSlot {
         std::optional<ReadbackBuffer> points = {};
         ReadbackBuffer count, sampled_ranges, capped;
@@ -51,9 +52,10 @@ public:
         std::size_t n_points;
         std::span<const shared::ReturnedPoint> points;  ///< empty if the points stay on the device
         /// [sample_count()] distance to the surface in metres
-        std::span<const float> requested_m;
-        std::uint32_t n_capped;
+        std::span<const float> sampled_m;
+        std::uint32_t n_capped;  ///< number of rays whose search for hits was stopped by its limit
     };
+    /// Waits until the device has written the buffers of a scan.
     /// @return valid until the buffers are reused
     static GatheredPoints wait(Stream& stream, PointReadbackSlot& buffers);
     /// The host receives the distances of these rays even if they have no return.

@@ -14,13 +14,13 @@ ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene
 
 ParallelScanResources& ParallelScanResourcePool::next_lane() {
     if (!batch_) {
-        // Uses fewer copies of the scene if the device memory is too small.
+        // Adds lanes with copies of the scene, fewer if the device memory is too small.
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
                 others_.emplace_back(device_).copy = scene_.copy_renderer();
             } catch (const OutOfDeviceMemory&) {
-                if (others_.size() > n_before) others_.pop_back();
+                if (others_.size() > n_before) others_.pop_back();  // a lane without its copy
                 most_ = 1 + int(others_.size());
             }
         }
@@ -93,11 +93,14 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& dev
     std::rotate(cached.begin(), free_entry, free_entry + 1);
     const std::shared_ptr<DeviceSensorRays> rays = cached.front();
     rays->upload(ray_table, name, drop_probability);
-    std::size_t n_rays = 0, n_cached_sensors = 0;
-    for (const auto& sensor_rays : cached)
-        if ((n_rays += sensor_rays->ray_table().size()) <= kMostRays && n_cached_sensors < kMostSensors)
-            ++n_cached_sensors;
-    cached.resize(std::max<std::size_t>(n_cached_sensors, 1));
+    // Keeps the most recently used entries that fit the limits, at least the first.
+    std::size_t n_rays = 0, n_kept = 0;
+    for (const auto& entry : cached) {
+        n_rays += entry->ray_table().size();
+        if (n_rays > kMostRays || n_kept == kMostSensors) break;
+        ++n_kept;
+    }
+    cached.resize(std::max<std::size_t>(n_kept, 1));
     return rays;
 }
 

@@ -111,6 +111,7 @@ struct ScanRenderer::Impl {
     PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                 const ScanRenderPlan& plan, SubmissionTiming timing, PointMemory memory);
     PendingPoints take_pending(PointMemory memory);
+    DevicePointComputer::GatheredPoints wait_gathered(PendingPoints& scan);
     RenderedPoints collect_points(PendingPoints& scan, LidarPoints memory = {});
     DevicePoints collect_on_device(PendingPoints& scan);
     DevicePoints upload_points(const RenderedPoints& points);

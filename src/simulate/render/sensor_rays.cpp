@@ -18,12 +18,13 @@ template <class Values>
 bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
     constexpr std::size_t kValuesPerTask = 1 << 14;  // number of values in each parallel part
-    std::atomic<bool> same{true};
+    std::atomic<bool> are_equal{true};
     parallel_ranges(first.size(), kValuesPerTask, [&](std::size_t begin, std::size_t end) {
-        if (same && std::memcmp(&first[begin], &second[begin], (end - begin) * sizeof(first[0])) != 0)
-            same = false;
+        if (!are_equal) return;  // another part differs
+        const std::size_t n_bytes = (end - begin) * sizeof(first[0]);
+        if (std::memcmp(&first[begin], &second[begin], n_bytes) != 0) are_equal = false;
     });
-    return same;
+    return are_equal;
 }
 
 std::uint32_t range_kind_number(const std::string& name) {
@@ -32,6 +33,8 @@ std::uint32_t range_kind_number(const std::string& name) {
     return name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
+/// Returns the number RELIDAR_DROP_* of an input of the ray-drop network.
+/// @throws DataError for an unknown input
 std::uint32_t channel_number(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
@@ -55,13 +58,14 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
 }
 
 /// Converts a part of a track to the pose format of the kernels. Stores each pose with
-/// the twist to the next pose. `position_rest` holds the part of the position that single
+/// the twist to the next pose: `way` and `turn` are its translation and rotation vector,
+/// 1 / `per_s` its duration. `position_rest` holds the part of the position that single
 /// precision loses.
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
     const std::size_t first = world_from_sensor.find_segment(time_s + first_s).left,
-                      last =
-                          std::min(world_from_sensor.find_segment(time_s + last_s).left + 1, pose.size() - 1);
+                      after_last = world_from_sensor.find_segment(time_s + last_s).left + 1,
+                      last = std::min(after_last, pose.size() - 1);
     SensorPoses poses;
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
@@ -88,6 +92,7 @@ PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame) {
     return track;
 }
 
+/// Loads the kernels. upload() allocates the arrays of rays.
 DeviceSensorRays::DeviceSensorRays(Device& device)
     : device_(device),
       fire_(device, "simulate/render/fire_rays"),
@@ -103,21 +108,24 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-void DeviceSensorRays::upload(const RayTable& rays, const std::string& name, const RayFunction& drop) {
+void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
+                              const RayFunction& drop_probability) {
     if (is_uploaded(rays, name)) return;
     std::vector<shared::SensorRay> all(rays.size());
     parallel_blocks(all.size(), [&](std::size_t index) {
         all[index] = {.origin = rays.origin[index],
                       .direction = rays.direction[index],
                       .time_offset_s = rays.time_offset_s[index],
-                      .sees = 1.0f - drop(index),
+                      .sees = 1.0f - drop_probability(index),
                       .channel = rays.channel[index]};
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last
-        table_ = {};                      // if an allocation below fails, is_uploaded() then returns false
+        // Frees the old arrays before allocating larger ones. If an allocation fails,
+        // is_uploaded() returns false, because the table is empty.
+        table_ = {};
         rays_ = {};
         fired_ = {};
-        measured_ = {};  // frees the old arrays before allocating larger ones
+        measured_ = {};
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in world coordinates");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
@@ -200,9 +208,9 @@ void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, co
          .origin = sensor_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
-    // is_full_turn: the first column then follows the last column.
-    refined_ = &network.record_drops(stream, table_.rows, table_.columns,
-                                     is_full_turn(table_.rows, table_.columns, table_.direction), samples_);
+    // After a full turn, the first column follows the last column.
+    const bool is_circular = is_full_turn(table_.rows, table_.columns, table_.direction);
+    refined_ = &network.record_drops(stream, table_.rows, table_.columns, is_circular, samples_);
 }
 
 std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
@@ -211,14 +219,13 @@ std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
 
 std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
     const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
-                               std::size_t n_bytes, const char* text) {
+                               std::size_t bytes_per_ray, const char* text) {
         // As large as rays_, which can have space for more rays than this sensor.
-        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), text);
-        readback->record_copy(stream, source, n_bytes);
+        if (!readback) readback.emplace(device_, rays_.size() * bytes_per_ray, text);
+        readback->record_copy(stream, source, table_.size() * bytes_per_ray);
     };
-    read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
-    if (refined_)
-        read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
+    read_back(readback_, measured_.buffer(), sizeof(shared::MeasuredRay), "measured rays");
+    if (refined_) read_back(refined_readback_, refined_->buffer(), sizeof(float), "drop probabilities");
     stream.submit_commands();
     return {static_cast<const shared::MeasuredRay*>(readback_->wait_for_bytes(stream)), table_.size()};
 }
