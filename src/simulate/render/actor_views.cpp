@@ -25,6 +25,7 @@ std::vector<WorldRay> fired_rays(const SimulatedSweep& sweep) {
 RayIndices rays_near(const std::vector<WorldRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
                      double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
+    // Positions of the model at the start and at the end of the sweep.
     const glm::dvec3 begin_m = pose.motion.pose_at(pose.world_from_model, double(first_s)).translation,
                      end_m = pose.motion.pose_at(pose.world_from_model, double(last_s)).translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
@@ -112,11 +113,12 @@ ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const
                 continue;
             const std::optional<glm::dvec2> inside_m = object_interval(
                 box_from_world * rays[i].origin_m, box_from_world.rotation * rays[i].direction, box.size_m);
-            if (!inside_m || (*inside_m)[0] > max_range_m) continue;
+            if (!inside_m || inside_m->x > max_range_m) continue;  // x, y: distances of entry and exit
             const double range_m = double(scan.median_range_m[i]);
-            const bool meets = scan.weight[i] >= 0.5f && range_m > 0.0 && range_m <= (*inside_m)[1];
-            if (!meets) ++crossing.n_empty;
-            else if (scan.instance[i] != 0 || range_m < (*inside_m)[0]) ++crossing.n_blocked;
+            const bool hits_surface = scan.weight[i] >= 0.5f && range_m > 0.0;
+            const bool is_background = scan.instance[i] == 0;
+            if (!hits_surface || range_m > inside_m->y) ++crossing.n_empty;
+            else if (!is_background || range_m < inside_m->x) ++crossing.n_blocked;
             else if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i])) ++crossing.n_hits;
             else ++crossing.n_dropped;
         }

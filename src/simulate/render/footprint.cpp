@@ -25,18 +25,19 @@ struct SubRayReturn {
 bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
+    // Solves the normal equations of 1 / range = plane . (1, offset x, offset y).
     glm::dmat3 normal_matrix(0.0);
-    glm::dvec3 right(0.0);
+    glm::dvec3 right_side(0.0);
     const auto row = [&](std::size_t index) {
         return glm::dvec3(1.0, offsets[index - first].x, offsets[index - first].y);
     };
     for (const std::size_t i : parts) {
         normal_matrix += glm::outerProduct(row(i), row(i));
-        right += row(i) / double(ranges_m[i]);
+        right_side += row(i) / double(ranges_m[i]);
     }
     // Sub-rays on a line do not define a plane.
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
-    const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
+    const glm::dvec3 plane = glm::inverse(normal_matrix) * right_side;
     return std::ranges::all_of(parts, [&](std::size_t index) {
         const double inverse_m = glm::dot(plane, row(index));
         return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < tolerance_m;
@@ -45,6 +46,8 @@ bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, st
 
 /// Joins consecutive groups of sub-rays that hit the same plane. A plane at a grazing
 /// angle, such as a distant road, spans many ranges but gives only one return.
+/// @param groups groups of one beam, sorted by range
+/// @param first index of the first sub-ray of the beam
 void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m, std::size_t first,
                    const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     // First tries to join all groups of the beam, then shorter and shorter sequences.
@@ -159,19 +162,7 @@ public:
                              }
                              of_rays.push_back(of_parts[nearest]);
                          });
-        if (scan_.second_returns.empty()) return;
-        const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        float second_m = 0.0f, second_intensity = 0.0f;
-        if (returns && groups.size() > 1) {
-            const SubRayReturn& second = second_group(groups, strongest);
-            const float range_m = weighted_mean(second, parts_.median_range_m, parts_);
-            if (double(second.light) / n >= sensor_.min_power_at(range_m) * range_m * range_m) {
-                second_m = range_m;
-                second_intensity = sum_over_group(second, parts_.image.intensity) / static_cast<float>(n);
-            }
-        }
-        scan_.second_returns[0].range_m.push_back(second_m);
-        scan_.second_returns[0].intensity.push_back(second_intensity);
+        if (!scan_.second_returns.empty()) append_second(groups, strongest);
     }
 
     RenderedScan joined_scan() { return std::move(scan_); }
@@ -182,6 +173,23 @@ private:
     const std::vector<glm::dvec2> offsets_;
     const SensorConfig& config_;
     RenderedScan scan_;
+
+    /// Appends the second return of the beam that was appended last, or 0 if it has none.
+    void append_second(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
+        const int n = config_.sub_rays;
+        const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
+        float second_m = 0.0f, intensity = 0.0f;
+        if (returns && groups.size() > 1) {
+            const SubRayReturn& second = second_group(groups, strongest);
+            const float range_m = weighted_mean(second, parts_.median_range_m, parts_);
+            if (double(second.light) / n >= sensor_.min_power_at(range_m) * range_m * range_m) {
+                second_m = range_m;
+                intensity = sum_over_group(second, parts_.image.intensity) / static_cast<float>(n);
+            }
+        }
+        scan_.second_returns[0].range_m.push_back(second_m);
+        scan_.second_returns[0].intensity.push_back(intensity);
+    }
 };
 
 }  // namespace
@@ -220,18 +228,17 @@ RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, con
 
 RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = spread_sub_rays(config.sub_rays);
+    const auto separation_m = static_cast<float>(config.return_separation_m);
     RayIndices edges;
-    // The sub-rays of a beam are consecutive. More than one group: they hit an edge.
-    for (std::size_t ray = 0; ray < beams.size(); ++ray)
-        if (group_sub_rays(parts, ray * offsets.size(), offsets,
-                           static_cast<float>(config.return_separation_m))
-                .size() > 1)
-            edges.push_back(ray);
+    for (std::size_t beam = 0; beam < beams.size(); ++beam) {
+        const std::size_t first = beam * offsets.size();  // the sub-rays of a beam are consecutive
+        // Sub-rays that hit several surfaces form several groups.
+        if (group_sub_rays(parts, first, offsets, separation_m).size() > 1) edges.push_back(beam);
+    }
     return edges;
 }
 
 void replace_rays(RenderedScan& scan, const RayIndices& rays, const RenderedScan& replacement) {
-    // Ray i of the replacement has the index rays[i] in the scan.
     const auto replace = [&](const auto& from, auto& to) {
         for (std::size_t i = 0; i < rays.size(); ++i) to[rays[i]] = from[i];
     };

@@ -85,12 +85,15 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& r
         // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
-            const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);
-            for (std::size_t i = 0; i < n; ++i)
-                all.push_back(scan_values ? (*scan_values)[i] : empty_value<T>(info));
+            const std::vector<T>* added = find_values<T>(scan.channels, info.name);
+            if (!added) {
+                all.resize(first + n, empty_value<T>(info));
+                return;
+            }
+            append_elements(all, *added);
             if constexpr (std::is_same_v<T, glm::vec3>)
-                for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
-                    all[first + i] = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
+                for (std::size_t i = 0; info.turns && i < n; ++i)
+                    all[first + i] = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*added)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
@@ -125,13 +128,12 @@ void merge_counts(RenderedScan& merged, const RenderedScan& scan) {
         }
     }
     for (const UnobservedActorSide& side : scan.unseen_sides) {
-        const auto existing_side =
-            std::ranges::find_if(merged.unseen_sides, [&](const UnobservedActorSide& other) {
-                return other.track == side.track && other.side == side.side &&
-                       other.is_completed == side.is_completed;
-            });
-        if (existing_side == merged.unseen_sides.end()) merged.unseen_sides.push_back(side);
-        else existing_side->n_rays += side.n_rays;
+        const auto known = std::ranges::find_if(merged.unseen_sides, [&](const UnobservedActorSide& other) {
+            return other.track == side.track && other.side == side.side &&
+                   other.is_completed == side.is_completed;
+        });
+        if (known == merged.unseen_sides.end()) merged.unseen_sides.push_back(side);
+        else known->n_rays += side.n_rays;
     }
 }
 

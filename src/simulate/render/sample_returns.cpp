@@ -22,9 +22,11 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     const RangeImageRays rays{image.rows,          image.columns,
                               image.origin,        image.direction,
                               scan.median_range_m, is_full_turn(image.rows, image.columns, image.direction)};
-    // {}: cosine and elevation, computed below
-    RenderedIntensityImage result{
-        image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
+    RenderedIntensityImage result{.rows = image.rows,
+                                  .columns = image.columns,
+                                  .intensity = image.intensity,
+                                  .range_m = scan.median_range_m,
+                                  .spread_m = range_spread(scan)};
     result.circular = rays.circular;
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());

@@ -15,15 +15,16 @@ namespace {
 
 /// Returns a hash of everything that a renderer reads from a model.
 std::uint64_t hash_model(const Scene& model) {
-    const SurfelModel& facts = model.models.front();
-    std::uint64_t hash = facts.count;
+    const SurfelModel& description = model.models.front();
+    std::uint64_t hash = description.count;
     const auto add_floats = [&](std::span<const float> values) {
         const std::string_view bytes(reinterpret_cast<const char*>(values.data()), values.size_bytes());
         hash = hash_pair(hash, std::hash<std::string_view>{}(bytes));
     };
     for (const SurfelParameterGroup& group : list_groups(model.surfels.parameters_used()))
         add_floats(group.values(model.surfels));
-    add_floats(std::array{facts.half_size_m.x, facts.half_size_m.y, facts.half_size_m.z, facts.stride_m});
+    const glm::vec3& half_size_m = description.half_size_m;
+    add_floats(std::array{half_size_m.x, half_size_m.y, half_size_m.z, description.stride_m});
     return hash;
 }
 
@@ -46,17 +47,21 @@ std::uint32_t ScanRenderer::Impl::add_model(const Scene& model, const BoxTrack& 
 }
 
 /// Gives an actor a free instance of its model, or a new one.
+/// @param source model of the actor
 ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
-    const auto n_logged = std::uint32_t(sweeps.layout().instances.size() - slots.size());
+    const Scene& layout = sweeps.layout();
+    const auto n_logged = std::uint32_t(layout.instances.size() - slots.size());
     auto slot = std::ranges::find_if(
         slots, [&](const SpawnSlot& s) { return s.source == source && s.actor.name.empty(); });
     if (slot == slots.end()) {
-        const bool shares =
-            config.image.sh_direction == ShDirection::ray && sweeps.layout().models[source].stride_m <= 0.0f;
-        const bool is_used = std::ranges::find(sweeps.layout().instances, source, &ModelInstance::model) !=
-                             sweeps.layout().instances.end();
+        // Instances cannot share a model whose surfel records depend on the pose of the
+        // instance: because of their SH, or because the actor walks.
+        const bool can_share =
+            config.image.sh_direction == ShDirection::ray && layout.models[source].stride_m <= 0.0f;
+        const bool is_used =
+            std::ranges::find(layout.instances, source, &ModelInstance::model) != layout.instances.end();
         ModelInstance instance{source, actor.name};
-        if (!shares && is_used) instance.model = add_model(scene.copy_model(source), {});
+        if (is_used && !can_share) instance.model = add_model(scene.copy_model(source), {});
         scene.add_instance(instance);
         lanes->change_copies([&](Renderer& copy) { copy.append_instance(instance); });
         sweeps.add_instance(instance.model);
@@ -78,9 +83,10 @@ ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& nam
     // If `actor` was itself spawned, the new actor has the same source model.
     const auto slot = std::ranges::find(s.slots, actor, [](const SpawnSlot& one) { return one.actor.name; });
     if (slot != s.slots.end())
-        return s.fill_slot(slot->source, {{}, name, slot->actor.category, slot->actor.size_m});
+        return s.fill_slot(slot->source,
+                           {.name = name, .category = slot->actor.category, .size_m = slot->actor.size_m});
     const BoxTrack* box = find_box(s.sweeps.sequence(), actor);
-    SpawnedActor spawned{{}, name};
+    SpawnedActor spawned{.name = name};
     if (box) {
         spawned.category = box->category;
         spawned.size_m = box->size_m;
@@ -93,13 +99,13 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     s.check_new_name(name);
     const std::string track = only_track(asset);
     const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
+    // A scene with only this model.
     Scene model;
-    // model 0, which is the only model of the scene
-    model.instances = {{0, track}};
+    model.instances = {{.model = 0, .track = track}};
     append_model(model, asset.scene, instance->model);
     const BoxTrack* logged = find_box(asset.sequence, track);
     BoxTrack box = logged ? *logged : BoxTrack{};
-    const SpawnedActor actor{{}, name, box.category, box.size_m};
+    const SpawnedActor actor{.name = name, .category = box.category, .size_m = box.size_m};
     s.finish_pending();
     // Equal models are added only once.
     const std::uint64_t hash = hash_model(model);

@@ -30,16 +30,19 @@ struct PartlyObservedActor {
     /// @param range_m range of the return; 0 if the ray has no return
     /// @param hits_actor true if the return is a surface of this actor
     void count_ray(const glm::dvec3& origin, const glm::dvec3& direction, double range_m, bool hits_actor) {
-        if (hits_actor && range_m > 0.0)
-            if (const auto side = surface->find_mirrored_side(origin + range_m * direction))
-                ++n_completed[std::size_t(*side)];
+        if (hits_actor && range_m > 0.0) {
+            const auto mirrored_side = surface->find_mirrored_side(origin + range_m * direction);
+            if (mirrored_side) ++n_completed[std::size_t(*mirrored_side)];
+        }
         const std::optional<BoxCrossing> inside = cross_box(origin, direction, -half_m, half_m);
-        if (!inside || !(inside->enter > 0.0) || (range_m > 0.0 && range_m < inside->enter)) return;
-        for (std::size_t s = 0; s < kBoxSides; ++s)
-            if (kSideFrames[s].normal == inside->axis &&
-                -kSideFrames[s].sign * direction[inside->axis] >= min_cosine(BoxSide(s)) &&
-                side_coverage[s] < kUnseenSide)
-                ++n_through[s];
+        const bool starts_outside = inside && inside->enter > 0.0;
+        if (!starts_outside || (range_m > 0.0 && range_m < inside->enter)) return;
+        for (std::size_t s = 0; s < kBoxSides; ++s) {
+            // The ray enters through this side, and not at a grazing angle.
+            const bool enters = kSideFrames[s].normal == inside->axis &&
+                                -kSideFrames[s].sign * direction[inside->axis] >= min_cosine(BoxSide(s));
+            if (enters && side_coverage[s] < kUnseenSide) ++n_through[s];
+        }
     }
 };
 
@@ -57,9 +60,14 @@ std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Sce
         if (list_unseen_sides(coverage).empty() && !surface->is_completed) continue;
         const glm::dvec3 begin_m = box->world_from_box.pose_at(scan.time_s + double(first_s)).translation,
                          end_m = box->world_from_box.pose_at(scan.time_s + double(last_s)).translation;
-        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i),
-                         coverage, 0.5 * (begin_m + end_m),
-                         0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
+        boxes.push_back({.track = &box->id,
+                         .world_from_box = &box->world_from_box,
+                         .half_m = 0.5 * box->size_m,
+                         .surface = &*surface,
+                         .instance = std::int32_t(i),
+                         .side_coverage = coverage,
+                         .centre_m = 0.5 * (begin_m + end_m),
+                         .radius_m = 0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
     }
     return boxes;
 }
@@ -87,10 +95,10 @@ UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& sc
     UnobservedActorSides sides;
     for (const PartlyObservedActor& box : boxes)
         for (std::size_t s = 0; s < kBoxSides; ++s) {
-            if (box.n_through[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_through[s]});
-            // true: the side is completed with mirrored surfels
+            if (box.n_through[s] >= kFewestRays)
+                sides.push_back({*box.track, BoxSide(s), box.n_through[s], /*is_completed=*/false});
             if (box.n_completed[s] >= kFewestRays)
-                sides.push_back({*box.track, BoxSide(s), box.n_completed[s], true});
+                sides.push_back({*box.track, BoxSide(s), box.n_completed[s], /*is_completed=*/true});
         }
     return sides;
 }
