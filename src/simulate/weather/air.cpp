@@ -19,29 +19,31 @@ constexpr double kBrightestUnknownSurface = 4.0;
 // of the air. The value is an assumption.
 constexpr double kSecondReturnShare = 0.1;
 
-/// Surfaces of a ray need no more than the power that the sensor detects.
+/// Returns true if a candidate can be the second return. If both returns are of surfaces,
+/// the power that the sensor detects is enough.
 bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& strongest) {
-    const auto& [range_m, reflectivity, source, fall_mps, away_mps] = candidate.echo;
-    if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface) return true;
-    return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
+    const LidarEcho& echo = candidate.echo;
+    if (echo.source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface) return true;
+    return echo.reflectivity / (echo.range_m * echo.range_m) >= kSecondReturnShare * strongest.power;
 }
 
 /// Returns the second return of a dual-return sensor. This is the last return, or the
 /// second strongest if the strongest return is also the last.
 LidarEcho select_second(const EchoCandidates& echoes, const EchoCandidate& strongest, double separation_m) {
-    LidarEcho last, next;
-    double power = 0.0;
+    LidarEcho last, second_strongest;  // last: only behind the strongest
+    double second_power = 0.0;
     for (const EchoCandidate& candidate : echoes) {
         const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
+        // Also skips the strongest return itself.
         if (std::abs(range_m - strongest_m) < separation_m) continue;
         if (!is_bright_enough(candidate, strongest)) continue;
         if (range_m > std::max(strongest_m, last.range_m)) last = candidate.echo;
-        if (candidate.power > power) {
-            next = candidate.echo;
-            power = candidate.power;
+        if (candidate.power > second_power) {
+            second_strongest = candidate.echo;
+            second_power = candidate.power;
         }
     }
-    return last.source == ReturnCause::nothing ? next : last;
+    return last.source == ReturnCause::nothing ? second_strongest : last;
 }
 
 std::vector<std::unique_ptr<RayWeatherEffect>> make_effects(const WeatherInput& input) {
@@ -63,12 +65,10 @@ using ReturnCauses = std::vector<std::int32_t>;
 /// Returns the channel "source", which stores the cause of each return, and sets all
 /// causes to `nothing`. Adds the channel if the scan does not have it.
 ScanChannel& prepare_causes(RenderedScan& scan) {
-    const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
-    const auto source = std::ranges::find_if(scan.channels, has_name);
-    const bool is_there = source != scan.channels.end();
-    ScanChannel& channel =
-        is_there ? *source
-                 : scan.channels.emplace_back(ScanChannel{parse_channels(kSourceChannel).front(), {}});
+    const auto is_source = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
+    if (std::ranges::none_of(scan.channels, is_source))
+        scan.channels.push_back({parse_channels(kSourceChannel).front(), {}});
+    ScanChannel& channel = *std::ranges::find_if(scan.channels, is_source);
     const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
@@ -233,9 +233,9 @@ EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t s
     Random random(seed);
     EchoCandidates candidates;
     for (const auto& effect : effects_) effect->modify_surface(ray);
+    constexpr double kDry = 1.0;  // the second surface is not darkened by water
     append_surface(candidates, ray.strongest, ray.through_water, random);
-    // 1.0: not darkened by water
-    append_surface(candidates, ray.second, 1.0, random);
+    append_surface(candidates, ray.second, kDry, random);
     for (const auto& effect : effects_) effect->append_returns(candidates, ray, random);
     if (candidates.empty()) return {};
     const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);

@@ -23,13 +23,13 @@ constexpr double kPerRad = 180.0 / kPi;
 
 /// One square degree.
 struct DirectionCell {
-    int rays = 0, reflectors = 0;
-    glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
-    double range_m = 0.0;
+    int n_rays = 0, n_hits = 0;  // n_hits: rays that hit a reflector
+    glm::dvec3 direction{0.0};   // sum over these rays
+    double range_m = 0.0;        // sum over these rays
 };
 struct RetroReflector {
     glm::dvec3 direction;
-    double range_m, deg2;
+    double range_m, deg2;  // deg2: solid angle in square degrees
 };
 
 bool is_retro_reflector(const RenderedScan& scan, std::size_t ray) {
@@ -40,48 +40,49 @@ bool is_retro_reflector(const RenderedScan& scan, std::size_t ray) {
 /// Finds the reflectors of a scan in cells of one square degree. The solid angle of a
 /// reflector is the share of rays in its cell that hit it.
 std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {
-    std::map<std::pair<int, int>, DirectionCell> squares;
+    std::map<std::pair<int, int>, DirectionCell> cells;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        // 1 x 1 degree: azimuths are scaled by the cosine of the elevation
+        // Azimuths are scaled by the cosine of the elevation: all cells are square.
         const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
         const double column =
             std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
-        DirectionCell& square = squares[{int(row), int(std::floor(column))}];
-        ++square.rays;
+        DirectionCell& cell = cells[{int(row), int(std::floor(column))}];
+        ++cell.n_rays;
         if (!is_retro_reflector(scan, i)) continue;
-        ++square.reflectors;
-        square.direction += direction;
-        square.range_m += double(scan.median_range_m[i]);
+        ++cell.n_hits;
+        cell.direction += direction;
+        cell.range_m += double(scan.median_range_m[i]);
     }
     std::vector<RetroReflector> reflectors;
-    for (const auto& [place, square] : squares)
-        if (square.reflectors > 0)
-            reflectors.push_back({glm::normalize(square.direction), square.range_m / square.reflectors,
-                                  double(square.reflectors) / square.rays});
+    for (const auto& [row_and_column, cell] : cells)
+        if (cell.n_hits > 0)
+            reflectors.push_back({.direction = glm::normalize(cell.direction),
+                                  .range_m = cell.range_m / cell.n_hits,
+                                  .deg2 = double(cell.n_hits) / cell.n_rays});
     return reflectors;
 }
 
 /// Returns the stray light of retro-reflectors that a ray in this direction receives. The
 /// caller must multiply the result by `bloom` and by the random factor of the beam.
 LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::dvec3& ray_direction) {
-    std::vector<double> share;
-    std::size_t most = 0;
-    const auto power = [&](std::size_t index) {
-        return share[index] / (reflectors[index].range_m * reflectors[index].range_m);
-    };
+    // The brightest reflector determines the range.
+    std::vector<double> reflectivity;  // [reflectors] deg2 / angle^3
+    double max_power = 0.0;
+    LidarEcho echo{reflectors.front().range_m, 0.0, ReturnCause::blooming};
     for (const RetroReflector& reflector : reflectors) {
-        const double off_deg =
-            std::max(std::acos(std::clamp(glm::dot(reflector.direction, ray_direction), -1.0, 1.0)) * kPerRad,
-                     kMinHaloAngle_deg);
-        share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
-        if (power(share.size() - 1) > power(most)) most = share.size() - 1;
+        const double cosine = std::clamp(glm::dot(reflector.direction, ray_direction), -1.0, 1.0),
+                     off_deg = std::max(std::acos(cosine) * kPerRad, kMinHaloAngle_deg);
+        reflectivity.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
+        const double power = reflectivity.back() / (reflector.range_m * reflector.range_m);
+        if (power <= max_power) continue;
+        max_power = power;
+        echo.range_m = reflector.range_m;
     }
-    // The brightest reflector determines the range. Only reflectors at nearly the same
-    // range add to its return.
-    LidarEcho echo{reflectors[most].range_m, 0.0, ReturnCause::blooming};
-    for (std::size_t i = 0; i < share.size(); ++i)
-        if (std::abs(reflectors[i].range_m - echo.range_m) < kSameRange_m) echo.reflectivity += share[i];
+    // Only reflectors at nearly the same range add to its return.
+    for (std::size_t i = 0; i < reflectors.size(); ++i)
+        if (std::abs(reflectors[i].range_m - echo.range_m) < kSameRange_m)
+            echo.reflectivity += reflectivity[i];
     return echo;
 }
 
@@ -98,9 +99,8 @@ std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     parallel_blocks(stray.size(), [&](std::size_t ray) {
         if (is_retro_reflector(scan, ray)) return;
         stray[ray] = stray_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
-        stray[ray].reflectivity *=
-            input.weather.bloom *
-            std::exp(kLogSpread * Random(hash_pair(of_scan, scan.ring[ray])).sample_normal());
+        Random random(hash_pair(of_scan, scan.ring[ray]));  // equal for all rays of a beam
+        stray[ray].reflectivity *= input.weather.bloom * std::exp(kLogSpread * random.sample_normal());
     });
     return stray;
 }

@@ -26,7 +26,7 @@ constexpr double kExcessNoiseFactor = 3.0;  // excess noise factor F of an avala
 constexpr double kPeak_W = 75.0;            // peak power of a pulse
 constexpr double kPhoton_J = 2.195e-19;     // energy of a photon at 905 nm
 constexpr double kClearDay_klux = 100.0;    // illuminance on a clear day
-constexpr float kHidesSun = 0.5f;
+constexpr float kHidesSun = 0.5f;           // surfaces that absorb this share of light hide the sun
 
 /// Returns the angle between each ray of a scan and the direction to the sun, in radians.
 /// Returns an empty list if the scene hides the sun from the sensor.
@@ -37,10 +37,10 @@ std::vector<float> sun_angles_rad(const WeatherInput& input) {
     // direction to the sun in the world frame of the dataset
     const glm::dvec3 to_sun(std::cos(elevation_rad) * std::cos(azimuth_rad),
                             std::cos(elevation_rad) * std::sin(azimuth_rad), std::sin(elevation_rad));
-    WorldRays sight;
-    sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - input.world_offset_m));
-    sight.direction.push_back(glm::vec3(to_sun));
-    if (input.trace(sight).weight[0] >= kHidesSun) return {};
+    WorldRays line_of_sight;
+    line_of_sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - input.world_offset_m));
+    line_of_sight.direction.push_back(glm::vec3(to_sun));
+    if (input.trace(line_of_sight).weight[0] >= kHidesSun) return {};
     std::vector<float> angles;
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
@@ -94,18 +94,21 @@ double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double a
                  bool sees_sky) {
     const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
     const double off_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
-    // radiance / irradiance of the three sources in turn: window, surface and solar disc
+    // Radiance / irradiance, 1/sr: light that the dusty window scatters, the lit surface,
+    // and the part of the solar disc in the beam.
     double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
-    if (sees_sky)
-        per_sr += std::clamp((kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad, 0.0, 1.0) /
-                  kSunSolidAngle_sr;
+    if (sees_sky) {
+        const double part = (kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad;
+        per_sr += std::clamp(part, 0.0, 1.0) / kSunSolidAngle_sr;
+    }
+    // Electrons of the sunlight during a pulse.
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kQuantumEfficiency / kPhoton_J;
-    const double n =
+    const double n_sun =
         irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2 * sensor.pulse_s * electrons_per_J;
     // Electrons of the pulse after reflection by a diffuse surface with reflectivity 1 at
-    // 1 m, which reflects 1 / pi of the light per steradian.
-    const double of_unit_power = kPeak_W * kReceiverArea_m2 / kPi * sensor.pulse_s * electrons_per_J;
-    return std::sqrt(kExcessNoiseFactor * n) / of_unit_power;
+    // 1 m, which reflects 1 / pi of the light per steradian. Its power is 1.
+    const double n_unit_power = kPeak_W * kReceiverArea_m2 / kPi * sensor.pulse_s * electrons_per_J;
+    return std::sqrt(kExcessNoiseFactor * n_sun) / n_unit_power;
 }
 
 double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas) {

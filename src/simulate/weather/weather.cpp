@@ -46,25 +46,25 @@ std::string format_effect(const WeatherEffectEntry& effect, const Weather& weath
 /// @return an empty list if a number cannot be read
 std::vector<double> parse_numbers(std::string_view text) {
     std::vector<double> values;
-    for (bool more = !text.empty(); more;) {
+    while (true) {
         const std::size_t colon = std::min(text.find(':'), text.size());
         double value = 0.0;
         const auto [stop, error] = std::from_chars(text.data(), text.data() + colon, value);
         if (error != std::errc{} || stop != text.data() + colon) return {};
         values.push_back(value);
-        more = colon < text.size();
-        if (more) text.remove_prefix(colon + 1);
+        if (colon == text.size()) return values;
+        text.remove_prefix(colon + 1);
     }
-    return values;
 }
 
 /// Parses the text of one weather effect, for example "rain=5".
 /// @throws UsageError for an unknown, repeated or incomplete effect
 void parse_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
+    const bool has_numbers = equals < effect_text.size();
     const auto* row =
         std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
-    if (row == std::end(kWeatherEffects) || (equals == effect_text.size() && (*row)->n_required > 0)) {
+    if (row == std::end(kWeatherEffects) || (!has_numbers && (*row)->n_required > 0)) {
         std::vector<std::string_view> forms;
         for (const WeatherEffectEntry* known_effect : kWeatherEffects) forms.push_back(known_effect->form);
         fail_weather(fmt::format("\"{}\"", quote(effect_text)),
@@ -73,11 +73,13 @@ void parse_effect(Weather& weather, std::string_view effect_text) {
     const WeatherEffectEntry& effect = **row;
     if (effect.is_active(weather))
         fail<UsageError>("weather: {} occurs twice, expected it once", effect.name);
-    const std::vector<double> values =
-        parse_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
-    const std::size_t fewest = equals < effect_text.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
-    if (values.size() < fewest || values.size() > effect.numbers.size() || !has_valid_values(effect, values))
+    std::vector<double> values;
+    if (has_numbers) values = parse_numbers(effect_text.substr(equals + 1));
+    const std::size_t min_numbers = has_numbers ? std::max<std::size_t>(effect.n_required, 1) : 0;
+    if (values.size() < min_numbers || values.size() > effect.numbers.size() ||
+        !has_valid_values(effect, values))
         fail_weather(quote(effect_text), effect.expected);
+    // Numbers that the text leaves out get their usual values.
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
 }

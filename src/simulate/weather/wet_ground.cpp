@@ -61,8 +61,9 @@ struct GroundPlane {
     bool is_ground = false;
 };
 
-/// Fits a plane z = height + slope . (x, y) to the points of a cell by least squares. A
-/// ridge keeps the slope small across a narrow strip of points.
+/// Fits a plane z = height + slope . (x, y) to the points of a cell by least squares: the
+/// slope solves (variances of x and y) slope = (covariances with z). The ridge, which is
+/// added to the variances, keeps the slope small across a narrow strip of points.
 GroundPlane fit_ground_plane(const GroundGridCell& cell) {
     if (cell.n < kMinPointsPerPlane) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
@@ -71,11 +72,11 @@ GroundPlane fit_ground_plane(const GroundGridCell& cell) {
                  xy = cell.squares.y / cell.n - mean.x * mean.y,
                  yy = cell.squares.z / cell.n - mean.y * mean.y + ridge,
                  zz = cell.zz / cell.n - mean.z * mean.z;
-    const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
+    const glm::dvec2 with_z = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
-        glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
+        glm::dvec2(yy * with_z.x - xy * with_z.y, xx * with_z.y - xy * with_z.x) / (xx * yy - xy * xy);
     // Variance of the heights around the plane, slightly increased by the ridge.
-    const double squared_m2 = zz - glm::dot(slope, right);
+    const double squared_m2 = zz - glm::dot(slope, with_z);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
 }
@@ -99,15 +100,16 @@ std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
 /// each cell, the second adds only points within kGroundLayer_m of it.
 GroundGrid ground_cells(const std::vector<glm::dvec3>& points) {
     GroundGrid cells;
-    for (const glm::dvec3& p : points)
-        if (!std::isnan(p.x)) {
-            double& lowest_m = cells[ground_cell_key(p)].lowest_m;
-            lowest_m = std::min(lowest_m, p.z);
-        }
-    for (const glm::dvec3& p : points)
-        if (!std::isnan(p.x))
-            if (GroundGridCell& cell = cells[ground_cell_key(p)]; p.z < cell.lowest_m + kGroundLayer_m)
-                cell.add_point(p);
+    for (const glm::dvec3& p : points) {
+        if (std::isnan(p.x)) continue;
+        double& lowest_m = cells[ground_cell_key(p)].lowest_m;
+        lowest_m = std::min(lowest_m, p.z);
+    }
+    for (const glm::dvec3& p : points) {
+        if (std::isnan(p.x)) continue;
+        GroundGridCell& cell = cells[ground_cell_key(p)];
+        if (p.z < cell.lowest_m + kGroundLayer_m) cell.add_point(p);
+    }
     return cells;
 }
 
@@ -197,9 +199,9 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;
-        const glm::dvec3 foot_m =
+        const glm::dvec3 hit_m =
             pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
-        mirrored.rays.origin.push_back(glm::vec3(foot_m + kRayLift_m * normals[i]));
+        mirrored.rays.origin.push_back(glm::vec3(hit_m + kRayLift_m * normals[i]));
         mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * normals[i]));
         mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
         mirrored.of_ray.push_back(i);
@@ -210,26 +212,25 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
 /// Traces the mirrored rays and adds the returns of the objects that they hit. The range
 /// of such a return is the length of the path via the water.
 std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
-    const std::vector<glm::dvec3> up = ground_normals_of(input.scan);
-    std::vector<WetGroundRay> wet(up.size());
-    const auto [rays, of_ray] = mirror_rays(input, up, wet);
+    const std::vector<glm::dvec3> normals = ground_normals_of(input.scan);
+    std::vector<WetGroundRay> wet(normals.size());
+    const auto [rays, of_ray] = mirror_rays(input, normals, wet);
     if (of_ray.empty()) return wet;
-    const RenderedRayValues r = input.trace(rays);
-    for (std::size_t k = 0; k < r.size(); ++k) {
-        const double on_m = r.median_depth[k];
-        const std::size_t ray = of_ray[k];
-        if (!(on_m > 0.0) || drop_chance(r, k) >= kDropThreshold) continue;
-        if (kRayLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kMinMirroredHeight_m)
-            continue;
-        LidarEcho& echo = wet[ray].mirrored;
-        echo.range_m += on_m;
-        echo.reflectivity = std::min(double(r.intensity[k]), 1.0);
+    const RenderedRayValues hits = input.trace(rays);
+    for (std::size_t k = 0; k < hits.size(); ++k) {
+        const double from_water_m = hits.median_depth[k];
+        const glm::dvec3 direction(rays.direction[k]), &normal = normals[of_ray[k]];
+        if (!(from_water_m > 0.0) || drop_chance(hits, k) >= kDropThreshold) continue;
+        const double height_m = kRayLift_m + from_water_m * glm::dot(direction, normal);
+        if (height_m < kMinMirroredHeight_m) continue;
+        LidarEcho& echo = wet[of_ray[k]].mirrored;
+        echo.range_m += from_water_m;  // mirror_rays() has set the range of the water
+        echo.reflectivity = std::min(double(hits.intensity[k]), 1.0);
         echo.source = ReturnCause::mirror;
-        const glm::dvec3 direction(rays.direction[k]);
-        if (input.motion)
-            echo.away_mps = glm::dot(
-                direction, input.motion->object_velocity(r.instance[k], double(rays.time_s[k]),
-                                                         glm::dvec3(rays.origin[k]) + on_m * direction));
+        if (!input.motion) continue;
+        const glm::dvec3 hit_m = glm::dvec3(rays.origin[k]) + from_water_m * direction;
+        echo.away_mps = glm::dot(
+            direction, input.motion->object_velocity(hits.instance[k], double(rays.time_s[k]), hit_m));
     }
     return wet;
 }
