@@ -138,7 +138,8 @@ std::string encode(const Write& write) {
     return bytes;
 }
 
-/// Returns a DescriptorProto. The numbers are field numbers of descriptor.proto.
+/// Returns a DescriptorProto, which tells readers the fields of a message type: name (1)
+/// and fields (2). The numbers are field numbers of descriptor.proto.
 std::string describe_message(const ProtobufMessageType& message) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, message.name);
@@ -157,13 +158,14 @@ std::string describe_message(const ProtobufMessageType& message) {
 std::string describe_enum(const ProtobufEnumType& type) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, type.name);
-        // The values of an enum count from 0.
-        int number = 0;
-        for (const char* name : type.values)
+        int value = 0;  // the values of an enum count from 0
+        for (const char* name : type.values) {
             writer.add_message(2, encode([&](pbf_writer& of_value) {
                                    of_value.add_string(1, name);
-                                   of_value.add_int32(2, number++);
+                                   of_value.add_int32(2, value);
                                }));
+            ++value;
+        }
     });
 }
 
@@ -249,7 +251,8 @@ std::string pack_points(const LidarPoints& cloud) {
 }
 
 /// Returns a foxglove.PointCloud message. Its pose is the identity, because the points
-/// are already in the frame `frame_id`.
+/// are already in the frame `frame_id`. The numbers are the field numbers in
+/// kMessageTypes, here and in the functions below.
 std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame_id) {
     const LidarPoints& cloud = recorded.points;
     return encode([&](pbf_writer& writer) {
@@ -257,9 +260,8 @@ std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame
         writer.add_string(2, frame_id);
         writer.add_message(3, encode_pose({}));
         const std::vector<FoxglovePointField> fields = point_fields(cloud);
-        // Bytes per point. Optional channels have 4 bytes each.
-        writer.add_fixed32(
-            4, fields.size() == std::size(kPointFields) ? kBytesPerPoint : fields.back().offset + 4);
+        const std::size_t n_optional = fields.size() - std::size(kPointFields);  // of 4 bytes each
+        writer.add_fixed32(4, kBytesPerPoint + 4 * std::uint32_t(n_optional));
         for (const FoxglovePointField& field : fields)
             writer.add_message(5, encode([&](pbf_writer& element) {
                                    element.add_string(1, field.name);
@@ -270,18 +272,17 @@ std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame
     });
 }
 
-/// A foxglove.FrameTransforms message with one transform.
+/// Returns a foxglove.FrameTransforms message with one transform.
 std::string encode_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
                              const Pose& parent_from_child) {
-    return encode([&](pbf_writer& transforms) {
-        transforms.add_message(1, encode([&](pbf_writer& writer) {
-                                   writer.add_message(1, encode_time(time_ns));
-                                   writer.add_string(2, parent);
-                                   writer.add_string(3, child);
-                                   writer.add_message(4, encode_vector(parent_from_child.translation));
-                                   writer.add_message(5, encode_rotation(parent_from_child.rotation));
-                               }));
+    const std::string transform = encode([&](pbf_writer& writer) {
+        writer.add_message(1, encode_time(time_ns));
+        writer.add_string(2, parent);
+        writer.add_string(3, child);
+        writer.add_message(4, encode_vector(parent_from_child.translation));
+        writer.add_message(5, encode_rotation(parent_from_child.rotation));
     });
+    return encode([&](pbf_writer& transforms) { transforms.add_message(1, transform); });
 }
 
 std::string encode_box(const RecordedActor& actor) {
@@ -297,44 +298,43 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
 }
 
-/// Returns a foxglove.SceneUpdate with the boxes of the actors, which replace all earlier
-/// boxes. Velocities are in the world frame.
+/// Returns a foxglove.SceneEntity with the box of an actor at the time when the sensor
+/// faces it, so that the box fits its points. Velocities are in the world frame.
+std::string encode_actor(const RecordedActor& actor) {
+    const BoxState& state = actor.faced;
+    const glm::dquat& world_from_box = state.world_from_box.rotation;
+    std::vector<std::pair<const char*, std::string>> metadata = {
+        {"category", actor.category},
+        {"velocity_mps", format_vector(world_from_box * state.velocity.linear_mps)},
+        {"angular_velocity_radps", format_vector(world_from_box * state.velocity.angular_radps)},
+        {"is_static", actor.is_static ? "true" : "false"},
+        {"points", fmt::format("{}", actor.n_points)}};
+    if (actor.note != LabelNote::none) metadata.emplace_back("note", name_of(actor.note));
+    if (actor.visible_share)
+        metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
+    return encode([&](pbf_writer& entity) {
+        entity.add_message(1, encode_time(state.time_ns));
+        entity.add_string(2, kWorldFrame);
+        entity.add_string(3, actor.name);
+        for (const auto& entry : metadata)
+            entity.add_message(6, encode([&](pbf_writer& pair) {
+                                   pair.add_string(1, entry.first);
+                                   pair.add_string(2, entry.second);
+                               }));
+        entity.add_message(8, encode_box(actor));
+    });
+}
+
+/// Returns a foxglove.SceneUpdate with the boxes of the actors. First deletes all earlier
+/// boxes, so that no boxes of absent actors remain.
 std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // Value ALL of SceneEntityDeletionType. It deletes all earlier boxes, so that no
-    // boxes of absent actors remain.
-    constexpr int kDeleteAll = 1;
+    constexpr int kDeleteAll = 1;  // value ALL of SceneEntityDeletionType
     return encode([&](pbf_writer& writer) {
         writer.add_message(1, encode([&](pbf_writer& deletion) {
                                deletion.add_message(1, encode_time(stamp_ns));
                                deletion.add_enum(2, kDeleteAll);
                            }));
-        for (const RecordedActor& actor : actors) {
-            // The state when the sensor faces the actor, which fits its points.
-            const auto& [time_ns, world_from_box, velocity] = actor.faced;
-            std::vector<std::pair<const char*, std::string>> metadata = {
-                {"category", actor.category},
-                {"velocity_mps", format_vector(world_from_box.rotation * velocity.linear_mps)},
-                {"angular_velocity_radps", format_vector(world_from_box.rotation * velocity.angular_radps)},
-                {"is_static", actor.is_static ? "true" : "false"},
-                {"points", fmt::format("{}", actor.n_points)}};
-            if (actor.note != LabelNote::none) metadata.emplace_back("note", name_of(actor.note));
-            if (actor.visible_share)
-                metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
-            std::string of_actor;
-            pbf_writer entity(of_actor);
-            entity.add_message(1, encode_time(time_ns));
-            entity.add_string(2, kWorldFrame);
-            entity.add_string(3, actor.name);
-            for (const auto& [key, value] : metadata) {
-                std::string bytes;
-                pbf_writer pair(bytes);
-                pair.add_string(1, key);
-                pair.add_string(2, value);
-                entity.add_message(6, bytes);
-            }
-            entity.add_message(8, encode_box(actor));
-            writer.add_message(2, of_actor);
-        }
+        for (const RecordedActor& actor : actors) writer.add_message(2, encode_actor(actor));
     });
 }
 
@@ -369,15 +369,11 @@ std::vector<RecordedMessage> location_fixes(const RecordedSweep& moment) {
              })}};
 }
 
-std::vector<RecordedMessage> scene_updates(const RecordedSweep& moment) {
-    return {{moment.last_ns, encode_scene_update(moment.first_ns, moment.actors)}};
-}
-
 }  // namespace
 
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
-    // All topics except /fix have the same definition: a FileDescriptorSet with all other
-    // types.
+    // A definition is a FileDescriptorSet: the files that declare the message types. All
+    // topics except /fix have the same definition.
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
     const auto describe = [&](std::initializer_list<ProtobufMessageType> messages,
                               std::initializer_list<ProtobufEnumType> enums) {
@@ -388,23 +384,23 @@ std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
     };
     const std::string definition = describe(kMessageTypes, kEnumTypes);
     const std::string transforms = "foxglove.FrameTransforms";
-    // {name, message type, definition, metadata, messages of a sweep}
-    std::vector<RecordedTopic> topics{
-        {"/tf_static",
-         transforms,
-         definition,
-         {},
-         [rig](const RecordedSweep& moment) { return sensor_transforms(rig, moment); }},
-        {"/tf", transforms, definition, {}, vehicle_transforms},
-        {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
+    const auto static_transforms = [rig](const RecordedSweep& moment) {
+        return sensor_transforms(rig, moment);
+    };
+    const auto scene_updates = [](const RecordedSweep& moment) {
+        const std::string update = encode_scene_update(moment.first_ns, moment.actors);
+        return std::vector<RecordedMessage>{{moment.last_ns, update}};
+    };
+    std::vector<RecordedTopic> topics{{"/tf_static", transforms, definition, {}, static_transforms},
+                                      {"/tf", transforms, definition, {}, vehicle_transforms},
+                                      {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
     if (rig.earth)
         topics.push_back({"/fix", "foxglove.LocationFix", describe(kFixTypes, {}), {}, location_fixes});
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
-        const std::string frame = rig.cloud_frame(s);
-        topics.push_back(
-            {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedSweep& moment) {
-                 return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};
-             }});
+        const auto cloud = [s, frame = rig.cloud_frame(s)](const RecordedSweep& moment) {
+            return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};
+        };
+        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, cloud});
     }
     return topics;
 }

@@ -56,11 +56,14 @@ double round_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s))
 SweepInterval sweep_interval(std::span<const RenderedScan> scans) {
     SweepInterval all{INFINITY, -INFINITY};
     for (const RenderedScan& scan : scans) {
-        const std::vector<float>& offsets_s = scan.time_offset_s;
-        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
-                                                     : std::ranges::minmax(offsets_s);
-        all = {std::min(all.first_s, scan.time_s + round_time(first)),
-               std::max(all.last_s, scan.time_s + round_time(last) + kStampRounding_s)};
+        float first_s = 0.0f, last_s = 0.0f;  // relative to the time of the scan
+        if (!scan.time_offset_s.empty()) {
+            const auto offsets_s = std::ranges::minmax(scan.time_offset_s);
+            first_s = offsets_s.min;
+            last_s = offsets_s.max;
+        }
+        all.first_s = std::min(all.first_s, scan.time_s + round_time(first_s));
+        all.last_s = std::max(all.last_s, scan.time_s + round_time(last_s) + kStampRounding_s);
     }
     return all;
 }
@@ -113,20 +116,19 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
     last_scan_s_ = scans[0].time_s;
     RecordedSweep moment{to_stamp_ns(all.first_s), to_stamp_ns(all.last_s), {}, {}, {}};
     // Times of the vehicle's poses, including the stamps of all clouds.
-    std::vector<double> times_s;
-    add_pose_times(times_s, scans[0].track, all.first_s, all.last_s);
+    std::vector<double> pose_times_s;
+    add_pose_times(pose_times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
-        // With one sensor, its interval is the interval of the rig.
-        const auto [first_s, last_s] = scans.size() == 1 ? all : sweep_interval(scans.subspan(s, 1));
-        times_s.push_back(first_s);
-        times_s.push_back(last_s);
-        moment.clouds.push_back(make_cloud(scans[s], sensors_[s], first_s));
+        const SweepInterval of_sensor = sweep_interval(scans.subspan(s, 1));
+        pose_times_s.push_back(of_sensor.first_s);
+        pose_times_s.push_back(of_sensor.last_s);
+        moment.clouds.push_back(make_cloud(scans[s], sensors_[s], of_sensor.first_s));
         merge_actors(moment.actors, recorded_actors(scans[s], all.first_s));
     }
-    moment.poses = vehicle_poses(scans[0], std::move(times_s));
+    moment.poses = vehicle_poses(scans[0], std::move(pose_times_s));
     if (earth_ && !moment.poses.empty()) {
-        const auto& [time_ns, pose, velocity] = moment.poses.front();
-        moment.fix = {time_ns, earth_->to_geodetic(pose.translation)};
+        const RecordedPose& first = moment.poses.front();
+        moment.fix = {first.time_ns, earth_->to_geodetic(first.world_from_vehicle.translation)};
     }
     return moment;
 }
@@ -150,17 +152,22 @@ std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan,
     return poses;
 }
 
+/// Returns the points of a scan, which are stamped with the time of the first ray.
+/// @param first_s time of the first ray
 RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
                                         double first_s) const {
     RecordedCloud cloud{
         to_stamp_ns(first_s),
         place_points(scan, format.config, world_from_output(format, sensor_pose_at(scan, first_s)))};
-    // Makes the times relative to the stamp, which is the time of the first ray.
+    // Makes the times, which are relative to the scan, relative to the stamp.
     for (float& time_s : cloud.points.time_offset_s)
         time_s = static_cast<float>(std::max(0.0, double(time_s) - (first_s - scan.time_s)));
     return cloud;
 }
 
+/// Returns the actors in a scan, each with its box at two times: when the sensor faces
+/// it, and at the stamp of the sweep.
+/// @param time_s time of the stamp
 std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan, double time_s) const {
     std::vector<RecordedActor> actors;
     for (const ActorInScan& actor : find_actors(scan, sensors_.front())) {
@@ -169,9 +176,16 @@ std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& sc
                             object_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
-        // Two states: when the sensor faces the actor, and at the stamp of the sweep.
-        actors.push_back({box.id, label_of(box), box.size_m, !box.is_moving(), actor.is_static, actor.note,
-                          state(actor.faced_s), state(time_s), actor.n_points, actor.visible_share});
+        actors.push_back({.name = box.id,
+                          .category = label_of(box),
+                          .size_m = box.size_m,
+                          .is_parked = !box.is_moving(),
+                          .is_static = actor.is_static,
+                          .note = actor.note,
+                          .faced = state(actor.faced_s),
+                          .at_stamp = state(time_s),
+                          .n_points = actor.n_points,
+                          .visible_share = actor.visible_share});
     }
     return actors;
 }

@@ -35,12 +35,13 @@ void PacketFileWriter::write_packets(const std::vector<std::vector<SensorPacket>
 
 void PacketFileWriter::write(std::span<const RenderedScan> scans) { write_packets(packets_.encode(scans)); }
 
+/// Writes the packets that are not complete yet, and the calibrations of the sensors.
 void PacketFileWriter::finish_writing() {
     write_packets(packets_.flush());
     for (std::size_t s = 0; s < files_.size(); ++s) {
+        // A file gets its final name only when it is complete.
         OpenPacketFile& file = files_[s];
         file.capture.close_file();
-        // A file gets its final name only when it is complete.
         write_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
         const PacketCalibrationFile calibration = packets_.encoder(s).calibration_file();
         if (calibration.ending.empty()) continue;

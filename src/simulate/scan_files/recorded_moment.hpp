@@ -77,6 +77,7 @@ struct RecordedActor {
 struct SweepInterval {
     double first_s, last_s;
 };
+/// Returns the times of the first and of the last ray of several scans.
 SweepInterval sweep_interval(std::span<const RenderedScan> scans);
 inline std::int64_t to_stamp_ns(double time_s, std::int64_t time_shift_ns) {
     return time_shift_ns + std::llround(1e9 * time_s);

@@ -13,6 +13,7 @@ struct RecordedMessage {
     std::uint64_t logged_ns;
     std::string bytes;
 };
+/// A topic of a recording: a named stream of messages of one type.
 struct RecordedTopic {
     std::string name;
     std::string type;        ///< message type
@@ -36,6 +37,7 @@ std::span<const RecordingFormat> recording_formats();
 /// Messages with the same time are in the order of the topics.
 std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& moment);
 
+/// Returns the topics of a recording of this rig, and how to encode their messages.
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
 
@@ -70,7 +72,9 @@ inline void add_velocity(codecs::CdrWriter& cdr, const Velocity& velocity) {
     add_covariance(cdr);
 }
 
+/// Returns the topics of a sensor's points, with fields of Velodyne drivers and Autoware.
 std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
+/// Returns the topics of the boxes of actors, for ROS tools and for Autoware.
 std::vector<RecordedTopic> ros_actor_topics();
 /// Definition of a message type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry",
 /// followed by those of all types that it contains.

@@ -37,12 +37,14 @@ std::string pack_autoware(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
-        // A second return that is nearer than the first return is the second strongest.
         const bool is_second = !cloud.return_number.empty() && cloud.return_number[i] == 2;
         ReturnType return_type = kStrongest;
-        // The first return of the ray is the previous point.
-        if (is_second && i > 0)
-            return_type = glm::length(p) > glm::length(cloud.position_m[i - 1]) ? kLast : kSecondStrongest;
+        if (is_second && i > 0) {
+            // The first return of the ray is the previous point. A second return that is
+            // nearer cannot be the last one.
+            const bool is_farther = glm::length(p) > glm::length(cloud.position_m[i - 1]);
+            return_type = is_farther ? kLast : kSecondStrongest;
+        }
         append_raw(bytes, p);
         append_raw(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
         append_raw(bytes, std::uint8_t(return_type));
@@ -89,21 +91,15 @@ std::string encode_cloud2(const RecordedCloud& recorded, const std::string& fram
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
+    constexpr std::uint32_t kHeight = 1, kCount = 1;
+    constexpr std::uint8_t kIsBigEndian = 0, kIsDense = 1;
+    const auto width = std::uint32_t(cloud.size()), row_step = std::uint32_t(points.size());
     codecs::CdrWriter cdr;
     add_header(cdr, recorded.stamp_ns, frame);
-    cdr.add_number(std::uint32_t(1))
-        .add_number(std::uint32_t(cloud.size()))
-        .add_number(std::uint32_t(fields.size()));
+    cdr.add_number(kHeight).add_number(width).add_number(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
-        cdr.append_string(field.name)
-            .add_number(field.offset)
-            .add_number(field.type)
-            .add_number(std::uint32_t(1));
-    cdr.add_number(std::uint8_t(0))
-        .add_number(step)
-        .add_number(std::uint32_t(points.size()))
-        .add_bytes(points)
-        .add_number(std::uint8_t(1));
+        cdr.append_string(field.name).add_number(field.offset).add_number(field.type).add_number(kCount);
+    cdr.add_number(kIsBigEndian).add_number(step).add_number(row_step).add_bytes(points).add_number(kIsDense);
     return cdr.take_message();
 }
 
@@ -222,6 +218,7 @@ void add_uuid(codecs::CdrWriter& cdr, const std::string& name) {
     std::string bytes;
     for (const std::uint64_t hash : hash_text_twice(name)) append_raw(bytes, hash);
     for (int i = 0; i < 16; ++i) {
+        // The high bits of two bytes are the version (8) and the variant (binary 10).
         auto byte = static_cast<std::uint8_t>(bytes[std::size_t(i)]);
         if (i == kVersionByte) byte = 0x80 | (byte & 0x0f);
         if (i == kVariantByte) byte = 0x80 | (byte & 0x3f);
@@ -260,16 +257,16 @@ std::string encode_tracked(std::uint64_t stamp_ns, const Actors& actors) {
 std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
     const std::string& topic = rig.sensors[sensor].topic;
     const std::string frame = rig.cloud_frame(sensor);
-    const auto of_type = [&](const std::string& name, const RosPointType& type) {
+    const auto make_topic = [&](const std::string& name, const RosPointType& type) {
         return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{
                 {moment.last_ns, encode_cloud2(moment.clouds[sensor], frame, type)}};
         });
     };
-    std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
+    std::vector<RecordedTopic> topics{make_topic(topic, kPlainType)};
     // Leaves out this topic in the world frame, because such points have no azimuth and
     // elevation relative to the sensor.
-    if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
+    if (!rig.world) topics.push_back(make_topic(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }
 
@@ -298,10 +295,11 @@ std::string ros_definition(const std::string& message_type) {
 }
 
 std::vector<RecordedTopic> ros_actor_topics() {
+    // The messages are logged after the points, but describe the time of the first ray.
     const auto topic = [](const char* name, const char* type,
-                          std::string (*message)(std::uint64_t, const Actors&)) {
-        return make_ros_topic(name, type, [message](const RecordedSweep& moment) {
-            return std::vector<RecordedMessage>{{moment.last_ns, message(moment.first_ns, moment.actors)}};
+                          std::string (*encode)(std::uint64_t, const Actors&)) {
+        return make_ros_topic(name, type, [encode](const RecordedSweep& moment) {
+            return std::vector<RecordedMessage>{{moment.last_ns, encode(moment.first_ns, moment.actors)}};
         });
     };
     return {topic("/actors", "vision_msgs/msg/Detection3DArray", encode_detections),

@@ -8,8 +8,9 @@
 namespace relidar::scan_files {
 namespace {
 
-/// In the format of rosbag2, with the numbers of the rmw library. All durations are
-/// infinite.
+/// Returns the quality of service of a topic (how long messages are kept) as YAML of
+/// rosbag2, with the numbers of the rmw library. All durations are infinite.
+/// @param is_latched true if subscribers that join later receive the last message
 std::string format_qos(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndlessDuration = "\n    sec: 9223372036\n    nsec: 854775807\n";
@@ -28,6 +29,7 @@ void add_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::st
     add_pose(cdr, parent_from_child);
 }
 
+/// Returns a topic with one message for each pose of the vehicle.
 /// @param write writes the message of a pose
 RecordedTopic pose_topic(const char* name, const char* type,
                          void (*write)(codecs::CdrWriter&, const RecordedPose&)) {
@@ -42,9 +44,25 @@ RecordedTopic pose_topic(const char* name, const char* type,
     });
 }
 
-/// Each scan repeats the message for players that start in the middle of the file.
+void write_clock(codecs::CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }
+
+void write_vehicle_transform(codecs::CdrWriter& cdr, const RecordedPose& pose) {
+    cdr.add_number(std::uint32_t(1));  // number of transforms in the message
+    add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
+}
+
+void write_odometry(codecs::CdrWriter& cdr, const RecordedPose& pose) {
+    add_header(cdr, pose.time_ns, kWorldFrame);
+    cdr.append_string(kVehicleFrame);
+    add_pose(cdr, pose.world_from_vehicle);
+    add_covariance(cdr);
+    add_velocity(cdr, pose.velocity);
+}
+
+/// Returns the topic of the constant transforms, from the vehicle to its sensors. Each
+/// scan repeats the message for players that start in the middle of the file.
 RecordedTopic static_tf_topic(const RecordedRig& rig) {
-    const auto message = [rig](const RecordedSweep& moment) {
+    const auto make_message = [rig](const RecordedSweep& moment) {
         codecs::CdrWriter cdr;
         const std::vector<StaticTransform> transforms = rig.static_transforms();
         cdr.add_number(std::uint32_t(transforms.size()));
@@ -52,13 +70,16 @@ RecordedTopic static_tf_topic(const RecordedRig& rig) {
             add_transform(cdr, moment.first_ns, parent, child, parent_from_child);
         return std::vector<RecordedMessage>{{moment.first_ns, cdr.take_message()}};
     };
-    return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", message, true);
+    constexpr bool kIsLatched = true;
+    return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", make_message, kIsLatched);
 }
 
-/// Writes the position of base_link on the earth, once for each scan.
+/// Returns the topic of the vehicle's position on the earth, a message for each scan.
 RecordedTopic fix_topic() {
+    // Constants of sensor_msgs/NavSatStatus and NavSatFix.
     constexpr std::int8_t kHasFix = 0;
     constexpr std::uint16_t kGps = 1;
+    constexpr std::uint8_t kUnknownCovariance = 0;
     constexpr int kPositionCovariances = 9;
     return make_ros_topic("/fix", "sensor_msgs/msg/NavSatFix", [](const RecordedSweep& moment) {
         if (!moment.fix) return std::vector<RecordedMessage>{};
@@ -68,7 +89,7 @@ RecordedTopic fix_topic() {
         const GeodeticPosition& p = moment.fix->position;
         cdr.add_number(p.latitude_deg).add_number(p.longitude_deg).add_number(p.height_m);
         for (int i = 0; i < kPositionCovariances; ++i) cdr.add_number(0.0);
-        cdr.add_number(std::uint8_t(0));  // unknown covariance
+        cdr.add_number(kUnknownCovariance);
         return std::vector<RecordedMessage>{{moment.fix->time_ns, cdr.take_message()}};
     });
 }
@@ -85,24 +106,13 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
             std::move(make_messages)};
 }
 
+/// Returns the topics of a ROS 2 bag in the order in which messages with the same time are
+/// written: the clock, then transforms.
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
-    std::vector<RecordedTopic> topics{
-        pose_topic("/clock", "rosgraph_msgs/msg/Clock",
-                   [](codecs::CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }),
-        static_tf_topic(rig),
-        pose_topic("/tf", "tf2_msgs/msg/TFMessage",
-                   [](codecs::CdrWriter& cdr, const RecordedPose& pose) {
-                       // number of transforms in the message
-                       cdr.add_number(std::uint32_t(1));
-                       add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
-                   }),
-        pose_topic("/odom", "nav_msgs/msg/Odometry", [](codecs::CdrWriter& cdr, const RecordedPose& pose) {
-            add_header(cdr, pose.time_ns, kWorldFrame);
-            cdr.append_string(kVehicleFrame);
-            add_pose(cdr, pose.world_from_vehicle);
-            add_covariance(cdr);
-            add_velocity(cdr, pose.velocity);
-        })};
+    std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", write_clock),
+                                      static_tf_topic(rig),
+                                      pose_topic("/tf", "tf2_msgs/msg/TFMessage", write_vehicle_transform),
+                                      pose_topic("/odom", "nav_msgs/msg/Odometry", write_odometry)};
     if (rig.earth) topics.push_back(fix_topic());
     for (RecordedTopic& topic : ros_actor_topics()) topics.push_back(std::move(topic));
     for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
@@ -114,23 +124,23 @@ std::span<const RecordingFormat> recording_formats() {
     // rosbag2 reads the quality-of-service policies as numbers because of the empty
     // metadata entry `serialized_metadata`.
     static const RecordingFormat formats[] = {
-        {"mcap",
-         "scans.mcap",
-         "one file with all scans of all sensors, for Foxglove.",
-         "",
-         "protobuf",
-         "protobuf",
-         {},
-         foxglove_topics},
-        {"rosbag",
-         "rosbag.mcap",
-         R"(a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
+        {.name = "mcap",
+         .file = "scans.mcap",
+         .help = "one file with all scans of all sensors, for Foxglove.",
+         .profile = "",
+         .definition_encoding = "protobuf",
+         .message_encoding = "protobuf",
+         .metadata = {},
+         .topics = foxglove_topics},
+        {.name = "rosbag",
+         .file = "rosbag.mcap",
+         .help = R"(a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
 and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.)",
-         "ros2",
-         "ros2msg",
-         "cdr",
-         {{"rosbag2", {{"serialized_metadata", ""}}}},
-         ros_topics},
+         .profile = "ros2",
+         .definition_encoding = "ros2msg",
+         .message_encoding = "cdr",
+         .metadata = {{"rosbag2", {{"serialized_metadata", ""}}}},
+         .topics = ros_topics},
     };
     return formats;
 }

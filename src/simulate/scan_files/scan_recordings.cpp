@@ -93,10 +93,9 @@ bool is_topic_name(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
         const bool begins_word = topic[i - 1] == '/';
-        if (topic[i] == '/' ? begins_word
-                            : !is_topic_char(topic[i]) ||
-                                  (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
-            return false;
+        const bool is_digit = std::isdigit(static_cast<unsigned char>(topic[i])) != 0;
+        if (begins_word && (topic[i] == '/' || is_digit)) return false;
+        if (topic[i] != '/' && !is_topic_char(topic[i])) return false;
     }
     return true;
 }

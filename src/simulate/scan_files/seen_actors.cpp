@@ -69,11 +69,11 @@ std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const S
     const std::vector<float>& range_m = point_ranges(scan, format.config);
     FiringPoseInterpolator firing(scan, {{1, 0, 0, 0}, -format.world_offset_m});
     std::vector<BackgroundPoint> points;
-    for (std::size_t i = 0; i < range_m.size(); ++i)
-        if (scan.instance[i] == 0 && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
-            points.push_back(
-                {firing.pose_of(i) * glm::dvec3(scan.image.origin[i] + range_m[i] * scan.image.direction[i]),
-                 scan.time_offset_s[i]});
+    for (std::size_t i = 0; i < range_m.size(); ++i) {
+        if (scan.instance[i] != 0 || !is_ray_returned(scan.image.drop_prob[i], range_m[i])) continue;
+        const glm::vec3 in_sensor_m = scan.image.origin[i] + range_m[i] * scan.image.direction[i];
+        points.push_back({firing.pose_of(i) * glm::dvec3(in_sensor_m), scan.time_offset_s[i]});
+    }
     return points;
 }
 
@@ -104,34 +104,36 @@ std::optional<double> visible_share(const ActorVisibility* view) {
 }
 
 /// Returns true if two boxes overlap by more than kMoverMargin_m along each axis of both
-/// boxes. Boxes of neighbours that only touch do not overlap.
+/// boxes (test of separating axes). Boxes of neighbours that only touch do not overlap.
 bool overlap_boxes(const Pose& a, const glm::dvec3& size_a_m, const Pose& b, const glm::dvec3& size_b_m) {
     const glm::dmat3 axes_a = glm::mat3_cast(a.rotation), axes_b = glm::mat3_cast(b.rotation);
     const auto half_extent_m = [](const glm::dmat3& axes, const glm::dvec3& size_m, const glm::dvec3& along) {
         return 0.5 * glm::dot(size_m, glm::abs(along * axes));
     };
-    for (int k = 0; k < 6; ++k) {
-        const glm::dvec3 axis = k < 3 ? axes_a[k] : axes_b[k - 3];
-        const double apart_m = std::abs(glm::dot(a.translation - b.translation, axis));
-        if (apart_m >
-            half_extent_m(axes_a, size_a_m, axis) + half_extent_m(axes_b, size_b_m, axis) - kMoverMargin_m)
-            return false;
-    }
+    for (const glm::dmat3& axes : {axes_a, axes_b})
+        for (int k = 0; k < 3; ++k) {
+            const double centre_distance_m = std::abs(glm::dot(a.translation - b.translation, axes[k])),
+                         reach_a_m = half_extent_m(axes_a, size_a_m, axes[k]),
+                         reach_b_m = half_extent_m(axes_b, size_b_m, axes[k]);
+            if (centre_distance_m > reach_a_m + reach_b_m - kMoverMargin_m) return false;
+        }
     return true;
 }
 
-/// Returns the time of a box. The start and the end of a sweep hit different parts of a
-/// box behind the sensor. Such a box gets the median time of its returns, to match the
-/// larger part.
+/// Returns the time at which a box fits its points. The start and the end of a sweep hit
+/// different parts of a box behind the sensor. Such a box gets the median time of its
+/// returns, to match the larger part.
 /// @param faced_s  time at which the sensor points at the centre of the box
+/// @param times_s  firing times of the returns on the box, relative to the scan
 double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;
     if (times_s.empty()) return faced_s;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
     const auto [first_return_s, last_return_s] = std::ranges::minmax(times_s);
-    if (double(last_return_s) - double(first_return_s) < kMostOfSweep * (double(last_s) - double(first_s)))
-        return faced_s;
+    const double box_s = double(last_return_s) - double(first_return_s),
+                 sweep_s = double(last_s) - double(first_s);
+    if (box_s < kMostOfSweep * sweep_s) return faced_s;
     const auto middle = times_s.begin() + std::ptrdiff_t(times_s.size() / 2);
     std::ranges::nth_element(times_s, middle);  // not the mean of two, which no part has
     return scan.time_s + double(*middle);
