@@ -6,6 +6,14 @@
 
 namespace relidar::scan_files {
 
+std::vector<double> row_major(const Pose& pose) {
+    const glm::dmat4 columns = to_matrix(pose);
+    std::vector<double> numbers;
+    for (int row = 0; row < 4; ++row)
+        for (int column = 0; column < 4; ++column) numbers.push_back(columns[column][row]);
+    return numbers;
+}
+
 std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed) {
     if (format.frame == PointCoordinateFrame::world) return Pose{{1, 0, 0, 0}, points_origin_m(format)};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;

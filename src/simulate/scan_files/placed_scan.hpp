@@ -9,6 +9,9 @@
 
 namespace relidar::scan_files {
 
+/// Returns the elements of a pose's 4 x 4 matrix, row by row.
+std::vector<double> row_major(const Pose& pose);
+
 /// Rays and their optional channels, [n] each, in the coordinate frame of the files. In
 /// the world frame, positions are relative to points_origin_m().
 struct PlacedRays {

@@ -48,12 +48,13 @@ std::vector<PointFileField> list_fields(const LidarPoints& points, bool has_doub
 
 void check_lengths(const LidarPoints& points) {
     // Unknown (empty) arrays are allowed, except the intensity.
-    const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
-        if (found != points.size() && !(may_be_unknown && found == 0))
-            fail("cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
-                 name, found, points.size());
+    enum Presence { kRequired, kOptional };
+    const auto check = [&](const char* name, std::size_t n_values, Presence presence = kOptional) {
+        if (n_values == points.size() || (presence == kOptional && n_values == 0)) return;
+        fail("cannot write a point cloud: the array {} has {} values, expected {}, one for each point", name,
+             n_values, points.size());
     };
-    check("intensity", points.intensity.size(), false);
+    check("intensity", points.intensity.size(), kRequired);
     check("ring", points.ring.size());
     check("time", points.time_offset_s.size());
     check("instance", points.instance.size());
@@ -62,10 +63,11 @@ void check_lengths(const LidarPoints& points) {
 }
 
 /// Packs points without gaps, in the order of list_fields().
+/// @param world_origin_m origin of positions in the world, which get double precision
 std::string pack_records(const LidarPoints& points, const std::optional<glm::dvec3>& world_origin_m) {
+    constexpr std::size_t kUsualBytes = 26;  // 12 + 4 + 2 + 4 + 4 with ring, time and instance
     std::string bytes;
-    // 12 + 4 + 2 + 4 + 4 bytes with ring, time and instance
-    bytes.reserve(points.size() * 26);
+    bytes.reserve(points.size() * kUsualBytes);
     const auto append_if_present = [&](const auto& values, std::size_t index) {
         if (!values.empty()) append_raw(bytes, values[index]);
     };
@@ -115,43 +117,53 @@ std::string describe_extra(const PointFileField& field) {
     return bytes;
 }
 
+/// Points in the layout of a LAS file, and the summary that its header needs. A position
+/// is stored as whole steps of kLasStep_m from `offset_m`.
 struct LasPoints {
     glm::dvec3 offset_m{0.0}, min_m{INFINITY}, max_m{-INFINITY};
-    std::array<std::uint64_t, 15> n_by_return{};
+    std::array<std::uint64_t, 15> n_by_return{};  ///< numbers of first, second, ... returns
     std::string records = {};
+
+    /// Appends the position of a point to the records.
+    /// @param relative_m position relative to `offset_m`
+    void append_position(const glm::dvec3& relative_m, std::size_t point) {
+        constexpr double kMaxDistance_m = 200'000.0;  // limit of 32-bit steps
+        glm::dvec3 rounded_m;
+        for (int axis = 0; axis < 3; ++axis) {
+            if (!(std::abs(relative_m[axis]) < kMaxDistance_m))
+                fail("cannot write LAS: point {} is {} m from the origin, expected less than {} m", point,
+                     relative_m[axis], kMaxDistance_m);
+            const auto step = std::int32_t(std::lround(relative_m[axis] / kLasStep_m));
+            append_raw(records, step);
+            rounded_m[axis] = offset_m[axis] + kLasStep_m * step;
+        }
+        min_m = glm::min(min_m, rounded_m);
+        max_m = glm::max(max_m, rounded_m);
+    }
 };
 
+/// Packs points as records of point format 6 with extra bytes.
 LasPoints pack_las(const LidarPoints& points, const glm::dvec3& origin_m) {
-    constexpr double kMaxDistance_m = 200'000.0;  // limit of 32-bit steps
     LasPoints las{.offset_m = glm::round(origin_m)};
     const auto return_number = [&](std::size_t i) {
         return i < points.return_number.size() ? points.return_number[i] : std::uint8_t(1);
     };
-    for (std::size_t i = 0, n_returns = 1; i < points.size(); ++i) {
-        const glm::dvec3 p = origin_m - las.offset_m + glm::dvec3(points.position_m[i]);
-        glm::dvec3 rounded_m;
-        for (int axis = 0; axis < 3; ++axis) {
-            if (!(std::abs(p[axis]) < kMaxDistance_m))
-                fail("cannot write LAS: point {} is {} m from the origin, expected less than {} m", i,
-                     p[axis], kMaxDistance_m);
-            const auto step = std::int32_t(std::lround(p[axis] / kLasStep_m));
-            append_raw(las.records, step);
-            rounded_m[axis] = las.offset_m[axis] + kLasStep_m * step;
-        }
-        las.min_m = glm::min(las.min_m, rounded_m);
-        las.max_m = glm::max(las.max_m, rounded_m);
+    std::size_t n_returns = 1;  // of the current ray
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        las.append_position(origin_m - las.offset_m + glm::dvec3(points.position_m[i]), i);
         const std::uint8_t number = return_number(i);
-        // Returns of a ray follow each other, so the last of them has their number.
-        if (number == 1)
-            for (n_returns = 1; i + n_returns < points.size() && return_number(i + n_returns) > 1;)
-                ++n_returns;
+        if (number == 1) {
+            // The second and further returns of the ray follow directly.
+            n_returns = 1;
+            while (i + n_returns < points.size() && return_number(i + n_returns) > 1) ++n_returns;
+        }
         ++las.n_by_return[number - 1u];
         const float intensity = std::clamp(points.intensity[i], 0.0f, 1.0f);
         append_raw(las.records, std::uint16_t(std::lround(65535.0f * intensity)));
-        append_raw(las.records, std::uint8_t(number | n_returns << 4));
+        append_raw(las.records, std::uint8_t(number | n_returns << 4));  // 4 bits each
         append_padded(las.records, "", 7);  // flags, class, user data, scan angle, source
-        append_raw(las.records,
-                   points.time_s + (points.time_offset_s.empty() ? 0.0 : double(points.time_offset_s[i])));
+        const double offset_s = points.time_offset_s.empty() ? 0.0 : double(points.time_offset_s[i]);
+        append_raw(las.records, points.time_s + offset_s);
         if (!points.ring.empty()) append_raw(las.records, points.ring[i]);
         if (!points.instance.empty()) append_raw(las.records, points.instance[i]);
         append_values(las.records, points.channels, i);
@@ -207,7 +219,6 @@ void write_las(const fs::path& path, const LidarPoints& points, const FileMetada
     std::string text, extra, records;
     for (const auto& note : notes) text += codecs::metadata_line(note) + "\n";
     std::uint16_t record_bytes = kLasRecordBytes;
-    std::uint32_t n_records = 1;
     for (const PointFileField& field : list_fields(points, false)) {
         constexpr std::array kStandard{"x", "y", "z", "intensity", "time", "return"};
         if (std::ranges::find(kStandard, field.name) != kStandard.end()) continue;
@@ -215,8 +226,9 @@ void write_las(const fs::path& path, const LidarPoints& points, const FileMetada
         record_bytes = std::uint16_t(record_bytes + field.bytes);
     }
     records += las_record("relidar", kLasNotesRecord, text);
-    if (!extra.empty()) records += las_record("LASF_Spec", kLasExtraBytesRecord, extra), ++n_records;
-    if (!wkt.empty()) records += las_record("LASF_Projection", kLasWktRecord, wkt + '\0'), ++n_records;
+    if (!extra.empty()) records += las_record("LASF_Spec", kLasExtraBytesRecord, extra);
+    if (!wkt.empty()) records += las_record("LASF_Projection", kLasWktRecord, wkt + '\0');
+    const std::uint32_t n_records = 1u + (extra.empty() ? 0u : 1u) + (wkt.empty() ? 0u : 1u);
     const LasPoints las = pack_las(points, world_origin_m.value_or(glm::dvec3(0.0)));
     std::string bytes = "LASF";
     append_raw(bytes, std::uint16_t(0));

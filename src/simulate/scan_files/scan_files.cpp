@@ -22,20 +22,13 @@ using scan_files::ScanInOutputFrame;
 
 constexpr const char* kUnitsText = "metres, seconds; intensity and drop_prob 0 to 1";
 
-std::vector<double> row_major(const Pose& pose) {
-    const glm::dmat4 columns = to_matrix(pose);
-    std::vector<double> numbers;
-    for (int row = 0; row < 4; ++row)
-        for (int column = 0; column < 4; ++column) numbers.push_back(columns[column][row]);
-    return numbers;
-}
-
 std::string describe_frame(const ScanOutputOptions& options) {
     if (options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
     return has_common_frame(options) ? "sensor at time_s: x forward, y left, z up"
                                      : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
+/// Returns the texts that describe a scan in the headers of its files.
 FileMetadata scan_metadata(const ScanOutputOptions& format, int frame, const RenderedScan& scan) {
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
@@ -44,7 +37,8 @@ FileMetadata scan_metadata(const ScanOutputOptions& format, int frame, const Ren
             {"time_s", fmt::format("{}", scan.time_s)},
             {"points_in", describe_frame(format)},
             {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
-            {"world_from_sensor", fmt::format("{}", fmt::join(row_major(scan.world_from_sensor), " "))},
+            {"world_from_sensor",
+             fmt::format("{}", fmt::join(scan_files::row_major(scan.world_from_sensor), " "))},
             {"units", kUnitsText}};
 }
 
@@ -68,7 +62,9 @@ NamedArray image_array(const std::string& name, const RangeImage& image, const s
                       first, xyz.size() * 3);
 }
 
-/// Returns positions in the world in double precision, others unchanged.
+/// Returns an array of positions, [rows,columns,3]. Positions in the world have double
+/// precision, because their coordinates can be large.
+/// @param world_origin_m origin of the positions in the world; no value for other frames
 NamedArray position_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& xyz,
                           const std::optional<glm::dvec3>& world_origin_m) {
     if (!world_origin_m) return image_array(name, image, xyz);
@@ -80,11 +76,12 @@ NamedArray position_array(const std::string& name, const RangeImage& image, cons
                       values.size());
 }
 
+/// Returns all arrays of an npz file (make_scan_format_help() describes them for users).
 std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const RenderedScan& scan = output_scan.scan;
     const ScanOutputOptions& format = output_scan.format;
     const RangeImage& image = scan.image;
-    const std::vector<double> pose = row_major(scan.world_from_sensor);
+    const std::vector<double> pose = scan_files::row_major(scan.world_from_sensor);
     const bool world = format.frame == PointCoordinateFrame::world;
     const std::int32_t number = output_scan.frame, deskewed = has_common_frame(format) ? 1 : 0;
     const scan_files::PlacedRays& rays = output_scan.rays();
@@ -108,6 +105,7 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     return arrays;
 }
 
+/// Writers of the formats of single scans, see kScanFormats.
 void write_npz_file(const fs::path& path, ScanInOutputFrame& scan) { write_npz(path, make_npz_arrays(scan)); }
 
 void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
@@ -217,14 +215,12 @@ std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor, double
 
 ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor) {
     ScanOutputOptions format;
-    for (const ModelInstance& instance : run.scene.instances) {
-        format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
-    }
-    for (const BoxTrack& box : run.sequence.boxes)
-        if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) !=
-            format.instance_names.end())
-            format.actors.push_back(box);
     const Scene& scene = run.scene;
+    for (const ModelInstance& instance : scene.instances)
+        format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
+    for (const BoxTrack& box : run.sequence.boxes)
+        if (std::ranges::find(format.instance_names, box.id) != format.instance_names.end())
+            format.actors.push_back(box);
     // Standing objects are visible only if the scene has a background.
     if (scene.models.front().count > 0 || !scene.blocks.empty())
         format.standing = list_standing(scene, run.sequence, run.config.init);

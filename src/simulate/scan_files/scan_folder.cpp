@@ -11,6 +11,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "base/fail.hpp"
+#include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_folder.hpp"
 
@@ -32,10 +33,11 @@ bool is_output_name(const fs::path& name) {
         std::ranges::any_of(scan_files::recording_formats(), is_named))
         return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
+    const bool has_number = stem.starts_with(prefix) && stem.size() > prefix.size() &&
+                            stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos;
+    if (!has_number || extension.empty()) return false;
     const std::vector<std::string> formats = scan_formats();
-    return stem.starts_with(prefix) && stem.size() > prefix.size() &&
-           stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
-           std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+    return std::ranges::find(formats, extension.substr(1)) != formats.end();
 }
 
 std::vector<fs::path> output_files(const fs::path& folder) {
@@ -66,10 +68,9 @@ std::set<std::string> listed_names(const fs::path& folder) {
 }
 
 Json matrix_json(const Pose& pose) {
-    const glm::dmat4 columns = to_matrix(pose);
+    const std::vector<double> m = scan_files::row_major(pose);
     Json rows = Json::array();
-    for (int row = 0; row < 4; ++row)
-        rows.push_back({columns[0][row], columns[1][row], columns[2][row], columns[3][row]});
+    for (std::size_t i = 0; i < m.size(); i += 4) rows.push_back({m[i], m[i + 1], m[i + 2], m[i + 3]});
     return rows;
 }
 
@@ -118,8 +119,9 @@ ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOption
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
-    // If the rendering is interrupted, the marker stays unless the folder has no scans. A
-    // later rendering then knows that all scan files are unfinished.
+    // If the rendering is interrupted, the marker file stays unless the folder has no
+    // scans. A later rendering then knows that all scan files are unfinished. A shared
+    // pointer removes the file at the end, so that the writer can be moved.
     unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), [](const fs::path* marker) {
                               std::error_code failed;
                               if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);
@@ -184,6 +186,7 @@ void ScanFolderWriter::write_summary() const {
 
 namespace {
 
+/// Returns the list "boxes" of a scan in scans.json.
 Json boxes_json(const std::vector<ActorBox>& boxes) {
     Json json = Json::array();
     for (const ActorBox& box : boxes)
@@ -203,17 +206,19 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
 
 }  // namespace
 
+/// Returns the description of a scan in scans.json, as one line.
 std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                                    const std::vector<std::string>& files) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::size_t n_points = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        n_points += is_ray_returned(scan.image.drop_prob[i], range_m[i]);
-    Json sides = Json::array(), completed = Json::array();
-    for (const UnobservedActorSide& unseen : scan.unseen_sides)
-        // Sides filled with mirrored surfels are listed separately.
-        (unseen.is_completed ? completed : sides)
-            .push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
+        if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) ++n_points;
+    // Sides filled with mirrored surfels are listed separately.
+    Json unseen = Json::array(), completed = Json::array();
+    for (const UnobservedActorSide& side : scan.unseen_sides) {
+        Json& list = side.is_completed ? completed : unseen;
+        list.push_back({{"track", side.track}, {"side", name_of(side.side)}, {"rays", side.n_rays}});
+    }
     const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", matrix_json(scan.world_from_sensor)},
@@ -221,11 +226,11 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, const Sc
                         {"points", n_points},
                         {"dropped", scan.image.range_m.size() - n_points},
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
-                        {"unseen_sides", sides},
+                        {"unseen_sides", unseen},
                         {"completed_sides", completed},
                         {"boxes", boxes_json(actor_boxes_of(scan, format))},
                         {"files", files}};
-    // One line. Invalid UTF-8 in names is replaced.
+    // Replaces invalid UTF-8 in names.
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 

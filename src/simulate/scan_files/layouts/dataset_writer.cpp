@@ -28,7 +28,8 @@ struct LayoutKind {
 constexpr LayoutKind kLayouts[] = {
     {"kitti", make_kitti_writer}, {"nuscenes", make_nuscenes_writer}, {"openlabel", make_openlabel_writer}};
 
-/// Returns no value if the folder has no index.
+/// Reads the list of sequences of a data set.
+/// @return no value if the folder has no such list
 std::optional<DatasetIndex> read_index(const fs::path& folder) {
     const fs::path file = folder / kIndexName;
     std::error_code failed;
@@ -46,6 +47,7 @@ std::optional<DatasetIndex> read_index(const fs::path& folder) {
     }
 }
 
+/// Writes the list of sequences, which read_index() reads when another sequence is added.
 void write_index(const fs::path& folder, const DatasetIndex& index) {
     Json sequences = Json::array();
     for (std::size_t s = 0; s < index.sequences.size(); ++s) {
@@ -65,7 +67,8 @@ std::string describe_pose(const Pose& pose) {
     return fmt::format("{},{},{} {},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
 }
 
-/// Returns the settings of a sequence for users. Equal settings give equal data.
+/// Returns the settings of a sequence for users. Equal settings give equal data, so the
+/// settings also identify the sequence. Long settings are reduced to a hash.
 Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
     const ScanOutputOptions& options = sensors.front().options;
     std::string tracks, settings, mounted, rays;
@@ -96,6 +99,8 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
             {"times_s", times_s}};
 }
 
+/// Writes a description of the data set for users: licence, split, and the settings of
+/// each sequence.
 void write_readme(const fs::path& folder, const DatasetIndex& index) {
     std::string text = fmt::format(
         "# Simulated LiDAR data\n\n"
@@ -152,6 +157,12 @@ void write_rig_points(const fs::path& path, const LabelledFrame& frame,
             append_raw(bytes, frame.clouds[s].intensity[i]);
         }
     write_bytes(path, bytes);
+}
+
+std::string camera_lines() {
+    std::string lines;
+    for (int camera = 0; camera < 4; ++camera) lines += fmt::format("P{}: {}\n", camera, kVirtualCamera);
+    return lines;
 }
 
 std::string make_token(const std::string& text, std::size_t n_digits) {
@@ -212,8 +223,12 @@ DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string&
     const Json settings = describe_sequence(impl_->sensors, times_s);
     DatasetIndex::Sequence sequence{make_token(settings.dump()), int(times_s.size()), settings};
     // A new sequence follows after all others.
-    SequencePlace place{impl_->folder,     index.sequences.size(), index.count_frames(),
-                        sequence.n_frames, sequence.key,           true};
+    SequencePlace place{.folder = impl_->folder,
+                        .number = index.sequences.size(),
+                        .first_frame = index.count_frames(),
+                        .n_frames = sequence.n_frames,
+                        .key = sequence.key,
+                        .is_new = true};
     // The same settings give the same key. Such a sequence is replaced in place.
     const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
     if (same == index.sequences.end()) {

@@ -32,11 +32,13 @@ std::string label_columns(const LabelledObject& object, const Pose& world_from_r
     const double yaw_rad = std::atan2(forward.y, forward.x);
     const double rotation_y = wrap_angle(-yaw_rad - 0.5 * kPi);
     // In the camera frame x is -y of the rig, y is -z and z is x. The location is the
-    // centre of the lower face.
+    // centre of the lower face. `alpha` is the rotation as seen from the camera.
+    const glm::dvec3 location(-centre.y, 0.5 * size_m.z - centre.z, centre.x);
     const double alpha = wrap_angle(rotation_y - std::atan2(-centre.y, centre.x));
+    // occluded, alpha, image box, height, width, length, location, rotation_y
     return fmt::format("{} {:.4f} 0 0 0 0 {:.4f} {:.4f} {:.4f} {:.4f} {:.4f} {:.4f} {:.4f}",
-                       occlusion_level(object.visible_share), alpha, size_m.z, size_m.y, size_m.x, -centre.y,
-                       0.5 * size_m.z - centre.z, centre.x, rotation_y);
+                       occlusion_level(object.visible_share), alpha, size_m.z, size_m.y, size_m.x, location.x,
+                       location.y, location.z, rotation_y);
 }
 
 /// Returns the truncation of the tracking benchmark: 0 no, 1 partly, 2 largely.
@@ -111,10 +113,8 @@ private:
     }
     static std::string calibration(const char* rectification, const char* camera_from_velo,
                                    const char* velo_from_imu) {
-        std::string text;
-        for (int camera = 0; camera < 4; ++camera) text += fmt::format("P{}: {}\n", camera, kVirtualCamera);
-        return text + fmt::format("{} 1 0 0 0 1 0 0 0 1\n{} {}\n{} {}\n", rectification, camera_from_velo,
-                                  kCameraFromRig, velo_from_imu, kVirtualCamera);
+        return camera_lines() + fmt::format("{} 1 0 0 0 1 0 0 0 1\n{} {}\n{} {}\n", rectification,
+                                            camera_from_velo, kCameraFromRig, velo_from_imu, kVirtualCamera);
     }
 };
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <cctype>
 #include <cmath>
+#include <map>
 
 #include <relidar/scene/labels.hpp>
 #include <relidar/scene/scene.hpp>
@@ -82,7 +83,8 @@ private:
 /// @param sensor_from_box  [sensors]
 double share_outside(const std::vector<FieldOfView>& views, const std::vector<Pose>& sensor_from_box,
                      const glm::dvec3& size_m) {
-    constexpr int kSteps = 8;  // points of the box along each axis
+    // Tests the centres of equal cells of the box.
+    constexpr int kSteps = 8;  // cells along each axis
     int n_outside = 0;
     for (int i = 0; i < kSteps * kSteps * kSteps; ++i) {
         const glm::dvec3 cell(i % kSteps, i / kSteps % kSteps, i / (kSteps * kSteps));
@@ -90,7 +92,7 @@ double share_outside(const std::vector<FieldOfView>& views, const std::vector<Po
         bool is_inside = false;
         for (std::size_t s = 0; s < views.size() && !is_inside; ++s)
             is_inside = views[s].contains_point(sensor_from_box[s] * point);
-        n_outside += !is_inside;
+        if (!is_inside) ++n_outside;
     }
     return double(n_outside) / (kSteps * kSteps * kSteps);
 }
@@ -110,33 +112,33 @@ struct SeenObject {
 /// Finds the objects that at least one sensor hits, in the order of their tracks.
 std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
                                           const std::vector<DatasetSensor>& sensors) {
+    // The number of an object is the index of its track in this list.
     const ScanOutputOptions& options = sensors.front().options;
     std::vector<std::string> tracks;
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) tracks.push_back(box.id);
-    std::vector<SeenObject> seen;
+    std::map<int, SeenObject> seen;  // by number
     for (std::size_t s = 0; s < scans.size(); ++s)
         for (const scan_files::ActorInScan& actor : scan_files::find_actors(scans[s], sensors[s].options)) {
             // A box that the points of another object fill shows no object.
             if (actor.n_points == 0 || actor.note != LabelNote::none) continue;
             const BoxTrack& box = *actor.box;
-            const int number = int(std::ranges::find(tracks, box.id) - tracks.begin());
-            LabelledObject object{box.id,          label_of(box),   number,
-                                  actor.is_static, box.is_moving(), box.size_m};
-            object.world_from_box = actor.world_from_box(actor.faced_s);
-            object.visible_share = actor.visible_share;
-            const auto known = std::ranges::find_if(
-                seen, [&](const SeenObject& other) { return other.object.number == number; });
-            if (known == seen.end()) {
-                seen.push_back({object, actor.n_points});
-                continue;
-            }
-            object.visible_share = std::max(object.visible_share, known->object.visible_share);
-            known->object.visible_share = object.visible_share;
-            if (actor.n_points > known->n_points_on) *known = {object, actor.n_points};
+            LabelledObject object{.track = box.id,
+                                  .category = label_of(box),
+                                  .number = int(std::ranges::find(tracks, box.id) - tracks.begin()),
+                                  .is_static = actor.is_static,
+                                  .moves = box.is_moving(),
+                                  .size_m = box.size_m,
+                                  .world_from_box = actor.world_from_box(actor.faced_s)};
+            // Keeps the box of the sensor with most points, and the largest share.
+            SeenObject& best = seen[object.number];
+            object.visible_share = std::max(actor.visible_share, best.object.visible_share);
+            if (actor.n_points > best.n_points_on) best = {object, actor.n_points};
+            best.object.visible_share = object.visible_share;
         }
-    std::ranges::sort(seen, {}, [](const SeenObject& object) { return object.object.number; });
-    return seen;
+    std::vector<SeenObject> objects;
+    for (auto& [number, object] : seen) objects.push_back(std::move(object));
+    return objects;
 }
 
 }  // namespace
@@ -157,6 +159,9 @@ bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m) {
     return glm::all(glm::lessThanEqual(glm::abs(point_in_box_m), 0.5 * size_m));
 }
 
+/// Returns the points of all sensors at one time, and the labelled boxes of the objects
+/// that at least one point shows.
+/// @param index index of the frame in its sequence
 LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
                           std::size_t index) {
     LabelledFrame frame{.index = index, .time_s = scans[0].time_s};

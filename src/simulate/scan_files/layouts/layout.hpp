@@ -126,5 +126,7 @@ std::string make_token(const std::string& text, std::size_t n_digits = 32);
 /// plane is at the distance 1.
 inline constexpr const char* kVirtualCamera = "1 0 0 0 0 1 0 0 0 0 1 0";
 inline constexpr const char* kCameraFromRig = "0 -1 0 0 0 0 -1 0 1 0 0 0";
+/// Returns the lines of the cameras P0 to P3 in a calibration file.
+std::string camera_lines();
 
 }  // namespace relidar::layouts

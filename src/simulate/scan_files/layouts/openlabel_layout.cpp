@@ -4,10 +4,12 @@
 #include "simulate/scan_files/layouts/layout.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/scene/labels.hpp>
 #include "base/bytes.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "simulate/scan_files/placed_scan.hpp"
 
 namespace relidar::layouts {
 namespace {
@@ -25,12 +27,8 @@ Json transform_json(const Pose& pose) {
 
 /// Returns the 12 numbers of the first three rows of a matrix.
 std::string matrix_line(const Pose& pose) {
-    const glm::dmat4 columns = to_matrix(pose);
-    std::string line;
-    for (int row = 0; row < 3; ++row)
-        for (int column = 0; column < 4; ++column)
-            line += fmt::format("{}{}", line.empty() ? "" : " ", columns[column][row]);
-    return line + "\n";
+    const std::vector<double> matrix = scan_files::row_major(pose);
+    return fmt::format("{}\n", fmt::join(matrix.begin(), matrix.begin() + 12, " "));
 }
 
 /// Computes the label of a point: its class in the low 16 bits, and in the high 16 bits
@@ -140,10 +138,7 @@ public:
               {"objects", objects_},
               {"frames", frames_}}}};
         write_bytes(folder_ / "openlabel.json", json.dump() + "\n");
-        std::string calibration;
-        for (int camera = 0; camera < 4; ++camera)
-            calibration += fmt::format("P{}: {}\n", camera, kVirtualCamera);
-        write_bytes(folder_ / "calib.txt", calibration + "Tr: " + kCameraFromRig + "\n");
+        write_bytes(folder_ / "calib.txt", camera_lines() + "Tr: " + kCameraFromRig + "\n");
         write_bytes(folder_ / "poses.txt", poses_);
         write_bytes(folder_ / "times.txt", times_);
         Json splits = {{"train", Json::array()}, {"val", Json::array()}};
