@@ -106,8 +106,8 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
             std::move(make_messages)};
 }
 
-/// Returns the topics of a ROS 2 bag in the order in which messages with the same time are
-/// written: the clock, then transforms.
+/// Returns the topics of a ROS 2 bag. Messages with the same time are written in this
+/// order: the clock, then transforms.
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", write_clock),
                                       static_tf_topic(rig),
