@@ -57,10 +57,11 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
     return result;
 }
 
-/// Converts a part of a track to the pose format of the kernels. Stores each pose with
-/// the twist to the next pose: `way` and `turn` are its translation and rotation vector,
-/// 1 / `per_s` its duration. `position_rest` holds the part of the position that single
-/// precision loses.
+/// Returns the poses of a sensor during a sweep in the format of the kernels, from one
+/// pose before the first ray to one after the last ray. Each has the twist to the next
+/// pose: `way` and `turn` are its translation and rotation vector, 1 / `per_s` its
+/// duration. `position_rest` is the part of the position that single precision loses.
+/// @param first_s, last_s firing times of the rays, relative to `time_s`
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
     const std::size_t first = world_from_sensor.find_segment(time_s + first_s).left,

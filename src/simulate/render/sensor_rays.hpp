@@ -84,9 +84,6 @@ private:
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channels);
 
-/// Returns the poses of a sensor during a sweep in the format of the kernels. Also has
-/// one pose before the first ray and one after the last ray.
-/// @param first_s firing times, relative to `time_s`
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s);
 PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame);
 

@@ -206,7 +206,6 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
 
 }  // namespace
 
-/// Returns the description of a scan in scans.json, as one line.
 std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                                    const std::vector<std::string>& files) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);

@@ -8,7 +8,8 @@
 
 namespace relidar::scan_files {
 
-/// Has the boxes of actors if their visibility was computed.
+/// Returns the description of a scan in scans.json, as one line. Has the boxes of actors
+/// if their visibility was computed.
 std::string entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                        const std::vector<std::string>& files);
 
