@@ -30,31 +30,38 @@ std::size_t count_columns(const std::string& text) {
     }));
 }
 
+bool is_digit(char character) { return std::isdigit(static_cast<unsigned char>(character)) != 0; }
+
+/// Returns true for a number, also with a unit behind it, and for a missing value.
+bool is_numeric_cell(const std::string& cell) {
+    if (cell.empty() || cell == "-" || is_digit(cell.front())) return true;
+    return cell.size() > 1 && cell.front() == '-' && is_digit(cell[1]);
+}
+
 }  // namespace
 
-/// Formats rows of cells as aligned columns. The first row is the header. Columns of
-/// numbers are aligned to the right.
-std::string format_table(const std::vector<std::vector<std::string>>& rows) {
+std::string format_table(const TableRows& rows) {
+    // Finds the width of each column, and whether all cells below its title are numbers.
     std::vector<std::size_t> widths;
-    std::vector<bool> right;
+    std::vector<bool> is_numeric;
     for (std::size_t r = 0; r < rows.size(); ++r) {
         widths.resize(std::max(widths.size(), rows[r].size()), 0);
-        right.resize(widths.size(), true);
+        is_numeric.resize(widths.size(), true);
         for (std::size_t c = 0; c < rows[r].size(); ++c) {
-            const std::string& cell = rows[r][c];
-            widths[c] = std::max(widths[c], count_columns(cell));
-            const bool is_numeric =
-                cell.empty() || cell == "-" || std::isdigit(static_cast<unsigned char>(cell.front())) ||
-                (cell.size() > 1 && cell.front() == '-' && std::isdigit(static_cast<unsigned char>(cell[1])));
-            if (r > 0 && !is_numeric) right[c] = false;
+            widths[c] = std::max(widths[c], count_columns(rows[r][c]));
+            const bool is_title = r == 0;
+            if (!is_title && !is_numeric_cell(rows[r][c])) is_numeric[c] = false;
         }
     }
+
+    // Numbers are aligned to the right. Spaces at the end of a line are removed.
     std::string text;
     for (const auto& row : rows) {
         std::string line;
         for (std::size_t c = 0; c < row.size(); ++c) {
             const std::string gap(widths[c] - count_columns(row[c]), ' ');
-            line += (c > 0 ? "  " : "") + (right[c] ? gap + row[c] : row[c] + gap);
+            if (c > 0) line += "  ";
+            line += is_numeric[c] ? gap + row[c] : row[c] + gap;
         }
         text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
     }
@@ -135,19 +142,19 @@ void end_progress() {
 
 TerminalProgress::TerminalProgress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
-/// Shows a progress text, unless the previous text was shown only a short time ago. A
-/// terminal overwrites the line, and a file receives a new line.
 void TerminalProgress::show_text(const std::string& text, bool ignore_rate_limit) {
-    const auto time = Clock::now();
-    Clock::duration interval = kPlainInterval;
+    const auto now = Clock::now();
+    const bool is_first = last_ == Clock::time_point{};
+    Clock::duration interval = is_first ? kPlainFirst : kPlainInterval;
     if (terminal_) interval = kTerminalInterval;
-    else if (last_ == Clock::time_point{}) interval = kPlainFirst;
-    if (quiet_ || (!ignore_rate_limit && time - std::max(start_, last_) < interval)) return;
-    last_ = time;
+    const bool is_too_early = now - std::max(start_, last_) < interval;
+    if (quiet_ || (is_too_early && !ignore_rate_limit)) return;
+    last_ = now;
     std::string line = text + "\n";
     if (terminal_) {
         // Cuts the text to the width of the terminal, because the next progress line
-        // cannot overwrite a line that wraps.
+        // cannot overwrite a line that wraps. "\r" goes to the start of the line, and
+        // "\x1b[K" clears the rest of a longer previous line.
         winsize size{};
         const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
         line = "\r" + text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos) + "\x1b[K";

@@ -14,8 +14,9 @@
 
 namespace relidar::cli {
 
+using TableRows = std::vector<std::vector<std::string>>;
 /// Aligned columns; columns of numbers to the right. The first row is the header.
-std::string format_table(const std::vector<std::vector<std::string>>& rows);
+std::string format_table(const TableRows& rows);
 
 std::string format_duration(double seconds);      ///< For example "0:42" or "1:54:00".
 std::string format_bytes(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
@@ -45,7 +46,8 @@ public:
     TerminalProgress(const TerminalProgress&) = delete;
     TerminalProgress& operator=(const TerminalProgress&) = delete;
 
-    /// Does nothing if the previous text was shown only a short time ago.
+    /// Shows a text, unless the previous text was shown only a short time ago. A terminal
+    /// overwrites the line, and a file receives a new line.
     void show_text(const std::string& text, bool ignore_rate_limit = false);
 
     /// Shows "what 3/10  2.1/s  remaining 0:03".

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <optional>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -13,6 +12,7 @@
 #include <relidar/diff/first_use.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/weather.hpp>
 #include "console.hpp"
 
@@ -21,13 +21,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Returns no value unless the complete text is a number. A leading + is allowed, which
+/// std::from_chars() rejects.
 template <class T>
 std::optional<T> parse_number(const std::string& text) {
     T value{};
-    const char* begin = text.data() + (!text.empty() && text.front() == '+' ? 1 : 0);
+    const char* begin = text.data() + (text.starts_with('+') ? 1 : 0);
     const char* end = text.data() + text.size();
     const auto [stop, error] = std::from_chars(begin, end, value);
-    return begin != end && error == std::errc() && stop == end ? std::optional(value) : std::nullopt;
+    if (begin == end || error != std::errc() || stop != end) return std::nullopt;
+    return value;
 }
 
 }  // namespace
@@ -128,21 +131,22 @@ std::vector<std::string> render_settings() {
 void check_settings_used(const std::vector<std::string>& setting_texts,
                          const std::vector<std::string>& names_and_prefixes_with_effect,
                          const std::string& command_name) {
-    // Only reports unknown names and invalid values.
-    Config scratch;
+    Config unused;
     for (const std::string& set : setting_texts) {
-        apply_settings(scratch, {set});
+        // Called only for its error: the name is unknown or the value is invalid.
+        apply_settings(unused, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used =
             std::ranges::any_of(names_and_prefixes_with_effect, [&](const std::string& name) {
                 return name.ends_with('.') ? key.starts_with(name) : key == name;
             });
         if (is_used) continue;
+        const std::string expected =
+            names_and_prefixes_with_effect.empty()
+                ? "no setting"
+                : fmt::format("one of {}", fmt::join(names_and_prefixes_with_effect, ", "));
         fail<UsageError>("--set: the setting {} has no effect in `relidar {}`; expected {}", key,
-                         command_name,
-                         names_and_prefixes_with_effect.empty()
-                             ? "no setting"
-                             : fmt::format("one of {}", fmt::join(names_and_prefixes_with_effect, ", ")));
+                         command_name, expected);
     }
 }
 
@@ -163,18 +167,18 @@ void apply_selection(Config& config, const LogSelection& log_selection) {
 
 FrameRange parse_frames(const std::string& text) {
     const std::size_t colon = text.find(':');
-    const std::string begin = text.substr(0, colon),
-                      end = colon == std::string::npos ? "" : text.substr(colon + 1);
-    // A missing start is 0. A missing end is -1, and so is a text without a number.
-    const int first = begin.empty() ? 0 : parse_number<int>(begin).value_or(-1),
-              last = end.empty() ? -1 : parse_number<int>(end).value_or(-1);
-    if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
+    const bool has_colon = colon != std::string::npos;
+    const std::string begin_text = text.substr(0, colon), end_text = has_colon ? text.substr(colon + 1) : "";
+    // A missing begin is 0, a missing end is -1.
+    const std::optional<int> begin = begin_text.empty() ? 0 : parse_number<int>(begin_text);
+    const std::optional<int> end = end_text.empty() ? -1 : parse_number<int>(end_text);
+    const bool is_valid = has_colon && begin && *begin >= 0 && end && (end_text.empty() || *end >= 0);
+    if (!is_valid)
         fail<UsageError>(
             "--frames: found \"{}\"; expected FIRST:END, for example 0:50 for the frames 0 to 49", text);
-    }
-    if (last != -1 && first >= last)
+    if (*end != -1 && *begin >= *end)
         fail<UsageError>("--frames: found the empty range \"{}\"; expected FIRST:END with FIRST < END", text);
-    return {first, last};
+    return {*begin, *end};
 }
 
 void note_missing_frames(const FrameRange& requested, int last, const std::string& source) {
@@ -214,6 +218,16 @@ std::string trim_spaces(const std::string& text) {
     return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
 }
 
+Run load_configured_run(const std::string& folder, const std::vector<std::string>& sets,
+                        const std::optional<std::string>& channels, bool no_refine) {
+    Run run = load_run(folder);
+    apply_settings(run.config, sets);
+    run.config = with_max_range(std::move(run.config), run.sequence);
+    if (channels) set_value(run.config, "render.channels", *channels);
+    if (no_refine) run.config.refine.enabled = false;
+    return run;
+}
+
 std::string absolute_path(const std::string& path) {
     if (path.empty()) return path;
     const std::string clean = fs::absolute(path).lexically_normal().string();
@@ -227,7 +241,8 @@ Log load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
     if (!sequence.frames.empty())
         note_missing_frames({config.dataset.frames_begin, config.dataset.frames_end},
                             sequence.frames.back().index, sequence.source);
-    if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
+    const ScanMemoryUse use = scan_memory_use();
+    if (use.in_file > 0 && !quiet)
         print_note(fmt::format(
             "{} of scan data are stored in memory and {} in a temporary file in {}; the setting "
             "dataset.memory_mib is the limit",
