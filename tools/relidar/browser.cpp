@@ -18,6 +18,7 @@ void open_in_browser(const std::string& url_or_path) {
     // characters.
     std::string program = "xdg-open", argument = url_or_path;
     char* const arguments[] = {program.data(), argument.data(), nullptr};
+    // Some browsers print messages, which would mix with the output of this program.
     posix_spawn_file_actions_t quiet;
     posix_spawn_file_actions_init(&quiet);
     for (const int descriptor : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})

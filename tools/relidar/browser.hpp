@@ -5,7 +5,8 @@
 
 namespace relidar::cli {
 
-/// Uses xdg-open. If it is missing, prints a note with the address.
+/// Opens an address in the browser of the user, with xdg-open. If it is missing, prints a
+/// note with the address.
 void open_in_browser(const std::string& url_or_path);
 
 }  // namespace relidar::cli

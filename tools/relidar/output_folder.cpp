@@ -32,7 +32,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::chrono::milliseconds kLockLook{50};
+constexpr std::chrono::milliseconds kLockPollInterval{50};
 /// mpirun and batch systems may restart a job before all old processes have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
@@ -84,6 +84,7 @@ bool is_still_at(int file_descriptor, const fs::path& expected_path) {
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
+/// Returns the folder. Rejects / and the home folder, whose files could be replaced.
 const fs::path& reject_home(const fs::path& folder) {
     const char* home = std::getenv("HOME");
     std::error_code failed;
@@ -108,11 +109,11 @@ std::optional<OpenLockFile> lock_file(const fs::path& file) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
             fail("cannot write {}: {}", file.string(), std::generic_category().message(errno));
-        const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
-        const bool held = !locked && errno == EWOULDBLOCK;
-        if (!held && is_still_at(descriptor, file)) return OpenLockFile{descriptor, locked};
+        const bool is_locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
+        const bool is_held_elsewhere = !is_locked && errno == EWOULDBLOCK;
+        if (!is_held_elsewhere && is_still_at(descriptor, file)) return OpenLockFile{descriptor, is_locked};
         ::close(descriptor);
-        if (held) return std::nullopt;
+        if (is_held_elsewhere) return std::nullopt;
     }
 }
 
@@ -132,20 +133,22 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);
 }
 
-/// Rejects a folder that is a run or a log, or in which scans would replace other files.
 void check_scan_folder(const fs::path& folder, bool overwrite) {
     if (const fs::path foreign = find_foreign_file(folder); !foreign.empty())
         fail<UsageError>("--out {}: found {}, which is not listed in a scans.json; expected a new folder",
                          folder.string(), foreign.filename().string());
-    const std::vector<fs::path> files = list_scan_files(folder);
-    if (contains_run(folder) || (files.empty() && is_dataset(folder)))
-        fail<UsageError>("--out {}: this is a {}; choose a different folder for scans", folder.string(),
-                         contains_run(folder) ? "run folder" : "log");
-    if (!files.empty() && !overwrite)
+    const std::vector<fs::path> scans = list_scan_files(folder);
+    if (contains_run(folder))
+        fail<UsageError>("--out {}: this is a run folder; choose a different folder for scans",
+                         folder.string());
+    // Rendered scans can also be read as a log.
+    if (scans.empty() && is_dataset(folder))
+        fail<UsageError>("--out {}: this is a log; choose a different folder for scans", folder.string());
+    if (!scans.empty() && !overwrite)
         fail<UsageError>(
             "--out {}: the folder contains scans ({} files, for example {}); expected a new folder, or "
             "--force",
-            folder.string(), files.size(), files.front().filename().string());
+            folder.string(), scans.size(), scans.front().filename().string());
 }
 
 LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_home(path)), lock_(path) {}
@@ -156,8 +159,10 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
     : file_(folder / kLockFile) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     std::optional<OpenLockFile> lock = lock_file(file_);
-    for (; !lock && std::chrono::steady_clock::now() < end; lock = lock_file(file_))
-        std::this_thread::sleep_for(kLockLook);
+    while (!lock && std::chrono::steady_clock::now() < end) {
+        std::this_thread::sleep_for(kLockPollInterval);
+        lock = lock_file(file_);
+    }
     if (!lock)
         fail("cannot write {}: another relidar process is writing this {}", folder.string(),
              contains_run(folder) ? "run" : "folder");
@@ -201,15 +206,15 @@ RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy policy)
 RunOutputFolder::~RunOutputFolder() {
     if (!was_empty_ || is_interrupted()) return;
     std::error_code failed;
-    std::vector<fs::path> started;  // settings and logs of the run and of its blocks
+    std::vector<fs::path> unfinished;  // settings and logs of the run and of its blocks
     for (fs::recursive_directory_iterator entry(path(), failed), end; !failed && entry != end;
          entry.increment(failed)) {
         // Removes nothing if there is any other file, because it may be a result.
         const std::string name = entry->path().filename().string();
-        if (name == "config.toml" || name == "log.jsonl") started.push_back(entry->path());
+        if (name == "config.toml" || name == "log.jsonl") unfinished.push_back(entry->path());
         else if (!entry->is_directory(failed) && !is_leftover(entry->path())) return;
     }
-    for (const fs::path& file : started) fs::remove(file, failed);
+    for (const fs::path& file : unfinished) fs::remove(file, failed);
     remove_blocks(path());
     fs::remove(checkpoint_folder(path()), failed);
 }
@@ -238,8 +243,6 @@ RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : 
         earlier_.emplace(path, replace_existing ? ExistingRunPolicy::replace : ExistingRunPolicy::refuse);
 }
 
-/// Saves a run. If the folder holds only an earlier run, exchanges both folders, so that
-/// a killed process leaves one of the two runs complete.
 void RunFolderWriter::save_run_in(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);

@@ -56,6 +56,7 @@ private:
     int descriptor_;
 };
 
+/// Checks that scans can be written to a folder without replacing other files.
 /// @throws UsageError if the folder is a run or a log, or contains files that would be
 /// replaced; `overwrite` allows to replace rendered scans
 void check_scan_folder(const std::filesystem::path& folder, bool overwrite);
@@ -92,7 +93,7 @@ public:
     /// created
     RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy policy);
     /// Removes settings and log of a training that failed before it saved anything. After
-    /// Ctrl-C they stay.
+    /// Ctrl-C they stay, because --resume needs them.
     ~RunOutputFolder();
 
     const std::filesystem::path& path() const { return folder_->path(); }
@@ -112,6 +113,8 @@ private:
 class RunFolderWriter {
 public:
     RunFolderWriter(const std::filesystem::path& path, bool replace_existing);
+    /// If the folder contains only an earlier run, exchanges both folders, so that a
+    /// killed process leaves one of the two runs complete.
     void save_run_in(Run& run) const;
 
 private:

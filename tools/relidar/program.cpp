@@ -35,31 +35,38 @@ std::string explain_conversion(const std::string& parser_message) {
                        parser_message.substr(at + middle.size()));
 }
 
-/// The parser stores each unexpected word in the command that read it. Names the first
-/// one, because it is the user's mistake.
-/// @param app parser after it has failed
+/// Returns the long names of all options of a command.
+std::vector<std::string> option_names(const CLI::App& command) {
+    std::vector<std::string> names;
+    for (const CLI::Option* option : command.get_options())
+        for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+    return names;
+}
+
+/// Explains why a command line is wrong. Names the first unexpected word, because this is
+/// the user's mistake, or returns the message of the parser if there is no such word.
+/// @param app parser after it has failed; it stores the unexpected words
 std::string usage_message(const CLI::App& app, const std::string& parser_message) {
-    const CLI::App* chosen = &app;
-    std::string path = app.get_name();
-    while (!chosen->get_subcommands().empty()) {
-        chosen = chosen->get_subcommands().front();
-        path += " " + chosen->get_name();
+    // Finds the command that the user has chosen, and its full name.
+    const CLI::App* command = &app;
+    std::string full_name = app.get_name();
+    while (!command->get_subcommands().empty()) {
+        command = command->get_subcommands().front();
+        full_name += " " + command->get_name();
     }
-    const CLI::App& command = *chosen;
-    const std::string help = path + " --help";
-    std::vector<std::string> unexpected = app.remaining(true);
+    const std::string help = full_name + " --help";
+    const std::vector<std::string> names = command_names(*command);
+    const std::vector<std::string> unexpected = app.remaining(true);
     if (unexpected.empty() && parser_message.find("subcommand") != std::string::npos)
-        return fmt::format("found no subcommand; expected one of {} (see `{}`)",
-                           fmt::join(command_names(command), ", "), help);
+        return fmt::format("found no subcommand; expected one of {} (see `{}`)", fmt::join(names, ", "),
+                           help);
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", explain_conversion(parser_message), help);
     const std::string word = unexpected.front().substr(0, unexpected.front().find('='));
-    if (word.size() > 1 && word.front() == '-') {
-        std::vector<std::string> option_names;
-        for (const CLI::Option* option : command.get_options())
-            for (const std::string& name : option->get_lnames()) option_names.push_back("--" + name);
-        return fmt::format("unknown option {}{} (see `{}`)", word, did_you_mean(word, option_names), help);
-    }
-    if (const std::vector<std::string> names = command_names(command); !names.empty())
+    const bool is_option = word.size() > 1 && word.front() == '-';
+    if (is_option)
+        return fmt::format("unknown option {}{} (see `{}`)", word, did_you_mean(word, option_names(*command)),
+                           help);
+    if (!names.empty())
         return fmt::format("unknown command {}{} (see `{}`)", word, did_you_mean(word, names), help);
     return fmt::format("unexpected argument {}; the command does not accept it (see `{}`)", word, help);
 }
@@ -87,9 +94,9 @@ void parse_and_run(const ProgramDescription& program, int argc, char** argv) {
     for (int i = 1; i < argc; ++i) args += fmt::format(" {}", quote_for_shell(argv[i]));
     ParsedCommand call{args, {}};
     app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
-    app.require_subcommand(0, 1);
+    app.require_subcommand(0, 1);  // At most one. A missing command is reported below.
     app.footer(program.footer);
-    program.add_commands(app, call);
+    program.add_commands(app, call);  // Each command stores its function in `call` if it is chosen.
     app.formatter_fn(
         [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return format_help(*shown); });
     try {

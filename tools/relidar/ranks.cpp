@@ -24,8 +24,8 @@ void wait_for_mpi(MPI_Request request) {
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// Returns a hash (FNV-1a) of the program file, or 0 if the file cannot be read. Two
-/// processes with the same hash run the same build.
+/// Returns a hash (FNV-1a, with the constants of its 64-bit version) of the program file,
+/// or 0 if the file cannot be read. Two processes with the same hash run the same build.
 unsigned long long hash_program() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -73,6 +73,7 @@ std::string gather_text(const std::string& text, int n_ranks) {
 
 }  // namespace
 
+/// Joins the group of processes that mpirun has started.
 MpiProcessGroup::MpiProcessGroup() {
     if (!is_mpi_process()) return;
     MPI_Init(nullptr, nullptr);
@@ -88,8 +89,9 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_free(&on_this_machine);
     share_scan_memory(n_here);
     check_same_build(group_.rank);
-    // true, true: hides notes and warnings of all processes except the first.
-    if (group_.rank > 0) set_quiet(true, true);
+    // Only the first process prints notes and warnings.
+    const bool is_hidden = group_.rank > 0;
+    if (is_hidden) set_quiet(is_hidden, is_hidden);
 }
 
 MpiProcessGroup::~MpiProcessGroup() {
@@ -120,7 +122,6 @@ std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) 
     return texts;
 }
 
-/// Distributes the processes of this machine over its GPUs, unless --device is given.
 DeviceCommandOptions MpiProcessGroup::select_device(DeviceCommandOptions user_device_choice) const {
     if (size() == 1 || user_device_choice.index >= 0) return user_device_choice;
     std::vector<int> gpus;
