@@ -19,6 +19,7 @@ CheckResult check_adam(CheckedDevice& tested) {
     std::normal_distribution<float> normal;
     std::vector<float> start(kAdamValues), gradient(kAdamValues);
     for (float& x : start) x = normal(random);
+    // The values and both moments of Adam (Kingma and Ba 2015) on the CPU.
     std::vector<double> expected(start.begin(), start.end()), m(kAdamValues, 0.0), v(kAdamValues, 0.0);
     Device& device = tested.default_device();
     ArrayAdam adam(device, kAdamValues, options);
@@ -34,8 +35,9 @@ CheckResult check_adam(CheckedDevice& tested) {
             const double g = gradient[i];
             m[i] = options.beta1 * m[i] + (1.0 - options.beta1) * g;
             v[i] = options.beta2 * v[i] + (1.0 - options.beta2) * g * g;
-            expected[i] -= kLearningRate * (m[i] / (1.0 - std::pow(options.beta1, step))) /
-                           (std::sqrt(v[i] / (1.0 - std::pow(options.beta2, step))) + options.epsilon);
+            const double m_hat = m[i] / (1.0 - std::pow(options.beta1, step)),
+                         v_hat = v[i] / (1.0 - std::pow(options.beta2, step));
+            expected[i] -= kLearningRate * m_hat / (std::sqrt(v_hat) + options.epsilon);
         }
     }
     const std::vector<float> actual = values.download();

@@ -36,10 +36,10 @@ struct NamedCheckResult {
     double seconds = 0.0;
 };
 
-const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
+const char* outcome_name(CheckOutcome outcome_kind) {
     switch (outcome_kind) {
-        case CheckResult::CheckOutcome::right: return "right";
-        case CheckResult::CheckOutcome::wrong: return "WRONG";
+        case CheckOutcome::right: return "right";
+        case CheckOutcome::wrong: return "WRONG";
         default: return "not supported";
     }
 }
@@ -61,6 +61,7 @@ NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested, 
     return row;
 }
 
+/// Returns the results for --json, with the properties of the device.
 std::string report_json(const DeviceInfo& device_info, const std::vector<NamedCheckResult>& check_rows) {
     nlohmann::ordered_json json = {{"format", "relidar check"},
                                    {"version", 1},
@@ -71,13 +72,14 @@ std::string report_json(const DeviceInfo& device_info, const std::vector<NamedCh
                                    {"driver", device_info.driver},
                                    {"api_version", device_info.api_version},
                                    {"memory_bytes", device_info.memory_bytes}};
-    for (const NamedCheckResult& row : check_rows)
+    for (const NamedCheckResult& row : check_rows) {
+        // The terminal shows WRONG in upper case, the file does not.
+        const bool is_wrong = row.finding.kind == CheckOutcome::wrong;
         json["checks"].push_back({{"name", row.name},
-                                  {"result", row.finding.kind == CheckResult::CheckOutcome::wrong
-                                                 ? "wrong"
-                                                 : outcome_name(row.finding.kind)},
+                                  {"result", is_wrong ? "wrong" : outcome_name(row.finding.kind)},
                                   {"text", row.finding.text},
                                   {"seconds", row.seconds}});
+    }
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
@@ -89,16 +91,18 @@ std::vector<DeviceCheck> list_checks(const std::string& run_folder_or_empty) {
     const auto bench = std::make_shared<const BenchCase>(case_of_run(load_run(run_folder_or_empty)));
     for (const auto& [name, backend] : {std::pair("run, software", RayTracingBackend::software),
                                         {"run, ray query", RayTracingBackend::ray_query}})
-        checks.push_back({name, [bench, backend = backend](CheckedDevice& c) {
-                              return check_run_scene(c, backend, *bench);
+        checks.push_back({name, [bench, backend = backend](CheckedDevice& tested) {
+                              return check_run_scene(tested, backend, *bench);
                           }});
     return checks;
 }
 
+/// Runs all checks on a device and prints a line for each.
+/// @throws DeviceError if any result is wrong
 void run_all_checks(const CheckOptions& options) {
-    // relidar avoids methods that have failed a test on the device. The checks must use
-    // all methods, so results without failures replace the real ones.
-    const ScopedDeviceTestResults trusting(DeviceTestResults{});
+    // relidar avoids methods that have failed a test at the first use of the device. The
+    // checks must use all methods, so results without failures replace the real results.
+    const ScopedDeviceTestResults no_failures(DeviceTestResults{});
     CheckedDevice checked(to_device_options(options.device));
     const DeviceInfo& info = checked.default_device().info();
     print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
@@ -111,9 +115,10 @@ void run_all_checks(const CheckOptions& options) {
         const NamedCheckResult& row = rows.back();
         print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, outcome_name(row.finding.kind),
                           row.seconds, row.finding.text));
-        if (row.finding.kind == CheckResult::CheckOutcome::wrong) wrong_names.push_back(row.name);
+        if (row.finding.kind == CheckOutcome::wrong) wrong_names.push_back(row.name);
         if (is_lost) break;
     }
+
     if (!options.json.empty()) write_text_file(options.json, report_json(info, rows));
     if (wrong_names.empty()) return;
     fail<DeviceError>("{} of {} checks gave wrong results on the device {} ({}): {}{}", wrong_names.size(),
@@ -121,6 +126,7 @@ void run_all_checks(const CheckOptions& options) {
                       is_lost ? "; the driver has lost the device, so the other checks did not run" : "");
 }
 
+/// Runs `relidar check`: checks the results of a device, or measures its speed.
 void run_check(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         fail("--json {}: this is a folder; expected the name of a file to write", options.json);
@@ -150,6 +156,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar check` and its options to the parser.
 void add_check(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("check", "check that a device computes correct results, or measure its speed");
@@ -165,7 +172,7 @@ void add_check(CLI::App& app, ParsedCommand& call) {
     add_option(*command, "--json FILE", options->json, "also write the results to this file");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
-    command->callback([&call, options] { call.run = [options] { run_check(*options); }; });
+    run_after_parsing(*command, call, options, run_check);
 }
 
 }  // namespace relidar::cli

@@ -17,12 +17,14 @@ namespace relidar::cli {
 
 struct BenchCase;
 
+enum class CheckOutcome { right, wrong, unsupported };
+
 struct CheckResult {
-    enum class CheckOutcome { right, wrong, unsupported };
     CheckOutcome kind = CheckOutcome::right;
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
 CheckResult compare_error(double error, double tolerance);
+CheckResult passed_check(const std::string& text = "exact");
 CheckResult failed_check(const std::string& reason);
 CheckResult unsupported_check(const std::string& reason);
 /// Empty if the device can use the method.
@@ -33,6 +35,7 @@ class CheckedDevice {
 public:
     explicit CheckedDevice(const DeviceOptions& options);
     Device& default_device() { return *default_; }
+    /// Opens the device with this backend when it is needed for the first time.
     Device& device_with(RayTracingBackend backend);
     const DeviceOptions& device_options() const { return options_; }
 
@@ -61,7 +64,8 @@ CheckResult check_points(CheckedDevice& tested);
 CheckResult check_buffer(CheckedDevice& tested);
 CheckResult check_memory(CheckedDevice& tested);
 CheckResult check_dispatch(CheckedDevice& tested);
-/// The reference renderer uses double precision.
+/// Compares rendered rays of a trained scene with the reference renderer, which uses
+/// double precision.
 CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, const BenchCase& tested_case);
 
 }  // namespace relidar::cli

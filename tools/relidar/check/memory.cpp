@@ -28,8 +28,8 @@ std::uint64_t memory_budget_bytes(const Device& device) {
 
 /// Looks only at the first and the last 16 words.
 bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
-    for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
-        std::uint32_t words[16];
+    std::uint32_t words[16];
+    for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - sizeof words}) {
         buffer.download(words, sizeof words, offset);
         if (std::ranges::any_of(words, [&](std::uint32_t word) { return word != expected_word; }))
             return false;
@@ -42,21 +42,22 @@ bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 /// Fills the largest buffer that the driver and the free memory allow. Reads both ends.
 CheckResult check_buffer(CheckedDevice& tested) {
     Device& device = tested.default_device();
+    constexpr std::uint32_t kPattern = 0x5a5a1234u;
+    constexpr std::uint64_t kAlignment = 64;  // is_filled_with() reads 64 bytes at both ends.
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, memory_budget_bytes(device)) / 64 * 64;
+                        n_bytes = std::min(limit, memory_budget_bytes(device)) / kAlignment * kAlignment;
     if (n_bytes < kMiB) return unsupported_check("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
-    stream.fill(buffer, 0x5a5a1234u);
+    stream.fill(buffer, kPattern);
     stream.submit_and_wait();
-    if (!is_filled_with(buffer, 0x5a5a1234u))
+    if (!is_filled_with(buffer, kPattern))
         return failed_check(fmt::format("a buffer of {} does not contain the values that were written to it",
                                         format_bytes(n_bytes)));
-    return {CheckResult::CheckOutcome::right,
-            fmt::format("{}{}", format_bytes(n_bytes),
-                        n_bytes < limit / 64 * 64
-                            ? fmt::format(" tested; the driver allows at most {}", format_bytes(limit))
-                            : ", which is the limit of the device")};
+    const bool is_limit = n_bytes >= limit / kAlignment * kAlignment;
+    const std::string remark = is_limit ? ", which is the limit of the device"
+                                        : " tested; the driver allows at most " + format_bytes(limit);
+    return passed_check(format_bytes(n_bytes) + remark);
 }
 
 /// Fills the allowed memory with buffers of different values before it reads them.
@@ -77,10 +78,9 @@ CheckResult check_memory(CheckedDevice& tested) {
         if (!is_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
             return failed_check(fmt::format(
                 "buffer {} of {} does not contain the values that were written to it", i + 1, pieces.size()));
-    return {CheckResult::CheckOutcome::right,
-            fmt::format("{} of memory tested, of {} that the driver allows to use",
-                        format_bytes(pieces.size() * kPieceBytes),
-                        format_bytes(gpu::query_budget(device.impl().physical).n_bytes))};
+    return passed_check(fmt::format("{} of memory tested, of {} that the driver allows to use",
+                                    format_bytes(pieces.size() * kPieceBytes),
+                                    format_bytes(gpu::query_budget(device.impl().physical).n_bytes)));
 }
 
 }  // namespace relidar::cli

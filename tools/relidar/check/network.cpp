@@ -42,43 +42,52 @@ network::Tensor upload_images(Device& device, const ImageBatch& images) {
 /// Returns the largest absolute error, divided by the largest absolute expected value.
 /// NaN counts as an infinite error.
 double relative_error(const std::vector<float>& actual, const std::vector<double>& expected) {
-    double worst = 0.0, largest = 0.0;
+    double largest_error = 0.0, largest_value = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
         const double error = std::abs(actual[i] - expected[i]);
-        worst = std::isfinite(error) ? std::max(worst, error) : HUGE_VAL;
-        largest = std::max(largest, std::abs(expected[i]));
+        largest_error = std::isfinite(error) ? std::max(largest_error, error) : HUGE_VAL;
+        largest_value = std::max(largest_value, std::abs(expected[i]));
     }
-    return worst / largest;
+    return largest_error / largest_value;
 }
 
-/// Runs a convolution and its derivatives by inputs and weights (vjp: vector-Jacobian
-/// product) on random images. Compares them with the reference on the CPU.
+/// Runs a convolution and its derivatives (vjp: vector-Jacobian product) on random
+/// images, and compares them with the reference on the CPU. The odd numbers of channels,
+/// rows and columns are not multiples of the tiles of the kernels.
+/// @param n_kernel_taps pixels of the filter: 1, or 9 for 3 x 3
+/// @return largest relative error of outputs, d_inputs and d_weights
 double convolution_error(Device& device, int n_kernel_taps) {
-    const int n_in = 9, n_out = 17;
-    ImageBatch from(2, n_in, 7, 33), d_to(2, n_out, 7, 33);
-    from.values = sample_normal(from.values.size());
-    d_to.values = sample_normal(d_to.values.size());
-    const std::vector<double> weights = sample_normal(std::size_t(n_in) * std::size_t(n_out) *
-                                                      std::size_t(n_kernel_taps)),
-                              bias = sample_normal(std::size_t(n_out));
-    const network::Tensor inputs = upload_images(device, from), d_outputs = upload_images(device, d_to),
-                          outputs = upload_images(device, d_to), d_inputs = upload_images(device, from);
-    const auto weights_there = upload_floats<shared::ConvWeights>(device, weights),
-               d_weights = upload_floats<shared::ConvWeights>(device, weights);
-    const auto bias_there = upload_floats<shared::ConvBias>(device, bias);
+    constexpr int kImages = 2, kRows = 7, kColumns = 33, kIn = 9, kOut = 17;
+    ImageBatch inputs(kImages, kIn, kRows, kColumns), d_outputs(kImages, kOut, kRows, kColumns);
+    inputs.values = sample_normal(inputs.values.size());
+    d_outputs.values = sample_normal(d_outputs.values.size());
+    const std::size_t n_weights = std::size_t(kIn) * std::size_t(kOut) * std::size_t(n_kernel_taps);
+    const std::vector<double> weights = sample_normal(n_weights), bias = sample_normal(kOut);
+
+    // Arrays on the device. Outputs are overwritten, so only their size matters.
+    const network::Tensor device_inputs = upload_images(device, inputs),
+                          device_outputs = upload_images(device, d_outputs),
+                          device_d_outputs = upload_images(device, d_outputs),
+                          device_d_inputs = upload_images(device, inputs);
+    const auto device_weights = upload_floats<shared::ConvWeights>(device, weights),
+               device_d_weights = upload_floats<shared::ConvWeights>(device, weights);
+    const auto device_bias = upload_floats<shared::ConvBias>(device, bias);
+
     network::Convolution conv(device, std::uint32_t(n_kernel_taps));
-    conv.reserve_weight_sums(device, conv.n_partial_sums(inputs.grid, n_in, n_out));
+    conv.reserve_weight_sums(device, conv.n_partial_sums(device_inputs.grid, kIn, kOut));
     Stream stream(device);
-    conv.run_convolution(stream, inputs, weights_there.address(), bias_there.address(), outputs);
-    conv.input_vjp(stream, d_outputs, weights_there.address(), d_inputs);
-    conv.weights_vjp(stream, inputs, d_outputs, d_weights.address());
+    conv.run_convolution(stream, device_inputs, device_weights.address(), device_bias.address(),
+                         device_outputs);
+    conv.input_vjp(stream, device_d_outputs, device_weights.address(), device_d_inputs);
+    conv.weights_vjp(stream, device_inputs, device_d_outputs, device_d_weights.address());
     stream.submit_and_wait();
-    return std::max(
-        {relative_error(outputs.values.download(),
-                        reference::convolve(from, weights, bias, n_out, n_kernel_taps).values),
-         relative_error(d_inputs.values.download(),
-                        reference::conv_input_vjp(d_to, weights, n_in, n_kernel_taps).values),
-         relative_error(d_weights.download(), reference::conv_weights_vjp(from, d_to, n_kernel_taps))});
+
+    const ImageBatch outputs = reference::convolve(inputs, weights, bias, kOut, n_kernel_taps);
+    const ImageBatch d_inputs = reference::conv_input_vjp(d_outputs, weights, kIn, n_kernel_taps);
+    const std::vector<double> d_weights = reference::conv_weights_vjp(inputs, d_outputs, n_kernel_taps);
+    return std::max({relative_error(device_outputs.values.download(), outputs.values),
+                     relative_error(device_d_inputs.values.download(), d_inputs.values),
+                     relative_error(device_d_weights.download(), d_weights)});
 }
 
 }  // namespace

@@ -27,6 +27,17 @@ struct RenderAndGradients {
     Surfels gradients;
 };
 
+/// Converts gradients of all values that are blended along a ray to the device's format.
+std::vector<shared::RayGradient> to_ray_gradients(const std::vector<reference::PixelGradient>& gradients) {
+    std::vector<shared::RayGradient> converted(gradients.size());
+    for (std::size_t i = 0; i < converted.size(); ++i) {
+#define RELIDAR_COPY(name, built, value, input, slope, meaning) converted[i].name = float(gradients[i].name);
+        RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
+#undef RELIDAR_COPY
+    }
+    return converted;
+}
+
 /// Renders a random scene and computes the gradients of all surfels for random gradients
 /// of the image ("upstream").
 RenderAndGradients run_passes(Device& device) {
@@ -39,6 +50,7 @@ RenderAndGradients run_passes(Device& device) {
     pass.scene = test::make_random_scene(options, pass.settings);
     pass.settings.view_origin = pass.scene.view_origin;
     pass.upstream = test::make_random_upstream(pass.scene.rays.size(), options.seed);
+
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(pass.scene.world.surfels), pass.scene.world.instances);
     const auto n_rays = static_cast<std::uint32_t>(pass.scene.rays.size());
@@ -46,14 +58,7 @@ RenderAndGradients run_passes(Device& device) {
     Renderer& renderer = differentiable.renderer();
     const Array<DeviceRay> rays(
         device, std::span<const DeviceRay>(to_device_rays(test::to_world_rays(pass.scene.rays))), "rays");
-    std::vector<shared::RayGradient> upstream(n_rays);
-    for (std::size_t i = 0; i < upstream.size(); ++i) {
-#define RELIDAR_COPY(name, built, value, input, slope, meaning) \
-    upstream[i].name = float(pass.upstream[i].name);
-        RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
-#undef RELIDAR_COPY
-    }
-    differentiable.last_batch().upstream->upload(upstream);
+    differentiable.last_batch().upstream->upload(to_ray_gradients(pass.upstream));
     renderer.update(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
     renderer.record_forward({&rays, 0, 1, n_rays});
     differentiable.record_backward();
@@ -82,6 +87,7 @@ double gradient_error(const RenderAndGradients& pass) {
         rows.add_row("rotation", to_doubles(s.rotation, 4), to_doubles(actual.rotation[i], 4));
         rows.add_row("log_scale", to_doubles(s.log_scale, 2), to_doubles(actual.log_scale[i], 2));
         rows.add_row("opacity_logit", {s.opacity_logit}, {actual.opacity_logit[i]});
+        // The coefficients of all surfels are stored in one array.
         rows.add_row("sh", to_doubles(s.sh, kShFloats),
                      to_doubles(actual.sh.data() + i * kShFloats, kShFloats));
     }
@@ -96,14 +102,15 @@ double image_error(const RenderAndGradients& pass) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < pixels.size(); ++i) {
         const reference::Pixel& p = pixels[i];
-        const auto add = [&](double actual, double expected) {
+        const auto add_value = [&](double actual, double expected) {
             error += (actual - expected) * (actual - expected);
             power += expected * expected;
         };
-#define RELIDAR_ADD(name, built, value, input, slope, meaning) add(pass.rendering.name[i], p.name);
+        // A call for each value that is blended along a ray, such as the depth.
+#define RELIDAR_ADD(name, built, value, input, slope, meaning) add_value(pass.rendering.name[i], p.name);
         RELIDAR_IMAGE_VALUES(RELIDAR_ADD)
 #undef RELIDAR_ADD
-        add(pass.rendering.transmittance[i], p.transmittance);
+        add_value(pass.rendering.transmittance[i], p.transmittance);
     }
     return std::sqrt(error / power);
 }
@@ -115,20 +122,22 @@ std::string why_unsupported(const DeviceInfo& device_info, RayTracingBackend bac
                                                    : device_info.why_not_software;
 }
 
+/// Compares the hits of rays in the acceleration tree with a search of all surfels.
 CheckResult check_ray_hits(CheckedDevice& tested, RayTracingBackend backend) {
     const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);
-    const int n_built = count_wrong_rays(tested.device_with(backend), AccelTreeState::built),
-              n_refitted = count_wrong_rays(tested.device_with(backend), AccelTreeState::refitted);
-    if (n_built + n_refitted == 0)
-        return {CheckResult::CheckOutcome::right,
-                "all rays hit the same surfels as in a search of all surfels"};
+    Device& device = tested.device_with(backend);
+    const int n_wrong_built = count_wrong_rays(device, AccelTreeState::built),
+              n_wrong_refitted = count_wrong_rays(device, AccelTreeState::refitted);
+    if (n_wrong_built + n_wrong_refitted == 0)
+        return passed_check("all rays hit the same surfels as in a search of all surfels");
     return failed_check(
         fmt::format("rays with other hits than in a search of all surfels: {} of 256 after the acceleration "
                     "tree was built, {} of 256 after the tree was refitted",
-                    n_built, n_refitted));
+                    n_wrong_built, n_wrong_refitted));
 }
 
+/// Compares image and gradients of a random scene with the reference renderer.
 CheckResult check_gradients(CheckedDevice& tested, RayTracingBackend backend) {
     const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);

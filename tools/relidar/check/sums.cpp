@@ -13,7 +13,7 @@ namespace {
 
 /// Float represents the sums of small integers exactly.
 CheckResult exact_result(double relative_error) {
-    if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
+    if (relative_error == 0.0) return passed_check();
     return failed_check(
         fmt::format("found a sum with a relative error of {:.3g}, expected an exact sum", relative_error));
 }
@@ -31,7 +31,8 @@ CheckResult check_compare_swap(CheckedDevice& tested) {
     return exact_result(test_atomic_adds(tested.default_device(), true));
 }
 
-/// Tests the subgroup operations for each subgroup size of the device.
+/// Tests the operations within a subgroup, a group of threads (lanes) that run together,
+/// for each subgroup size of the device.
 CheckResult check_subgroups(CheckedDevice& tested) {
     const DeviceInfo& info = tested.default_device().info();
     if (!info.can_require_subgroup_size)
@@ -44,10 +45,11 @@ CheckResult check_subgroups(CheckedDevice& tested) {
         const std::string text = test_subgroups(device);
         if (!text.empty()) return failed_check(fmt::format("subgroups of {} lanes: {}", lanes, text));
     }
-    return {CheckResult::CheckOutcome::right, fmt::format("subgroups of {} lanes", fmt::join(sizes, ", "))};
+    return passed_check(fmt::format("subgroups of {} lanes", fmt::join(sizes, ", ")));
 }
 
-/// Some drivers abort dispatches of a quarter of a second. relidar splits longer work.
+/// Checks that the driver does not abort a dispatch of a quarter of a second, as some do.
+/// relidar splits longer work.
 CheckResult check_dispatch(CheckedDevice& tested) {
     constexpr double kDispatchTime_s = 0.25;
     // Runs the kernel once, so that its compile time is not measured.
@@ -63,11 +65,10 @@ CheckResult check_dispatch(CheckedDevice& tested) {
                             "expected exact sums",
                             seconds, error));
         if (seconds >= kDispatchTime_s)
-            return {CheckResult::CheckOutcome::right,
-                    fmt::format("exact sums after a computation of {:.2f} s", seconds)};
+            return passed_check(fmt::format("exact sums after a computation of {:.2f} s", seconds));
     }
-    return {CheckResult::CheckOutcome::right,
-            "exact sums; the longest computation, with 268 million threads, took less than 0.25 s"};
+    return passed_check(
+        "exact sums; the longest computation, with 268 million threads, took less than 0.25 s");
 }
 
 }  // namespace relidar::cli
