@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <ctime>
+#include <functional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -34,7 +35,7 @@ public:
         const PoseTrack log = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front();
         last_s_ = log.time_s.back();
-        for (const MountedSimulatedSensor& sensor : sensors_)
+        for (const RenderedSensor& sensor : sensors_)
             tracks_.push_back(mount_track(subdivide_turns(log), sensor.mounting));
     }
     int n_sensors() const { return int(sensors_.size()); }
@@ -48,7 +49,7 @@ public:
     }
 
 private:
-    std::vector<MountedSimulatedSensor> sensors_;
+    std::vector<RenderedSensor> sensors_;
     int n_moments_;
     std::vector<PoseTrack> tracks_;
     double first_s_, last_s_;
@@ -68,9 +69,8 @@ double thread_cpu_ms() {
 
 }  // namespace
 
-/// Renders scans along the path of a run, and measures rates and times per scan.
 ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
-    using Send = ScanRenderer::SubmissionTiming;
+    using Timing = ScanRenderer::SubmissionTiming;
     if (options.n_scans < 1 || options.n_scans > kMostInOneGo)
         fail<UsageError>("--scans: found {}, expected a number from 1 to {}", options.n_scans, kMostInOneGo);
     if (options.together < 0 || options.together > kMostTogether)
@@ -81,17 +81,20 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
     const LogPathRequests drive(run, options);
     const int together = std::min(options.together ? options.together : drive.n_sensors(),
                                   std::min(kMostTogether, options.n_scans));
-    const auto ask = [&](int first) {
-        const int end = std::min(first + together, options.n_scans);
-        for (int scan = first; scan < end; ++scan) {
+    // Submits a group of scans together and returns its size.
+    const auto submit_group = [&](int first_scan) {
+        const int end = std::min(first_scan + together, options.n_scans);
+        for (int scan = first_scan; scan < end; ++scan) {
             const ScanRequest request = drive.make_request(scan);
+            const bool is_last = scan + 1 == end;
             renderer.submit_points(drive.sensor_of(scan), request, request.time_s, std::nullopt,
-                                   scan + 1 < end ? Send::with_next : Send::now);
+                                   is_last ? Timing::now : Timing::with_next);
         }
-        return end - first;
+        return end - first_scan;
     };
     // Does not measure the first scans, because they allocate memory.
-    for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
+    for (int n = submit_group(0); n > 0; --n) renderer.wait_for_points();
+
     ScanBenchTimes result{.sensor = drive.n_sensors() > 1 ? options.sensor : drive.sensor_of(0).name,
                           .n_scans = options.n_scans,
                           .together = together,
@@ -99,24 +102,25 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = Clock::now();
-    const double thread_begun_ms = thread_cpu_ms();
+    const double cpu_before_ms = thread_cpu_ms();
     RenderedPoints scan;
-    for (int first = 0, n_requested = ask(0); n_requested > 0;) {
+    int n_submitted = submit_group(0), n_in_flight = n_submitted;
+    while (n_in_flight > 0) {
         check_interrupt();
-        const auto begun = Clock::now();
-        const int n_scans = n_requested;
-        first += n_scans;
+        const auto group_start = Clock::now();
+        const int n_to_read = n_in_flight;
         // Submits the next scans before it reads the finished scans, so that the device
         // always has work.
-        n_requested = first < options.n_scans ? ask(first) : 0;
-        for (int i = 0; i < n_scans; ++i) {
+        n_in_flight = n_submitted < options.n_scans ? submit_group(n_submitted) : 0;
+        n_submitted += n_in_flight;
+        for (int i = 0; i < n_to_read; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));
             result.points += double(scan.points.size()) / options.n_scans;
             result.rays += double(scan.n_rays) / options.n_scans;
         }
-        scan_ms.push_back(ms_since(begun) / n_scans);
+        scan_ms.push_back(ms_since(group_start) / n_to_read);
     }
-    result.host_ms = (thread_cpu_ms() - thread_begun_ms) / options.n_scans;
+    result.host_ms = (thread_cpu_ms() - cpu_before_ms) / options.n_scans;
     result.scans_per_s = 1e3 * options.n_scans / ms_since(start);
     result.scan_ms = percentiles_of(scan_ms).median;
     result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / options.n_scans;
@@ -124,15 +128,16 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
 }
 
 std::string format_scans(const ScanBenchTimes& times) {
+    std::string groups;
+    if (times.together > 1)
+        groups = fmt::format(", {} submitted together, {} rendered in parallel", times.together,
+                             times.side_by_side);
     return fmt::format(
         "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
         "{:.1f} scans/s, {:.2f} ms per scan (median); kernels {:.2f} ms per scan; processor time of the "
         "calling thread {:.2f} ms per scan\n",
-        times.sensor, times.n_scans, times.rays, times.points,
-        times.together > 1 ? fmt::format(", {} submitted together, {} rendered in parallel", times.together,
-                                         times.side_by_side)
-                           : "",
-        times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
+        times.sensor, times.n_scans, times.rays, times.points, groups, times.scans_per_s, times.scan_ms,
+        times.device_ms, times.host_ms);
 }
 
 TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
@@ -144,24 +149,25 @@ TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n
 }
 
 std::string format_steps(const TrainingStepTimes& times, const Device& device) {
+    // The slowest kernel is first.
     using KernelTimeRow = std::pair<std::string, TrainingStepTimes::StepKernelTime>;
-    std::vector<KernelTimeRow> rows(times.kernels.begin(), times.kernels.end());
-    std::sort(rows.begin(), rows.end(), [](const KernelTimeRow& first, const KernelTimeRow& second) {
-        return first.second.ms > second.second.ms;
-    });
+    std::vector<KernelTimeRow> kernels(times.kernels.begin(), times.kernels.end());
+    std::ranges::sort(kernels, std::greater{}, [](const KernelTimeRow& row) { return row.second.ms; });
     std::string text = fmt::format(
         "{}\n{} surfels, {} rays per step, {} hits stored per ray; means of {} "
         "steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
         device.info().name, times.surfels, times.rays, times.stored_hits_per_ray, times.n_steps, "kernel",
         "launches", "ms", "share");
-    const auto row = [&](const std::string& name, const std::string& launches, double ms) {
+    const auto add_line = [&](const std::string& name, const std::string& launches, double ms) {
         text +=
             fmt::format("{:<28}{:>9}{:>10.3f}{:>7.1f}%\n", name, launches, ms, 100.0 * ms / times.wall_ms);
     };
-    for (const auto& [name, kernel] : rows) row(name, fmt::format("{:.3g}", kernel.launches), kernel.ms);
-    if (rows.empty()) text += "The times of the kernels are unknown, because the device has no timestamps.\n";
-    else row("between kernels", "", times.compute_idle_ms());
-    row("step, wall time", "", times.wall_ms);
+    for (const auto& [name, kernel] : kernels)
+        add_line(name, fmt::format("{:.3g}", kernel.launches), kernel.ms);
+    if (kernels.empty())
+        text += "The times of the kernels are unknown, because the device has no timestamps.\n";
+    else add_line("between kernels", "", times.compute_idle_ms());
+    add_line("step, wall time", "", times.wall_ms);
     return text + fmt::format("{:.2f} steps/s\n", 1e3 / times.wall_ms);
 }
 

@@ -42,9 +42,12 @@ struct ScanBenchTimes {
 /// @throws DataError if the run or the rig cannot be read
 ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options);
 
+/// Returns speed and times per scan as text.
 std::string format_scans(const ScanBenchTimes& times);
 
+/// Measures training steps that continue a run.
 TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet);
+/// Returns the means per step as text: each kernel, the time between them, the total.
 std::string format_steps(const TrainingStepTimes& times, const Device& device);
 
 }  // namespace relidar::cli

@@ -43,83 +43,106 @@ double median(std::vector<double> samples) {
     return samples[samples.size() / 2];
 }
 
-/// Measures each part of a training iteration alone, and a complete iteration. The
+/// Wall times of all repetitions, ms.
+struct PhaseSamples {
+    std::vector<double> build, refit, forward, backward, iteration;
+};
+
+/// Measures each part of a training iteration alone, and a complete iteration, once.
+void measure_repetition(TrainingStep& step, const BenchCase& bench_case, const RayBatch& batch,
+                        PhaseSamples& samples) {
+    check_interrupt();
+    Renderer& renderer = step.renderer;
+    Stream& stream = renderer.stream();
+    const auto time = [&](std::vector<double>& samples_of_phase, const auto& record) {
+        const Clock::time_point start = Clock::now();
+        record();
+        stream.submit_and_wait();
+        samples_of_phase.push_back(ms_since(start));
+    };
+    time(samples.iteration, [&] {
+        renderer.update(bench_case.placed, bench_case.view_origin_m);
+        renderer.record_forward(batch);
+        step.record_losses(batch);
+        step.differentiable.record_backward();
+        step.record_optimizer();
+    });
+    constexpr bool kRebuild = true;  // builds the trees again, instead of refitting their boxes
+    time(samples.build, [&] { renderer.accel().record_refit(stream, renderer.scene(), kRebuild); });
+    time(samples.refit, [&] { renderer.accel().record_refit(stream, renderer.scene()); });
+    time(samples.forward, [&] { renderer.record_forward(batch); });
+    // Not timed: the backward pass needs the gradients of the losses.
+    step.record_losses(batch);
+    stream.submit_and_wait();
+    time(samples.backward, [&] { step.differentiable.record_backward(); });
+}
+
+/// Renders the image of a case, without the arrays of a training.
+RenderedRayValues render_case(Device& device, const BenchCase& bench_case) {
+    const auto n_rays = static_cast<std::uint32_t>(bench_case.rays.size());
+    Renderer renderer(device, bench_case.scene, bench_case.config.image,
+                      {.trace = common_options(bench_case.config), .n_rays = n_rays});
+    renderer.update(bench_case.placed, bench_case.view_origin_m);
+    return renderer.render_rays(bench_case.rays);
+}
+
+/// Repeats the measurement until kEnoughTime_ms have passed, and returns the medians. The
 /// targets are the rendered image plus noise, so that the gradients are not zero.
 BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
     const auto n_rays = static_cast<std::uint32_t>(bench_case.rays.size());
     const RendererOptions options{.trace = training_options(bench_case.config),
                                   .n_rays = n_rays,
                                   .keep_hits = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits)};
-    const auto rendered = [&] {
-        Renderer image(device, bench_case.scene, bench_case.config.image,
-                       {.trace = common_options(bench_case.config), .n_rays = n_rays});
-        image.update(bench_case.placed, bench_case.view_origin_m);
-        return image.render_rays(bench_case.rays);
-    };
-    TrainingStep step(device, bench_case, options,
-                      noisy_targets(rendered(), bench_case.config.loss.normalised_depth));
-    Renderer& renderer = step.renderer;
-    Stream& stream = renderer.stream();
+    TrainingStep step(
+        device, bench_case, options,
+        noisy_targets(render_case(device, bench_case), bench_case.config.loss.normalised_depth));
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");
     const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench_case.columns), &step.targets};
-    std::vector<double> build, refit, forward, backward, iteration;
-    const auto time = [&](std::vector<double>& samples, const auto& record) {
-        const Clock::time_point start = Clock::now();
-        record();
-        stream.submit_and_wait();
-        samples.push_back(ms_since(start));
-    };
-    const auto repeat = [&] {
-        check_interrupt();
-        time(iteration, [&] {
-            renderer.update(bench_case.placed, bench_case.view_origin_m);
-            renderer.record_forward(batch);
-            step.record_losses(batch);
-            step.differentiable.record_backward();
-            step.record_optimizer();
-        });
-        // true: builds the trees again, instead of refitting their boxes.
-        time(build, [&] { renderer.accel().record_refit(stream, renderer.scene(), true); });
-        time(refit, [&] { renderer.accel().record_refit(stream, renderer.scene()); });
-        time(forward, [&] { renderer.record_forward(batch); });
-        // Not timed: the backward pass needs the gradients of the losses.
-        step.record_losses(batch);
-        stream.submit_and_wait();
-        time(backward, [&] { step.differentiable.record_backward(); });
-    };
+
     // The first launches compile kernels, and a GPU raises its clock rate only under
     // load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
+    PhaseSamples samples;
     Clock::time_point start = Clock::now();
-    do repeat();
+    do measure_repetition(step, bench_case, batch, samples);
     while (ms_since(start) < warm_up_ms);
-    for (std::vector<double>* samples : {&build, &refit, &forward, &backward, &iteration}) samples->clear();
+
+    samples = {};
     start = Clock::now();
-    for (int i = 0; i < kMinRepeats || (i < kMaxRepeats && ms_since(start) < kEnoughTime_ms); ++i) repeat();
-    return {
-        median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
+    for (int i = 0; i < kMinRepeats || (i < kMaxRepeats && ms_since(start) < kEnoughTime_ms); ++i)
+        measure_repetition(step, bench_case, batch, samples);
+    BenchTimes times;
+    times.build_ms = median(samples.build);
+    times.refit_ms = median(samples.refit);
+    times.forward_ms = median(samples.forward);
+    times.backward_ms = median(samples.backward);
+    times.iteration_ms = median(samples.iteration);
+    times.repetitions = samples.build.size();
+    return times;
 }
 
-/// Returns how many scans are rendered per second, at evenly spaced times of the recorded
-/// path. Submits the scans of all sensors at one time together. While they are read, the
-/// device renders the next scans.
-double scans_per_second(ScanRenderer& renderer, const Run& run,
-                        std::span<const MountedSimulatedSensor> sensors) {
+/// Returns how many scans are rendered per second, at kTimedScans evenly spaced times of
+/// the recorded path. Submits the scans of all sensors at one time together. While they
+/// are read, the device renders the next scans.
+double scans_per_second(ScanRenderer& renderer, const Run& run, std::span<const RenderedSensor> sensors) {
     const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto submit = [&](int scan) {
+        using Timing = ScanRenderer::SubmissionTiming;
         const double time_s = first_s + length_s * (scan + 0.5) / kTimedScans;
-        for (const MountedSimulatedSensor& target : sensors)
+        for (const RenderedSensor& target : sensors) {
+            const bool is_last = &target == &sensors.back();
             renderer.submit_points(target.sensor, {time_s, mount_track(path, target.mounting)}, time_s, {},
-                                   &target == &sensors.back() ? ScanRenderer::SubmissionTiming::now
-                                                              : ScanRenderer::SubmissionTiming::with_next);
+                                   is_last ? Timing::now : Timing::with_next);
+        }
     };
     const auto collect = [&] {
         for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
     };
-    submit(0);
     // The first scans are not measured, because they allocate memory.
+    submit(0);
     collect();
+
     const Clock::time_point start = Clock::now();
     submit(0);
     for (int scan = 1; scan <= kTimedScans; ++scan) {
@@ -134,13 +157,13 @@ double scans_per_second(ScanRenderer& renderer, const Run& run,
 /// a rig, also measures its sensors one after the other.
 void measure_rates(Device& device, const Run& run, const std::string& sensor, BenchTimes& times) {
     ScanRenderer renderer(device, run);
-    const std::vector<MountedSimulatedSensor> sensors =
+    const std::vector<RenderedSensor> sensors =
         list_sensors(sensor.empty() ? "native" : sensor, read_sensor_rig(sensor), run, 0);
     times.scans_per_s = scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
     // Sum of the times per scan, 1 / rate, of all sensors.
     double seconds = 0.0;
-    for (const MountedSimulatedSensor& target : sensors)
+    for (const RenderedSensor& target : sensors)
         seconds += 1.0 / scans_per_second(renderer, run, {&target, 1});
     times.separate_scans_per_s = double(sensors.size()) / seconds;
 }
@@ -149,6 +172,7 @@ const char* backend_name(const Device& device) {
     return device.backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
 
+/// Returns the measured times as text. The rates are million rays per second.
 std::string format_report(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
     // krays / ms = Mrays / s
     const double krays = double(bench_case.rays.size()) / 1000.0;
@@ -170,6 +194,7 @@ std::string format_report(const BenchCase& bench_case, const BenchTimes& bench_t
                               bench_times.repetitions);
 }
 
+/// Returns the measured times for --json.
 std::string report_json(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
     // krays / ms = Mrays / s
     const double krays = double(bench_case.rays.size()) / 1000.0;

@@ -14,6 +14,7 @@ struct BenchOptions {
     DeviceCommandOptions device;
 };
 
+/// Measures and prints the speed of the device with a run or the benchmark street.
 void run_bench(const BenchOptions& options);
 
 }  // namespace relidar::cli

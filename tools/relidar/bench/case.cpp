@@ -13,13 +13,14 @@ namespace relidar::cli {
 
 BenchCase street_case(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels, const RayTable& rays) {
     BenchCase bench;
+    constexpr unsigned kSeed = 20261120;
     bench.name = "benchmark street";
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
     // In this street, the sensor frame equals the world frame.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
-    const Surfels surfels = make_street_surfels(n_surfels, 20261120, smaller_scales_for_more_surfels);
+    const Surfels surfels = make_street_surfels(n_surfels, kSeed, smaller_scales_for_more_surfels);
     bench.scene = wrap_background(surfels.reorder(kd_tree_order(surfels.mean)));
     bench.config = make_preset("paper");
     // The background is the only instance.
@@ -46,12 +47,12 @@ BenchCase case_of_run(const Run& run) {
     bench.columns = table.columns;
     const PoseTrack track = run.sequence.lidar_track(frame.lidar);
     bench.view_origin_m = glm::vec3(track.pose_at(frame.time_s).translation);
+    // With a rolling shutter, each ray starts at the pose of its own firing time.
     const bool rolls = is_rolling(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
         const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
-        // Without a rolling shutter, all rays fire at the reference time.
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
     bench.placed = pose_instances(run.scene, run.sequence, timing_of(frame));

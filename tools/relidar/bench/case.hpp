@@ -10,6 +10,7 @@
 
 namespace relidar::cli {
 
+/// A scene and the rays with which its rendering is measured or checked.
 struct BenchCase {
     std::string name;
     Scene scene;
@@ -21,10 +22,10 @@ struct BenchCase {
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
-/// Settings of the LiDAR-RT paper.
+/// Returns a synthetic street, with the settings of the LiDAR-RT paper.
 BenchCase street_case(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels, const RayTable& rays);
 
-/// Rays of the run's sensor at the first held-out frame.
+/// Returns the scene of a run, with the rays of its sensor at the first held-out frame.
 /// @throws DataError if the run has no frames or no surfels
 BenchCase case_of_run(const Run& run);
 

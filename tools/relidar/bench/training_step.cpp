@@ -10,15 +10,14 @@
 
 namespace relidar::cli {
 
-/// Returns target values for the losses: a rendered image plus uniform noise. Rays with a
-/// blending weight of at most 0.5 become rays without return.
 std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool is_depth_divided_by_weight) {
-    constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
+    constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kMinReturnWeight = 0.5f;
     std::mt19937 random(1);
-    const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
+    // Uniform from -1 to 1: the random numbers have 32 bits.
+    const auto noise = [&] { return static_cast<float>(random()) / 0x1p31f - 1.0f; };
     std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
     for (std::size_t i = 0; i < targets.size(); ++i) {
-        if (!(rendering.weight[i] > kSolid)) continue;
+        if (!(rendering.weight[i] > kMinReturnWeight)) continue;
         const float range_m = rendering.depth[i] / (is_depth_divided_by_weight ? rendering.weight[i] : 1.0f);
         targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
         targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
@@ -26,6 +25,7 @@ std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool
     return targets;
 }
 
+/// Allocates renderer, gradients, losses and optimiser, and uploads the targets.
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
                            const std::vector<DeviceTarget>& target_values)
     : differentiable(device, bench_case.scene, bench_case.config.image, options,

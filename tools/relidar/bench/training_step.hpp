@@ -12,11 +12,13 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// A rendered image plus noise, so that the gradient of an L1 loss is not zero. Rays with
-/// a low sum of blending weights become rays without a return.
+/// Returns target values for the losses: a rendered image plus noise, so that the
+/// gradient of an L1 loss is not zero. Rays with a low sum of blending weights become
+/// rays without a return.
 std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool is_depth_divided_by_weight);
 
-/// All learning rates are 0, so that the step does not change the scene.
+/// A training iteration that can be repeated: all learning rates are 0, so that the step
+/// does not change the scene.
 class TrainingStep {
 public:
     TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,

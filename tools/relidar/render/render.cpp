@@ -3,7 +3,6 @@
 // sensor is at its recorded poses, at shifted poses, or on a path of the user. The sensor
 // may be the log's sensor or another sensor.
 #include <algorithm>
-#include <cmath>
 #include <memory>
 #include <optional>
 
@@ -62,6 +61,7 @@ struct RenderOptions {
     std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
+/// Returns how the scans of a sensor are written: formats, frames of reference and names.
 /// @param rig_sensor_name empty if there is only one sensor
 ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, const SimulatedSensor& sensor,
                               const Pose& sensor_offset, const std::string& rig_sensor_name) {
@@ -69,15 +69,14 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     format.offset = sensor_offset;
     format.time_shift_ns = options.time_shift_ns;
     if (options.vehicle) {
+        // The rig file describes the vehicle. base_link is its reference point in ROS.
         format.vehicle = options.vehicle;
         format.vehicle_from_lidar =
             inverse(parse_offset(options.offset) * options.vehicle->rig_from_base_link);
         format.base_link_height_m = options.base_link_height_m;
     }
-    apply_names(
-        format,
-        rig_sensor_name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : rig_sensor_name,
-        options.names);
+    const std::string& log_name = run.sequence.lidars[std::size_t(sensor.lidar)].name;
+    apply_names(format, rig_sensor_name.empty() ? log_name : rig_sensor_name, options.names);
     if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
     format.frame = parse_frame(options.point_frame);
@@ -104,27 +103,23 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
 /// Checks all options that do not depend on the run, before the run is loaded, because
 /// loading takes a long time.
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
-    for (const std::string& format : parse_formats(options.formats))
+    const std::vector<std::string> formats = parse_formats(options.formats);
+    for (const std::string& format : formats)
         if (ranks.size() > 1 && is_recording(format))
             fail<UsageError>(
                 "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
     check_layout(options, ranks);
-    check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
-    parse_frame(options.point_frame);
-    parse_weather(options.weather);
-    if (options.merge && std::ranges::count(parse_formats(options.formats), "pcap") > 0)
+    check_recording_names(options.names, formats, is_rig && !options.merge);
+    // Called only for their errors.
+    (void)parse_frame(options.point_frame);
+    (void)parse_weather(options.weather);
+    if (options.merge && std::ranges::count(formats, "pcap") > 0)
         throw UsageError("--merge: found --format pcap; packets hold the scan of a single sensor");
     if (ranks.is_first() && options.layout.empty()) check_scan_folder(options.out, options.overwrite);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
-    const TrajectoryOptions& t = options.trajectory;
-    if (t.file.empty() && (t.rate_hz || !t.times.empty()))
-        throw UsageError("--rate and --times need --trajectory, because they select times on a trajectory");
-    if (!t.file.empty() && options.frames)
-        throw UsageError(
-            "--frames and --trajectory cannot be used together; use --times to select times on a trajectory");
-    if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
+    check_time_options(options.trajectory, options.frames.has_value());
 }
 
 /// `number` is part of the file name, `time_s` the reference time of the sweep.
@@ -132,6 +127,12 @@ struct NumberedScanTime {
     int number;
     double time_s;
 };
+
+std::vector<double> times_of(const std::vector<NumberedScanTime>& sweeps) {
+    std::vector<double> times_s;
+    for (const NumberedScanTime& sweep : sweeps) times_s.push_back(sweep.time_s);
+    return times_s;
+}
 
 /// Returns the times of the selected frames of a LiDAR, with their frame numbers.
 std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options, int lidar) {
@@ -161,10 +162,10 @@ std::vector<NumberedScanTime> sweeps_on_path(const Run& run, const RenderOptions
 
 /// Returns the file format of each sensor. Its offset includes its mounting on the rig.
 std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, const Run& run,
-                                                 const std::vector<MountedSimulatedSensor>& targets,
+                                                 const std::vector<RenderedSensor>& targets,
                                                  const Pose& sensor_offset) {
     std::vector<ScanOutputOptions> formats;
-    for (const MountedSimulatedSensor& target : targets) {
+    for (const RenderedSensor& target : targets) {
         formats.push_back(
             scan_format(options, run, target.sensor, sensor_offset * target.mounting, target.folder));
         PacketFormatOptions& packets = formats.back().packets;
@@ -177,14 +178,15 @@ std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, c
 /// Returns the output format of scans that merge all sensors of a rig. Its range limits
 /// include the limits of all sensors.
 ScanOutputOptions merged_format(const RenderOptions& options, const Run& run,
-                                const std::vector<MountedSimulatedSensor>& rig_sensors,
-                                const Pose& sensor_offset) {
+                                const std::vector<RenderedSensor>& rig_sensors, const Pose& sensor_offset) {
     SimulatedSensor rig = rig_sensors.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
-    for (const MountedSimulatedSensor& w : rig_sensors) rig.returns = std::max(rig.returns, w.sensor.returns);
-    for (const MountedSimulatedSensor& w : rig_sensors)
-        rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
-                      std::max(rig.limits.max_m, w.sensor.limits.max_m)};
+    for (const RenderedSensor& mounted : rig_sensors) {
+        const SimulatedSensor& sensor = mounted.sensor;
+        rig.returns = std::max(rig.returns, sensor.returns);
+        rig.limits = {std::min(rig.limits.min_m, sensor.limits.min_m),
+                      std::max(rig.limits.max_m, sensor.limits.max_m)};
+    }
     return scan_format(options, run, rig, sensor_offset, "");
 }
 
@@ -196,49 +198,51 @@ struct RenderOutputs {
     std::optional<DatasetSequenceWriter> dataset;  ///< with --layout, instead of all others
 };
 
-/// Creates the output of --layout.
+/// Creates the output of --layout: a new sequence in a data set.
 RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
-                             const std::vector<MountedSimulatedSensor>& rendered_sensors,
-                             const Pose& sensor_offset, const std::vector<NumberedScanTime>& sweeps) {
+                             const std::vector<RenderedSensor>& rendered_sensors, const Pose& sensor_offset,
+                             const std::vector<NumberedScanTime>& sweeps) {
     const auto formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
     const std::string description =
         options.lidar + describe_inputs({options.sensor, options.trajectory.file});
     std::vector<DatasetSensor> sensors;
-    for (std::size_t s = 0; s < formats.size(); ++s)
-        sensors.push_back({formats[s], rendered_sensors[s].mounting, description});
-    std::vector<double> times_s;
-    for (const NumberedScanTime& sweep : sweeps) times_s.push_back(sweep.time_s);
+    for (std::size_t i = 0; i < formats.size(); ++i)
+        sensors.push_back({formats[i], rendered_sensors[i].mounting, description});
     RenderOutputs output;
-    output.dataset.emplace(options.out, options.layout, std::move(sensors), times_s, options.overwrite);
+    output.dataset.emplace(options.out, options.layout, std::move(sensors), times_of(sweeps),
+                           options.overwrite);
     return output;
 }
 
 /// Creates the output folders in the first MPI process. The other processes wait and then
 /// open these folders.
 RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
-                             const std::vector<MountedSimulatedSensor>& rendered_sensors,
-                             const Pose& sensor_offset, const MpiProcessGroup& ranks) {
+                             const std::vector<RenderedSensor>& rendered_sensors, const Pose& sensor_offset,
+                             const MpiProcessGroup& ranks) {
+    const std::filesystem::path out = options.out;
+    const bool has_subfolders = !options.merge && !rendered_sensors.front().folder.empty();
+    std::vector<ScanOutputOptions> formats;
+    if (options.merge) formats = {merged_format(options, run, rendered_sensors, sensor_offset)};
+    else formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
+
     RenderOutputs output;
-    std::vector<ScanOutputOptions> sensors;
     if (!ranks.is_first()) ranks.barrier();
-    const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
-        if (!ranks.is_first()) return output.folders.push_back(ScanFolderWriter::join_folder(folder, format));
-        if (folder != options.out) std::filesystem::create_directories(folder);
-        output.folders.emplace_back(folder, format);
-    };
-    if (options.merge) sensors = {merged_format(options, run, rendered_sensors, sensor_offset)};
-    else sensors = format_per_sensor(options, run, rendered_sensors, sensor_offset);
-    const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
-    // Checks all folders before files of an earlier rendering are removed.
-    for (const MountedSimulatedSensor& sensor : rendered_sensors)
-        if (is_rig && ranks.is_first())
-            check_scan_folder(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
-    if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
-    for (std::size_t s = 0; s < sensors.size(); ++s) {
-        if (is_rig) std::erase_if(sensors[s].formats, is_recording);
-        add(is_rig ? std::filesystem::path(options.out) / rendered_sensors[s].folder
-                   : std::filesystem::path(options.out),
-            sensors[s]);
+    if (ranks.is_first() && has_subfolders) {
+        // Checks all folders before files of an earlier rendering are removed.
+        for (const RenderedSensor& sensor : rendered_sensors)
+            check_scan_folder(out / sensor.folder, options.overwrite);
+        output.recordings.emplace(out, formats);
+    }
+    for (std::size_t i = 0; i < formats.size(); ++i) {
+        // A recording contains all sensors, so the folder of a sensor has none.
+        if (has_subfolders) std::erase_if(formats[i].formats, is_recording);
+        const std::filesystem::path folder = has_subfolders ? out / rendered_sensors[i].folder : out;
+        if (ranks.is_first()) {
+            if (has_subfolders) std::filesystem::create_directories(folder);
+            output.folders.emplace_back(folder, formats[i]);
+        } else {
+            output.folders.push_back(ScanFolderWriter::join_folder(folder, formats[i]));
+        }
     }
     if (ranks.is_first()) ranks.barrier();
     return output;
@@ -251,10 +255,11 @@ void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
     if (output.recordings) output.recordings->finish();
     for (ScanFolderWriter& folder : output.folders) {
         std::vector<std::string> entries;
-        for (const std::string& of_one :
-             ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
-            if (!of_one.empty())
-                for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
+        for (const std::string& lines :
+             ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n")))) {
+            if (lines.empty()) continue;  // This process has rendered no scan.
+            for (const std::string& entry : split_text(lines, '\n')) entries.push_back(entry);
+        }
         folder.set_entries(std::move(entries));
         if (ranks.is_first()) folder.finish();
         note_unobserved(folder.entries(), folder.path().string());
@@ -264,22 +269,21 @@ void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
 class SweepRenderer {
 public:
     SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
-                  const std::vector<MountedSimulatedSensor>& targets, const Pose& offset,
-                  const PoseTrack& track)
+                  const std::vector<RenderedSensor>& targets, const Pose& offset, const PoseTrack& track)
         : renderer_(renderer),
           run_(run),
           options_(options),
           targets_(targets),
           offset_(offset),
           track_(track) {
-        for (const MountedSimulatedSensor& w : targets) mountings_.push_back(w.mounting);
+        for (const RenderedSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
     /// Renders and writes the scans of all sensors at one time.
     void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;
-        for (const MountedSimulatedSensor& w : targets_) {
+        for (const RenderedSensor& w : targets_) {
             check_interrupt();
             scans.push_back(
                 has_user_trajectory
@@ -324,7 +328,7 @@ private:
     ScanRenderer& renderer_;
     const Run& run_;
     const RenderOptions& options_;
-    const std::vector<MountedSimulatedSensor>& targets_;
+    const std::vector<RenderedSensor>& targets_;
     const Pose offset_;
     const PoseTrack track_;
     std::vector<Pose> mountings_;
@@ -332,6 +336,37 @@ private:
     bool has_unseen_share_ = false;
 };
 
+/// Returns the shift that makes the times of all sensors valid in the requested formats.
+std::int64_t largest_time_shift_ns(const Run& run, const std::vector<RenderedSensor>& sensors,
+                                   const std::vector<NumberedScanTime>& sweeps) {
+    const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
+    std::int64_t shift_ns = 0;
+    for (const RenderedSensor& target : sensors)
+        shift_ns = std::max(shift_ns, time_shift_of(run, target.sensor, first_s));
+    return shift_ns;
+}
+
+/// Selects what the renderer shows and which additional values the output needs.
+void configure_renderer(ScanRenderer& renderer, const RenderOptions& options,
+                        const std::vector<bool>& shown_instances) {
+    const bool has_layout = !options.layout.empty();
+    if (!options.only.empty()) renderer.show_instances(shown_instances);
+    if (options.boxes || has_layout) renderer.count_actor_rays();
+    if (has_layout) renderer.add_channels("class");
+    renderer.set_weather(parse_weather(options.weather));
+}
+
+/// Prints what the user may not expect of these scans.
+void print_render_notes(const RenderOptions& options, const Run& run, const ScanRenderer& renderer,
+                        const std::vector<RenderedSensor>& sensors, int lidar) {
+    if (std::ranges::any_of(parse_formats(options.formats), is_recording))
+        note_time_shift(run.sequence, options.time_shift_ns);
+    if (options.sample) note_missing_noise(run, lidar);
+    note_weather(parse_weather(options.weather));
+    for (const RenderedSensor& target : sensors) note_sensor(run, renderer, target.sensor);
+}
+
+/// Renders scans of a run and writes them. Each MPI process renders a part of them.
 void run_render(const RenderOptions& command_options) {
     const MpiProcessGroup ranks;
     RenderOptions options = command_options;
@@ -341,59 +376,49 @@ void run_render(const RenderOptions& command_options) {
     options.vehicle = read_rig_vehicle(options.sensor);
     check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
-    const bool drives = !options.trajectory.file.empty();
     std::optional<LockedFolder> folder;
     // The lock removes a folder that stays empty.
     if (ranks.is_first()) folder.emplace(options.out);
     check_settings_used(options.sets, render_settings(), "render");
-    Run run = load_run(options.run);
-    apply_settings(run.config, options.sets);
-    const PoseTrack track =
-        drives ? mount_track(read_trajectory(options.trajectory.file, run.sequence.georeference), offset)
-               : PoseTrack{};
-    run.config = with_max_range(std::move(run.config), run.sequence);
-    if (options.channels) set_value(run.config, "render.channels", *options.channels);
-    if (options.no_refine) run.config.refine.enabled = false;
+    const Run run = load_configured_run(options.run, options.sets, options.channels, options.no_refine);
+
+    const bool has_user_path = !options.trajectory.file.empty();
+    const PoseTrack user_path =
+        has_user_path
+            ? mount_track(read_trajectory(options.trajectory.file, run.sequence.georeference), offset)
+            : PoseTrack{};
     const int lidar = find_lidar(run.sequence, options.lidar);
-    const auto sweeps =
-        drives ? sweeps_on_path(run, options, track, lidar) : sweeps_of_frames(run, options, lidar);
-    const std::vector<MountedSimulatedSensor> targets = list_sensors(options.sensor, rig, run, lidar);
-    const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
-    for (const MountedSimulatedSensor& w : targets)
-        options.time_shift_ns = std::max(options.time_shift_ns, time_shift_of(run, w.sensor, first_s));
+    const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
+                                      : sweeps_of_frames(run, options, lidar);
+    const std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
     if (options.vehicle) {
-        const PoseTrack of_log = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
-        const PoseTrack path = drives ? track : mount_track(of_log, offset);
-        PoseTrack at_scans;
-        for (const NumberedScanTime& sweep : sweeps)
-            at_scans.pose.push_back(path.pose_at(sweep.time_s) * options.vehicle->rig_from_base_link);
-        options.base_link_height_m = median_height_m(run, at_scans);
+        const PoseTrack log_path = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
+        const PoseTrack path = has_user_path ? user_path : mount_track(log_path, offset);
+        options.base_link_height_m =
+            median_height_m(run, path, options.vehicle->rig_from_base_link, times_of(sweeps));
     }
     const std::vector<bool> shown = select_instances(run.scene, options.only);
+
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
-    if (!options.only.empty()) renderer.show_instances(shown);
-    if (options.boxes || !options.layout.empty()) renderer.count_actor_rays();
-    if (!options.layout.empty()) renderer.add_channels("class");
-    renderer.set_weather(parse_weather(options.weather));
-    RenderOutputs output = options.layout.empty() ? create_outputs(options, run, targets, offset, ranks)
-                                                  : create_dataset(options, run, targets, offset, sweeps);
-    if (std::ranges::any_of(parse_formats(options.formats), is_recording))
-        note_time_shift(run.sequence, options.time_shift_ns);
-    if (options.sample) note_missing_noise(run, lidar);
-    note_weather(parse_weather(options.weather));
-    for (const MountedSimulatedSensor& w : targets) note_sensor(run, renderer, w.sensor);
+    configure_renderer(renderer, options, shown);
+    RenderOutputs output = options.layout.empty() ? create_outputs(options, run, sensors, offset, ranks)
+                                                  : create_dataset(options, run, sensors, offset, sweeps);
+    print_render_notes(options, run, renderer, sensors, lidar);
     install_handlers();
     TerminalProgress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turns(track));
+    SweepRenderer sweep_renderer(renderer, run, options, sensors, offset, subdivide_turns(user_path));
     const ProcessGroup::PartRange share = ranks.group().part_range(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render_sweep(sweeps[i], output);
-        progress.show_step(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number),
-                           i + 1 - share.begin, share.end - share.begin);
+        const char* unit = has_user_path ? "scan" : "frame";
+        progress.show_step(fmt::format("rendering {} {}:", unit, sweeps[i].number), i + 1 - share.begin,
+                           share.end - share.begin);
     }
     end_progress();
     finish_outputs(output, ranks);
+
     if (options.quiet) return;
     print(sweep_renderer.format_summary(share.end - share.begin, sweeps.size(), ranks.size()));
     const std::optional<double>& height_m = options.base_link_height_m;
@@ -402,6 +427,7 @@ void run_render(const RenderOptions& command_options) {
                           height_m ? fmt::format("{:.2f} m", *height_m) : "an unknown height"));
 }
 
+/// Adds the options that select a path of the sensor and the times of scans on this path.
 void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
     add_option(command, "--trajectory FILE.csv", trajectory.file,
                "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the "
@@ -415,6 +441,7 @@ void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
                "times of the scans on the trajectory, instead of --rate: first, last and step in seconds");
 }
 
+/// Adds the options that select the files to write and their content.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     add_option(command, "--format LIST", options.formats,
                fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")));
@@ -440,6 +467,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
     command.add_flag("--force", options.overwrite, "replace the rendered scans in DIR");
 }
 
+/// Returns the part of the help that describes the files.
 std::string output_help() {
     return std::string(
                R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
@@ -470,6 +498,7 @@ std::string channels_help() {
 
 }  // namespace
 
+/// Adds the command `relidar render` and its options to the parser.
 void add_render(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
     const auto options = std::make_shared<RenderOptions>();
@@ -493,8 +522,9 @@ void add_render(CLI::App& app, ParsedCommand& call) {
                "draw random scans with this seed: drops by their probability, ranges and intensities with "
                "the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
-            return text.starts_with('-') ? fmt::format("found {}, expected an integer of at least 0", text)
-                                         : std::string();
+            // An empty text means that the value is valid.
+            const bool is_negative = text.starts_with('-');
+            return is_negative ? fmt::format("found {}, expected an integer of at least 0", text) : "";
         });
     add_weather_option(*command, options->weather,
                        "all scans; the random seed is the value of --sample, or 0 without it");
@@ -510,8 +540,7 @@ void add_render(CLI::App& app, ParsedCommand& call) {
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
-    const auto run = [options] { run_render(*options); };
-    command->callback([&call, run] { call.run = run; });
+    run_after_parsing(*command, call, options, run_render);
 }
 
 }  // namespace relidar::cli

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/selection.hpp"
 
+#include <algorithm>
 #include <fstream>
 #include <numeric>
 #include <sstream>
@@ -19,6 +20,7 @@ std::optional<SpinningSensor> as_spinning(const SensorModel& model) {
     return spinning ? std::optional(*spinning) : std::nullopt;
 }
 
+/// Returns the beams of a built-in spinning sensor, which packet formats need.
 std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const SimulatedSensor& simulated) {
     if (simulated.is_log_lidar || simulated.grid || simulated.pattern) return std::nullopt;
     return as_spinning(find_sensor(name));
@@ -39,42 +41,41 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
                                    run.folder.string(), run.sequence.frames.size()));
         return all_frames(run);
     }
-    const std::string which = frames_text.value_or("test");
-    // Empty for a range of frame numbers.
-    const std::string name = find_name(which, {"test", "train", "all"}).value_or("");
+    const std::string text = frames_text.value_or("test");
+    const std::string name = find_name(text, {"test", "train", "all"}).value_or("");
+    const std::vector<Frame>& frames = run.sequence.frames;
     std::vector<int> positions;
-    if (name == "all") positions = all_frames(run);
-    else positions = name == "train" ? run.split.train : run.split.test;
-    const int last = run.sequence.frames.back().index;
+    if (name == "test") positions = run.split.test;
+    else if (name == "train") positions = run.split.train;
+    else positions = all_frames(run);
     if (name.empty()) {
-        const FrameRange range = parse_frames(which);
-        positions = all_frames(run);
-        std::erase_if(positions, [&](int i) {
-            const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
-            return index < range.begin || (range.end >= 0 && index >= range.end);
+        // The text is a range of frame numbers, without an upper limit if its end is -1.
+        const FrameRange range = parse_frames(text);
+        std::erase_if(positions, [&](int position) {
+            const int number = frames[static_cast<std::size_t>(position)].index;
+            return number < range.begin || (range.end >= 0 && number >= range.end);
         });
-        if (!positions.empty()) note_missing_frames(range, last, run.folder.string());
+        if (!positions.empty()) note_missing_frames(range, frames.back().index, run.folder.string());
     }
-    if (positions.empty()) {
+    if (positions.empty())
         fail<UsageError>(
             "--frames {} selects no frame of {}; expected frame numbers from {} to {}, or test, train or all",
-            which, run.folder.string(), run.sequence.frames.front().index, last);
-    }
+            text, run.folder.string(), frames.front().index, frames.back().index);
     return positions;
 }
 
-std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
-                                                 const Run& run, int lidar) {
+std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
+                                         int lidar) {
     if (name.empty()) return {{"", make_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) {
-        const SimulatedSensor choice = choose_sensor(name, run.config, run.sequence, lidar);
-        return {{"", choice, {}, spinning_sensor_of(name, choice)}};
+        const SimulatedSensor sensor = choose_sensor(name, run.config, run.sequence, lidar);
+        return {{"", sensor, {}, spinning_sensor_of(name, sensor)}};
     }
-    std::vector<MountedSimulatedSensor> targets;
+    std::vector<RenderedSensor> sensors;
     for (const MountedSensor& mounted : *rig)
-        targets.push_back({mounted.name, simulate_sensor(mounted, lidar), mounted.rig_from_sensor,
+        sensors.push_back({mounted.name, simulate_sensor(mounted, lidar), mounted.rig_from_sensor,
                            as_spinning(mounted.sensor)});
-    return targets;
+    return sensors;
 }
 
 std::string describe_inputs(const std::vector<std::string>& names_or_files) {
@@ -92,10 +93,11 @@ void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::v
     // The first instance is the background, which contains all standing objects.
     if (!shown.front()) output.standing.clear();
     std::erase_if(output.actors, [&](const BoxTrack& box) {
-        for (std::size_t i = 0; i < shown.size(); ++i)
-            if (run.scene.instances[i].track == box.id) return !shown[i];
-        // No instance has this track, so the actor is not rendered.
-        return true;
+        const auto& instances = run.scene.instances;
+        const auto instance = std::ranges::find(instances, box.id, &ModelInstance::track);
+        const bool is_rendered =
+            instance != instances.end() && shown[std::size_t(instance - instances.begin())];
+        return !is_rendered;
     });
 }
 

@@ -13,13 +13,14 @@
 
 namespace relidar::cli {
 
-/// "first:end" (frame numbers of the dataset), "test", "train" or "all"; by default the
-/// held-out frames, or all if none is held out.
+/// Parses --frames: "first:end" (frame numbers of the dataset), "test", "train" or "all".
+/// By default, selects the held-out frames, or all if none is held out.
 /// @return positions in the list of frames
 /// @throws UsageError if no frame is selected
 std::vector<int> select_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet);
 
-struct MountedSimulatedSensor {
+/// A sensor to simulate, and where its scans are written.
+struct RenderedSensor {
     /// Subfolder for the files of this sensor; empty: the output folder itself.
     std::string folder;
     SimulatedSensor sensor;
@@ -32,8 +33,8 @@ using SensorRig = std::optional<std::vector<MountedSensor>>;
 
 /// Returns the sensors to simulate: all of a rig, or one. An empty name selects the
 /// sensor of the settings.
-std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
-                                                 const Run& run, int lidar);
+std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
+                                         int lidar);
 
 /// Returns the names of sensors and files, and the contents of the files. Another path or
 /// sensor of the same name has another text.

@@ -24,28 +24,61 @@ constexpr double kFarthestOffset_m = 10'000.0;
 constexpr double kStepSlack = 1e-6;
 
 struct TimeSteps {
-    double first, last, step;
+    double first, last, step;  ///< seconds
 };
+
+/// Parses the value "FIRST:LAST:STEP" of --times.
+TimeSteps parse_times(const std::string& text) {
+    std::vector<double> numbers;
+    for (const std::string& word : split_text(text, ':'))
+        if (const std::optional<double> number = parse_finite(word)) numbers.push_back(*number);
+    if (numbers.size() != 3 || std::ranges::count(text, ':') != 2)
+        fail<UsageError>("--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
+                         text);
+    return {.first = numbers[0], .last = numbers[1], .step = numbers[2]};
+}
+
+/// Returns the largest distance of the sensor from the recorded path.
+double max_distance_m(const Log& log, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
+    double farthest_m = 0.0;
+    for (const double time_s : times_s) {
+        const glm::dvec3 sensor_m = sensor_track.pose_at(time_s).translation - log.world_offset_m;
+        double nearest_m = std::numeric_limits<double>::infinity();
+        for (const Pose& pose : log.world_from_vehicle.pose)
+            nearest_m = std::min(nearest_m, glm::distance(pose.translation, sensor_m));
+        farthest_m = std::max(farthest_m, nearest_m);
+    }
+    return farthest_m;
+}
 
 }  // namespace
 
+void check_time_options(const TrajectoryOptions& trajectory, bool has_frames) {
+    const bool has_path = !trajectory.file.empty(), has_times = !trajectory.times.empty();
+    if (!has_path && (trajectory.rate_hz || has_times))
+        throw UsageError("--rate and --times need --trajectory, because they select times on a trajectory");
+    if (has_path && has_frames)
+        throw UsageError(
+            "--frames and --trajectory cannot be used together; use --times to select times on a trajectory");
+    if (trajectory.rate_hz && has_times) throw UsageError("--rate and --times cannot be used together");
+}
+
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
-    const std::vector<double> v = parse_list("--offset", text);
-    if (v.size() != 3 && v.size() != 4)
-        fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(),
-                         text);
-    for (std::size_t i = 0; i < 3; ++i)
-        if (std::abs(v[i]) > kFarthestOffset_m) {
+    const std::vector<double> numbers = parse_list("--offset", text);
+    if (numbers.size() != 3 && numbers.size() != 4)
+        fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg",
+                         numbers.size(), text);
+    const glm::dvec3 offset_m(numbers[0], numbers[1], numbers[2]);
+    for (int axis = 0; axis < 3; ++axis)
+        if (std::abs(offset_m[axis]) > kFarthestOffset_m)
             fail<UsageError>("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
-                             v[i], text, kFarthestOffset_m, kFarthestOffset_m);
-        }
-    if (v.size() == 4 && std::abs(v[3]) > 360.0) {
+                             offset_m[axis], text, kFarthestOffset_m, kFarthestOffset_m);
+    const double yaw_deg = numbers.size() == 4 ? numbers[3] : 0.0;
+    if (std::abs(yaw_deg) > 360.0)
         fail<UsageError>("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
-                         v[3], text);
-    }
-    const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
-    return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
+                         yaw_deg, text);
+    return {glm::angleAxis(yaw_deg * kPi / 180.0, glm::dvec3(0.0, 0.0, 1.0)), offset_m};
 }
 
 /// Returns the times of the scans on a trajectory, in seconds. They are given by --times
@@ -55,16 +88,8 @@ std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack
     if (options.rate_hz && !(*options.rate_hz > 0.0 && std::isfinite(*options.rate_hz)))
         fail<UsageError>("--rate: found {}; expected a number of scans per second above 0", *options.rate_hz);
     TimeSteps steps{begin, end, 1.0 / options.rate_hz.value_or(log_rate_hz)};
-    if (!options.times.empty()) {
-        std::vector<double> numbers;
-        for (const std::string& word : split_text(options.times, ':'))
-            if (const std::optional<double> number = parse_finite(word)) numbers.push_back(*number);
-        if (numbers.size() != 3 || std::ranges::count(options.times, ':') != 2)
-            fail<UsageError>(
-                "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
-                options.times);
-        steps = {numbers[0], numbers[1], numbers[2]};
-    }
+    if (!options.times.empty()) steps = parse_times(options.times);
+    // Negated comparisons, so that NaN is rejected too.
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", options.times);
     const double slack_s = kStepSlack * steps.step;
@@ -73,21 +98,25 @@ std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
             steps.first, steps.last, begin, end);
     }
-    const double n = std::floor((steps.last - steps.first) / steps.step + kStepSlack) + 1.0;
-    if (n > kMostScans)
+    const double n_scans = std::floor((steps.last - steps.first) / steps.step + kStepSlack) + 1.0;
+    if (n_scans > kMostScans)
         fail<UsageError>(
-            "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} scans", n,
-            steps.first, steps.last, kMostScans);
-    std::vector<double> times;
-    for (int i = 0; i < static_cast<int>(n); ++i) times.push_back(steps.first + i * steps.step);
-    return times;
+            "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} scans",
+            n_scans, steps.first, steps.last, kMostScans);
+    std::vector<double> times_s;
+    for (int i = 0; i < static_cast<int>(n_scans); ++i) times_s.push_back(steps.first + i * steps.step);
+    return times_s;
 }
 
-std::optional<double> median_height_m(const Run& run, const PoseTrack& dataset_path) {
+std::optional<double> median_height_m(const Run& run, const PoseTrack& sensor_path,
+                                      const Pose& sensor_from_point, const std::vector<double>& times_s) {
+    PoseTrack point_path;
+    for (const double time_s : times_s)
+        point_path.pose.push_back(sensor_path.pose_at(time_s) * sensor_from_point);
     constexpr glm::dvec3 kVehicle_m{4.0, 2.0, 0.0};  // area in which the ground is searched
     std::vector<double> heights_m;
     for (const std::optional<double>& height_m :
-         heights_above_ground({run.scene, run.sequence}, dataset_path, kVehicle_m))
+         heights_above_ground({run.scene, run.sequence}, point_path, kVehicle_m))
         if (height_m) heights_m.push_back(*height_m);
     if (heights_m.empty()) return {};
     const auto middle = heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2);
@@ -95,33 +124,24 @@ std::optional<double> median_height_m(const Run& run, const PoseTrack& dataset_p
     return *middle;
 }
 
-/// Warns if a trajectory leads away from the recorded path, or continues after the end of
-/// the log, where actors do not exist.
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
     const Log& log = run.sequence;
-    double farthest = 0.0;
-    for (const double t : times_s) {
-        const glm::dvec3 sensor_m = sensor_track.pose_at(t).translation - log.world_offset_m;
-        double nearest_m = std::numeric_limits<double>::infinity();
-        for (const Pose& pose : log.world_from_vehicle.pose)
-            nearest_m = std::min(nearest_m, glm::distance(pose.translation, sensor_m));
-        farthest = std::max(farthest, nearest_m);
-    }
-    if (farthest > kMaxPathDistance_m) {
+    const double distance_m = max_distance_m(log, sensor_track, times_s);
+    if (distance_m > kMaxPathDistance_m)
         print_warning(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor (`relidar export {}`)",
-            farthest, run.folder.string()));
-    }
+            distance_m, run.folder.string()));
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;
     // Actors exist for half a time step longer than the log (BoxTrack).
     const double slack_s =
         0.5 * (end - begin) / std::max<double>(1.0, log.world_from_vehicle.time_s.size() - 1.0);
-    const auto beyond = std::count_if(times_s.begin(), times_s.end(),
-                                      [&](double t) { return t < begin - slack_s || t > end + slack_s; });
-    if (beyond > 0 && run.scene.instances.size() > 1)
+    const auto n_outside = std::ranges::count_if(
+        times_s, [&](double time_s) { return time_s < begin - slack_s || time_s > end + slack_s; });
+    const bool has_actors = run.scene.instances.size() > 1;  // besides the background
+    if (n_outside > 0 && has_actors)
         print_warning(
             fmt::format("{} of {} scans are outside the time of the log ({} to {} s), so they show no actors",
-                        beyond, times_s.size(), begin, end));
+                        n_outside, times_s.size(), begin, end));
 }
 
 }  // namespace relidar::cli

@@ -24,6 +24,9 @@ struct TrajectoryOptions {
     std::string times;
 };
 
+/// Checks that the options for times do not contradict each other.
+void check_time_options(const TrajectoryOptions& trajectory, bool has_frames);
+
 /// Parses "x,y,z" or "x,y,z,yaw_deg" in the frame of the sensor.
 Pose parse_offset(const std::string& text);
 
@@ -31,11 +34,14 @@ Pose parse_offset(const std::string& text);
 /// trajectory
 std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack& track, double log_rate_hz);
 
-/// Returns the median height above the ground of a point of a vehicle that follows a
-/// path. No value if the log has not observed the ground.
-std::optional<double> median_height_m(const Run& run, const PoseTrack& dataset_path);
+/// Returns the median height above the ground of a point that moves with the sensor. No
+/// value if the log has not observed the ground.
+/// @param sensor_path in the world frame of the dataset
+std::optional<double> median_height_m(const Run& run, const PoseTrack& sensor_path,
+                                      const Pose& sensor_from_point, const std::vector<double>& times_s);
 
-/// Far from the recorded path, or after the end of the log, when actors do not exist.
+/// Warns if a path leads far from the recorded path, or after the end of the log, when
+/// actors do not exist.
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli
