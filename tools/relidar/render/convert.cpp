@@ -3,7 +3,6 @@
 // capture of the sensor's network packets.
 #include <fstream>
 #include <memory>
-#include <optional>
 
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
@@ -48,8 +47,9 @@ void check_capture(const std::filesystem::path& capture, const std::string& log_
     namespace fs = std::filesystem;
     std::error_code failed;
     const bool exists = fs::exists(capture, failed);
-    if (exists &&
-        (fs::equivalent(capture, log_path, failed) || fs::equivalent(folder_of(capture), log_path, failed)))
+    const bool is_in_log =
+        fs::equivalent(capture, log_path, failed) || fs::equivalent(folder_of(capture), log_path, failed);
+    if (exists && is_in_log)
         fail<UsageError>("--out {}: this file is the log or a part of it; expected another name",
                          capture.string());
     if (exists && !overwrite)
@@ -59,33 +59,37 @@ void check_capture(const std::filesystem::path& capture, const std::string& log_
     if (exists && !is_capture(capture))
         fail<UsageError>("--out {}: the existing file is not a network capture; expected another name",
                          capture.string());
-    for (const char* ending : {".csv", ".json"}) {
-        const fs::path file = fs::path(capture).replace_extension(ending);
+    // If the capture exists, its calibration may exist too and is replaced with it.
+    for (const char* extension : {".csv", ".json"}) {
+        const fs::path file = fs::path(capture).replace_extension(extension);
         if (!exists && fs::exists(file, failed))
             fail<UsageError>("--out {}: found {}, the name of the calibration; expected another name",
                              capture.string(), file.string());
     }
 }
 
+/// Writes the packets that the sensor of the log would send over the network.
 void write_log_as_packets(const Log& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     check_capture(out, sequence.source, options.overwrite);
     const OutputFolder folder(folder_of(out));
     TerminalProgress progress(options.quiet);
-    const std::size_t n = save_packets(sequence, out, interruptible_progress(progress));
+    const std::size_t n_packets = save_packets(sequence, out, interruptible_progress(progress));
     end_progress();
     note_time_shift(sequence, time_shift_of(sequence));
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} packets of {} scans\n", absolute_path(options.out), n,
+        print(fmt::format("wrote {}: {} packets of {} scans\n", absolute_path(options.out), n_packets,
                           sequence.frames.size()));
 }
 
+/// Reads a log and writes it as a folder of plain files or, if the name of the output
+/// ends in .pcap, as network packets.
 void run_convert(const ConvertOptions& options) {
     check_settings_used(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
-    apply_selection(config, {options.frames, ""});
+    apply_selection(config, {.frames = options.frames, .sequence = ""});
     const Log sequence = load_dataset(config, options.quiet);
     install_handlers();
     if (writes_packets) return write_log_as_packets(sequence, options);
@@ -112,6 +116,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar convert` and its options to the parser.
 void add_convert(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("convert", "convert a log to npz, text and JSON files, or to sensor packets");
@@ -123,7 +128,7 @@ void add_convert(CLI::App& app, ParsedCommand& call) {
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     add_quiet_option(*command, options->quiet);
     command->footer(kConvertHelp);
-    command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });
+    run_after_parsing(*command, call, options, run_convert);
 }
 
 }  // namespace relidar::cli

@@ -16,6 +16,7 @@ namespace {
 
 constexpr std::string_view kNamePlaceholder = "{name}";
 
+/// Replaces each "{name}" in a text of the user.
 std::string replace_name(std::string text, const std::string& sensor_name) {
     for (std::size_t at = 0; (at = text.find(kNamePlaceholder, at)) != std::string::npos;
          at += sensor_name.size())
@@ -56,16 +57,16 @@ void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
 
 void check_recording_names(const RecordingNames& name_templates,
                            const std::vector<std::string>& output_file_formats, bool has_several_sensors) {
-    const auto check = [&](const char* option, const std::string& text) {
-        if (text.empty()) return;
+    const auto check_name = [&](const char* option, const std::string& text) {
+        if (text.empty()) return;  // The option is not used.
         if (std::ranges::none_of(output_file_formats, is_recording))
             fail<UsageError>("{} has no effect on these formats; expected --format mcap or rosbag", option);
         if (has_several_sensors && text.find(kNamePlaceholder) == std::string::npos)
             fail<UsageError>("{}: found \"{}\" for all sensors of a rig; expected a text with {}", option,
                              text, kNamePlaceholder);
     };
-    check("--topic", name_templates.topic);
-    check("--frame-id", name_templates.frame_id);
+    check_name("--topic", name_templates.topic);
+    check_name("--frame-id", name_templates.frame_id);
 }
 
 void apply_names(ScanOutputOptions& format, const std::string& sensor, const RecordingNames& names) {

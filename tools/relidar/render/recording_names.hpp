@@ -23,8 +23,9 @@ std::vector<std::string> parse_formats(const std::string& format_list);
 PointCoordinateFrame parse_frame(const std::string& name);  ///< value of --frame
 
 void add_name_options(CLI::App& command, RecordingNames& parsed_names);
-/// @throws UsageError if no recording is written, or if several sensors would get the
-/// same name
+/// Checks the options --topic and --frame-id.
+/// @throws UsageError if no recording (a file with all scans) is written, or if several
+/// sensors would get the same name
 void check_recording_names(const RecordingNames& name_templates,
                            const std::vector<std::string>& output_file_formats, bool has_several_sensors);
 void apply_names(ScanOutputOptions& options, const std::string& name, const RecordingNames& names);

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/render_notes.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <map>
 
 #include <fmt/format.h>
@@ -19,7 +17,8 @@ void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSe
         print_note(fmt::format(
             "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",
             sensor.name));
-    if (run.config.refine.enabled && !run.drop_network.empty() && !renderer.has_network_for(sensor))
+    const bool wants_network = run.config.refine.enabled && !run.drop_network.empty();
+    if (wants_network && !renderer.has_network_for(sensor))
         print_note(fmt::format(
             "the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} do without",
             run.folder.string(), run.drop_network.image, run.drop_network.min_image_size(),
@@ -27,15 +26,18 @@ void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSe
 }
 
 void note_missing_noise(const Run& run, int lidar) {
-    const auto at = std::size_t(lidar);
-    if (run.sequence.lidars[at].range_noise.sigma_m.empty())
+    const auto index = std::size_t(lidar);
+    if (run.sequence.lidars[index].range_noise.sigma_m.empty())
         print_warning(
             fmt::format("run {} has no model of the range noise, so --sample adds no noise to ranges",
                         run.folder.string()));
-    if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    print_warning(
-        fmt::format("run {} has no model of the intensity noise, so --sample adds no noise to intensities",
-                    run.folder.string()));
+    // A run without learned noise has an empty list.
+    const bool has_intensity_noise =
+        index < run.intensity_scatter.size() && !run.intensity_scatter[index].empty();
+    if (!has_intensity_noise)
+        print_warning(fmt::format(
+            "run {} has no model of the intensity noise, so --sample adds no noise to intensities",
+            run.folder.string()));
 }
 
 void note_time_shift(const Log& log, std::int64_t time_shift_ns) {
@@ -50,7 +52,8 @@ void note_weather(const Weather& weather) {
 
 namespace {
 
-/// Prints one note with the scans and rays of each side, summed over all scans.
+/// Prints one note that lists sides of actors which the log did not observe, with the
+/// number of scans and rays that meet each side.
 /// @param sides_json_key list of sides in scans.json
 /// @param effect_text what the rays to such a side do
 void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
@@ -75,6 +78,31 @@ void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::stri
                     folder, effect_text, fmt::join(texts, ", "), sides_json_key));
 }
 
+/// Prints in how many scans many rays cross space that the log has not observed, and the
+/// worst of these scans.
+void note_unseen_space(const std::vector<nlohmann::json>& scans, const std::string& scan_folder) {
+    std::size_t n_much_unseen = 0, n_scans_with_value = 0;
+    double worst_share = 0.0;
+    int worst_number = 0;
+    for (const nlohmann::json& scan : scans) {
+        // Null if the run does not store the observed space.
+        if (!scan["unseen"].is_number()) continue;
+        ++n_scans_with_value;
+        const double unseen_share = scan["unseen"];
+        if (unseen_share > kMuchUnseen) ++n_much_unseen;
+        if (unseen_share > worst_share) {
+            worst_share = unseen_share;
+            worst_number = scan["frame_number"];
+        }
+    }
+    if (n_much_unseen == 0) return;
+    print_note(fmt::format(
+        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not observed, "
+        "most in scan {} with {:.1f} % (\"unseen\" in scans.json, --channels seen)",
+        scan_folder, n_much_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number,
+        100.0 * worst_share));
+}
+
 }  // namespace
 
 void note_unobserved(const std::vector<std::string>& scan_json_entries, const std::string& scan_folder) {
@@ -84,25 +112,7 @@ void note_unobserved(const std::vector<std::string>& scan_json_entries, const st
                       "pass through such a side, because it has no surfels");
     note_unseen_sides(scans, scan_folder, "completed_sides",
                       "hit surfels that were mirrored from the other side of the actor");
-    std::size_t n_unseen = 0, n_scans_with_value = 0;
-    double worst = 0.0;
-    int worst_number = 0;
-    for (const nlohmann::json& scan : scans) {
-        // Null if the run does not store the observed space.
-        if (!scan["unseen"].is_number()) continue;
-        ++n_scans_with_value;
-        const double unseen = scan["unseen"];
-        n_unseen += unseen > kMuchUnseen;
-        if (unseen > worst) {
-            worst = unseen;
-            worst_number = scan["frame_number"];
-        }
-    }
-    if (n_unseen == 0) return;
-    print_note(fmt::format(
-        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not observed, "
-        "most in scan {} with {:.1f} % (\"unseen\" in scans.json, --channels seen)",
-        scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    note_unseen_space(scans, scan_folder);
 }
 
 }  // namespace relidar::cli

@@ -44,14 +44,15 @@ constexpr std::chrono::milliseconds kPollInterval{100};
 // After the GPU is lost, so that the clients receive the error.
 constexpr std::chrono::seconds kErrorSendTime{2};
 
-/// No value if the interface is disabled.
+/// Returns how clients of the interface "sensorsim" write poses, or no value if the
+/// interface is disabled.
 std::optional<serve::PoseTransformOrder> parse_pose_order(const ServeCommandOptions& options) {
-    const bool offered = options.api == "sensorsim";
-    if (!offered && !options.api.empty())
+    const bool has_sensorsim = options.api == "sensorsim";
+    if (!has_sensorsim && !options.api.empty())
         fail<UsageError>("--api: found '{}', expected sensorsim", options.api);
-    if (!offered && !options.pose_order.empty())
+    if (!has_sensorsim && !options.pose_order.empty())
         throw UsageError("--sensorsim-poses can only be used together with --api sensorsim");
-    if (!offered) return {};
+    if (!has_sensorsim) return {};
     if (options.pose_order.empty() || options.pose_order == "rotation-first")
         return serve::PoseTransformOrder::rotation_first;
     if (options.pose_order == "translation-first") return serve::PoseTransformOrder::translation_first;
@@ -59,6 +60,7 @@ std::optional<serve::PoseTransformOrder> parse_pose_order(const ServeCommandOpti
                      options.pose_order);
 }
 
+/// Checks all options of the command and returns the settings of the server.
 serve::ServerOptions server_options(const ServeCommandOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         fail<UsageError>("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue);
@@ -70,8 +72,9 @@ serve::ServerOptions server_options(const ServeCommandOptions& options) {
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = parse_pose_order(options);
-    // Checks only the form of the address. 0: port 0 may select a free port.
-    (void)parse_host_port(server.listen, "--listen", 0);
+    // Called only for its error.
+    constexpr int kMinPort = 0;  // selects a free port
+    (void)parse_host_port(server.listen, "--listen", kMinPort);
     server.weather = parse_weather(options.weather);
     server.device = to_device_options(options.device);
     return server;
@@ -87,19 +90,22 @@ void limit_arenas() {
 }
 
 /// Serves runs until Ctrl-C, then waits for pending calls. If the GPU is lost, ends with
-/// an error, so that the process can be restarted.
+/// an error, so that the process can be restarted. The server has its own threads, so
+/// this thread only polls.
 void run_serve(const ServeCommandOptions& options) {
     limit_arenas();
     raise_file_limit();
     const serve::ServerOptions server_settings = server_options(options);
     if (!options.quiet) note_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
+    const bool is_encrypted = !server_settings.tls_cert.empty();
     if (!is_loopback(host))
         print_note(fmt::format(
             "--listen {}: every client that can reach this address can render and upload, because there is "
             "no authentication{}",
             server_settings.listen,
-            server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
+            is_encrypted ? "" : ", and nothing is encrypted (--tls-cert, --tls-key)"));
+
     install_handlers();
     serve::ScanServer server(server_settings);
     if (!options.quiet) {
@@ -132,6 +138,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar serve` and its options to the parser.
 void add_serve(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
     const auto options = std::make_shared<ServeCommandOptions>();
@@ -165,7 +172,7 @@ void add_serve(CLI::App& app, ParsedCommand& call) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kServeHelp);
-    command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
+    run_after_parsing(*command, call, options, run_serve);
 }
 
 }  // namespace relidar::cli

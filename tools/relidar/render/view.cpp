@@ -42,7 +42,8 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-constexpr std::chrono::milliseconds kViewPatience{50};
+// Until the loop notices Ctrl-C.
+constexpr std::chrono::milliseconds kMaxWait{50};
 // For slow browser tabs.
 constexpr std::chrono::seconds kMaxShutdownTime{5};
 
@@ -53,6 +54,7 @@ view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
     return runs;
 }
 
+/// Checks address and port, and returns the settings of the web server.
 view::WebServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
         fail<UsageError>("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
@@ -67,27 +69,25 @@ view::WebServerOptions server_options(const ViewOptions& options) {
     return server;
 }
 
+/// Serves the web page of a run until Ctrl-C, and renders what browser tabs and Foxglove
+/// clients request. Only this thread uses the device.
 void run_view(const ViewOptions& options) {
     raise_file_limit();
     // Checks the address before the run is loaded, because loading takes a long time.
     const view::WebServerOptions server_settings = server_options(options);
     check_settings_used(options.sets, render_settings(), "view");
-    Run run = load_run(options.run);
-    apply_settings(run.config, options.sets);
-    run.config = with_max_range(std::move(run.config), run.sequence);
-    if (options.channels) set_value(run.config, "render.channels", *options.channels);
-    if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
-    if (!options.save_to.empty()) made.emplace(options.save_to);
+    Run run = load_configured_run(options.run, options.sets, options.channels, options.no_refine);
+    std::optional<OutputFolder> created;  // Removes the folder at exit if it is still empty.
+    if (!options.save_to.empty()) created.emplace(options.save_to);
     const std::filesystem::path save_to =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
-    const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
+    const std::filesystem::path save_folder = std::filesystem::absolute(save_to).lexically_normal();
     Device device(to_device_options(options.device));
     // `session` and `foxglove` send results to the server, which calls them. The server
     // is created last and destroyed first, so they need this pointer to it.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
-        std::move(run), load_other_runs(options.inserts), device, folder,
+        std::move(run), load_other_runs(options.inserts), device, save_folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
          [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
     view::FoxglovePlayer foxglove(
@@ -96,25 +96,29 @@ void run_view(const ViewOptions& options) {
          [&](view::ClientId client, std::vector<std::string> scan) {
              out->send_batch(client, std::move(scan));
          }});
-    view::WebServer server(server_settings, {[&](view::ClientId tab) { session.open_tab(tab); },
-                                             [&](view::ClientId client, std::string text) {
-                                                 if (!foxglove.handle_message(client, text))
-                                                     session.handle_message(client, text);
-                                             },
-                                             [&](view::ClientId client) {
-                                                 foxglove.remove_client(client);
-                                                 session.close_tab(client);
-                                             },
-                                             [&](view::ClientId client) { foxglove.add_client(client); }});
+    view::WebSocketEvents events;
+    events.opened = [&](view::ClientId tab) { session.open_tab(tab); };
+    events.foxglove_opened = [&](view::ClientId client) { foxglove.add_client(client); };
+    events.message = [&](view::ClientId client, std::string text) {
+        if (!foxglove.handle_message(client, text)) session.handle_message(client, text);
+    };
+    events.closed = [&](view::ClientId client) {
+        foxglove.remove_client(client);
+        session.close_tab(client);
+    };
+    view::WebServer server(server_settings, std::move(events));
     out = &server;
+
     install_handlers();
     print(server.page_url() + "\n");
     std::fflush(stdout);
-    const char* who = server_settings.token.empty() ? "open this address in a browser"
-                                                    : "only clients that know this address have access";
-    if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends the program", who));
+    const char* access = server_settings.token.empty() ? "open this address in a browser"
+                                                       : "only clients that know this address have access";
+    if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends the program", access));
     if (options.open) open_in_browser(server.page_url());
-    while (!is_interrupted()) session.run_next(foxglove.send_due(kViewPatience));
+
+    // Waits for requests of the page until Foxglove needs its next scan.
+    while (!is_interrupted()) session.run_next(foxglove.send_due(kMaxWait));
     session.finish_requests();
     server.drain(kMaxShutdownTime);
 }
@@ -133,6 +137,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar view` and its options to the parser.
 void add_view(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser and move the sensor");
     const auto options = std::make_shared<ViewOptions>();
@@ -153,7 +158,7 @@ void add_view(CLI::App& app, ParsedCommand& call) {
     add_no_refine_option(*command, options->no_refine);
     add_quiet_option(*command, options->quiet);
     command->footer(kViewHelp);
-    command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
+    run_after_parsing(*command, call, options, run_view);
 }
 
 }  // namespace relidar::cli
