@@ -3,7 +3,6 @@
 // Gaussian splatting. It can also write one PLY file per frame, or the path of the
 // sensor. The command `relidar edit --from-ply` can read the PLY file.
 #include <array>
-#include <cmath>
 #include <map>
 #include <memory>
 #include <optional>
@@ -102,16 +101,49 @@ private:
     std::map<std::array<double, 3>, MapCell> cells_;
 };
 
+/// Returns the frames to render for a map. Leaves out LiDARs without known rays, because
+/// they can only repeat recorded scans.
+std::vector<int> map_frames(const ExportOptions& options, const Run& run,
+                            const std::vector<SimulatedSensor>& sensor_of_lidar) {
+    std::vector<int> positions = select_frames(run, options.frames.value_or("all"), options.quiet);
+    for (const SimulatedSensor& sensor : sensor_of_lidar) {
+        const bool has_rays = sensor.rays.size() > 0 || sensor.pattern;
+        if (has_rays) continue;
+        print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
+        std::erase_if(positions, [&](int position) {
+            return run.sequence.frames[std::size_t(position)].lidar == sensor.lidar;
+        });
+    }
+    if (positions.empty())
+        fail<UsageError>("--points: found no scan with known rays, expected frames of a LiDAR that spins");
+    return positions;
+}
+
+/// Writes a map in the format of the file's extension. A LAS file on the earth names its
+/// coordinate system.
+void write_map(const ExportOptions& options, const LidarPoints& points, const Log& log, double spacing_m) {
+    const std::filesystem::path out = options.points;
+    const FileMetadata notes{{"relidar", RELIDAR_VERSION},
+                             {"run", absolute_path(options.run)},
+                             {"spacing_m", fmt::format("{}", spacing_m)}};
+    const bool is_on_earth = log.georeference && has_proj();
+    if (out.extension() == ".ply") write_ply(out, points, notes, log.world_offset_m);
+    else if (out.extension() == ".pcd") write_pcd(out, points, notes, log.world_offset_m);
+    else
+        write_las(out, points, notes, log.world_offset_m,
+                  is_on_earth ? GeoConverter(*log.georeference).wkt() : "");
+}
+
 /// Renders the background at the poses of the log's LiDARs and writes all points as one
 /// file: the mean point of each cell of a grid in the dataset's world.
 void export_map(const ExportOptions& options) {
-    constexpr double kMinSpacing_m = 1e-3, kMaxSpacing_m = 100.0;
+    constexpr double kMinSpacing_m = 1e-3, kMaxSpacing_m = 100.0, kDefaultSpacing_m = 0.05;
     const std::filesystem::path out = options.points;
-    const double spacing_m = options.spacing_m.value_or(0.05);
-    const std::string ending = out.extension().string();
-    if (ending != ".las" && ending != ".ply" && ending != ".pcd")
+    const double spacing_m = options.spacing_m.value_or(kDefaultSpacing_m);
+    const std::string extension = out.extension().string();
+    if (extension != ".las" && extension != ".ply" && extension != ".pcd")
         fail<UsageError>("--points {}: found the ending \"{}\"; expected .las, .ply or .pcd", options.points,
-                         ending);
+                         extension);
     if (!(spacing_m >= kMinSpacing_m && spacing_m <= kMaxSpacing_m))
         fail<UsageError>("--spacing: found {}; expected metres from {} to {}", spacing_m, kMinSpacing_m,
                          kMaxSpacing_m);
@@ -119,18 +151,11 @@ void export_map(const ExportOptions& options) {
     Run run = load_run(options.run);
     run.config = with_max_range(std::move(run.config), run.sequence);
     const Log& log = run.sequence;
-    std::vector<int> positions = select_frames(run, options.frames.value_or("all"), options.quiet);
-    std::vector<SimulatedSensor> sensors;
+    std::vector<SimulatedSensor> sensor_of_lidar;
     for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar)
-        sensors.push_back(list_sensors("", {}, run, int(lidar)).front().sensor);
-    for (const SimulatedSensor& sensor : sensors) {
-        if (sensor.rays.size() > 0 || sensor.pattern) continue;
-        print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
-        std::erase_if(positions,
-                      [&](int position) { return log.frames[std::size_t(position)].lidar == sensor.lidar; });
-    }
-    if (positions.empty())
-        fail<UsageError>("--points: found no scan with known rays, expected frames of a LiDAR that spins");
+        sensor_of_lidar.push_back(make_sensor(run.config, log, int(lidar)));
+    const std::vector<int> positions = map_frames(options, run, sensor_of_lidar);
+
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
     renderer.show_instances(select_instances(run.scene, {"background"}));
@@ -141,20 +166,13 @@ void export_map(const ExportOptions& options) {
         check_interrupt();
         progress.show_step("rendering the map", done, positions.size());
         const Frame& frame = log.frames[std::size_t(positions[done])];
-        const RenderedScan scan = renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s, Pose{});
+        const RenderedScan scan =
+            renderer.render(sensor_of_lidar[std::size_t(frame.lidar)], frame.time_s, Pose{});
         map.add_points(place_points(scan, run.config, Pose{{1, 0, 0, 0}, log.world_offset_m}));
     }
     end_progress();
     const LidarPoints points = map.mean_points();
-    const FileMetadata notes{{"relidar", RELIDAR_VERSION},
-                             {"run", absolute_path(options.run)},
-                             {"spacing_m", fmt::format("{}", spacing_m)}};
-    const bool is_on_earth = log.georeference && has_proj();
-    if (ending == ".ply") write_ply(out, points, notes, log.world_offset_m);
-    else if (ending == ".pcd") write_pcd(out, points, notes, log.world_offset_m);
-    else
-        write_las(out, points, notes, log.world_offset_m,
-                  is_on_earth ? GeoConverter(*log.georeference).wkt() : "");
+    write_map(options, points, log, spacing_m);
     if (!options.quiet)
         print(fmt::format("{}: {} points of {} scans\n", absolute_path(options.points), points.size(),
                           positions.size()));
@@ -171,6 +189,27 @@ const PoseTrack& path_of(const Log& log, const PoseTrack& sensor_path,
                      did_you_mean(*track, ids, "\""), fmt::join(ids, ", "));
 }
 
+/// Writes all surfels of a run as a PLY file, and returns a description of the content.
+std::string export_surfels(const std::filesystem::path& out, const Run& run) {
+    const glm::dvec3& offset = run.sequence.world_offset_m;
+    write_surfels(out, with_all_blocks(run.scene),
+                  {{"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
+    return fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
+                       run.scene.models.size() == 1 ? "" : "s");
+}
+
+/// Writes the path of the sensor or of an actor in the dataset's world as CSV, and
+/// returns a description of the content.
+std::string export_path(const std::filesystem::path& out, const Run& run,
+                        const std::optional<std::string>& track) {
+    const PoseTrack sensor_path = run.sequence.lidar_track(0);
+    const PoseTrack& path = path_of(run.sequence, sensor_path, track);
+    write_trajectory(out, shift_track(path, run.sequence.world_offset_m));
+    return fmt::format("{} poses", path.pose.size());
+}
+
+/// Selects what to write by the options and the extension of the output: a map, the
+/// scenes of frames, surfels or a path.
 void run_export(const ExportOptions& options) {
     if (options.points.empty() == options.out.empty()) throw UsageError("expected either --out or --points");
     if (!options.points.empty()) {
@@ -179,40 +218,27 @@ void run_export(const ExportOptions& options) {
     }
     if (options.spacing_m) throw UsageError("--spacing needs --points");
     const std::filesystem::path out = options.out;
-    if (options.track && (options.frames || out.extension() != ".csv"))
+    const std::string extension = out.extension().string();
+    if (options.track && (options.frames || extension != ".csv"))
         fail<UsageError>("--out {}: expected a name that ends in .csv and no --frames, because of --track",
                          options.out);
     if (options.frames) {
-        if (out.has_extension())
+        if (!extension.empty())
             fail<UsageError>("--out {}: found the ending {}; expected a folder, because of --frames",
-                             options.out, out.extension().string());
+                             options.out, extension);
         return export_frames(options);
     }
-    const std::optional<std::string> format = find_name(out.extension().string(), {".ply", ".csv"});
-    if (!format) {
-        const std::string actual_ending =
-            out.has_extension() ? "the ending " + out.extension().string() : "no ending";
+    const std::optional<std::string> format = find_name(extension, {".ply", ".csv"});
+    if (!format)
         fail<UsageError>(
             "--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)",
-            options.out, actual_ending);
-    }
+            options.out, extension.empty() ? "no ending" : "the ending " + extension);
+
     const Run run = load_run(options.run);
     const OutputFolder folder(folder_of(out));
-    std::string written;
-    if (*format == ".ply") {
-        const glm::dvec3& offset = run.sequence.world_offset_m;
-        write_surfels(out, with_all_blocks(run.scene),
-                      {{"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
-        written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
-                              run.scene.models.size() == 1 ? "" : "s");
-    } else {
-        const PoseTrack sensor_path = run.sequence.lidar_track(0);
-        const PoseTrack& path = path_of(run.sequence, sensor_path, options.track);
-        // From the frame of the scene to the world frame of the dataset.
-        write_trajectory(out, shift_track(path, run.sequence.world_offset_m));
-        written = fmt::format("{} poses", path.pose.size());
-    }
-    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
+    const std::string content =
+        *format == ".ply" ? export_surfels(out, run) : export_path(out, run, options.track);
+    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), content));
 }
 
 constexpr const char* kExportHelp =
@@ -235,6 +261,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar export` and its options to the parser.
 void add_export(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
@@ -254,7 +281,7 @@ void add_export(CLI::App& app, ParsedCommand& call) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
-    command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
+    run_after_parsing(*command, call, options, run_export);
 }
 
 }  // namespace relidar::cli
