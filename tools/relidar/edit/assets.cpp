@@ -30,6 +30,7 @@ constexpr double kMaxViewWidth_px = 400.0;  // Maximum width of a view in pixels
 constexpr double kBoxMargin_m = 0.3;        // Width of the margin around the asset's box.
 constexpr int kViewGap_px = 8;              // Gap between views in pixels.
 constexpr std::uint8_t kBackdropGrey = 24;
+// A pixel with less blending weight shows no surface.
 constexpr float kLeastWeight = 0.5f;
 
 /// viewing direction, right and up in the frame of the object's box
@@ -47,17 +48,18 @@ double extent_m(const glm::dvec3& view_axis, const glm::dvec3& box_size_m) {
     return glm::dot(glm::abs(view_axis), box_size_m) + 2.0 * kBoxMargin_m;
 }
 
-/// One ray per pixel in the box frame, row by row from the upper left pixel.
+/// Returns parallel rays for a picture of a box: one ray per pixel in the box frame, row
+/// by row from the upper left pixel. They start 1 m outside the sphere around the box.
 RayTable camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m, double pixel_size_m) {
     RayTable rays;
     rays.rows = int(std::ceil(extent_m(camera_axes.up, box_size_m) / pixel_size_m));
     rays.columns = int(std::ceil(extent_m(camera_axes.right, box_size_m) / pixel_size_m));
-    const glm::dvec3 from = -(0.5 * glm::length(box_size_m) + 1.0) * camera_axes.along;
+    const glm::dvec3 centre_m = -(0.5 * glm::length(box_size_m) + 1.0) * camera_axes.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
             const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_size_m,
                          up_m = (0.5 * rays.rows - row - 0.5) * pixel_size_m;
-            rays.origin.push_back(glm::vec3(from + right_m * camera_axes.right + up_m * camera_axes.up));
+            rays.origin.push_back(glm::vec3(centre_m + right_m * camera_axes.right + up_m * camera_axes.up));
             rays.direction.push_back(glm::vec3(camera_axes.along));
             rays.time_offset_s.push_back(0.0f);
             rays.channel.push_back(0);
@@ -67,20 +69,20 @@ RayTable camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m
 }
 
 /// Returns the brightness of each pixel from 0 to 1, or -1 if the pixel shows no surface.
-/// The constants keep dark and steep surfaces visible.
+/// It is higher for a higher intensity, and lower if the ray meets the surface at a flat
+/// angle. The additive constants keep dark and steep surfaces visible.
 std::vector<float> brightness_of(const RenderedScan& scan, const CameraAxes& camera_axes,
                                  const glm::dquat& world_from_box, float full_brightness_intensity) {
-    std::vector<float> shade(scan.weight.size(), -1.0f);
+    std::vector<float> brightness(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * camera_axes.along);
     const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
-    for (std::size_t i = 0; i < shade.size(); ++i) {
+    for (std::size_t i = 0; i < brightness.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
-        const float steep = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
-        shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / full_brightness_intensity,
-                                                       0.0f, 1.0f))) *
-                   (0.35f + 0.65f * steep);
+        const float intensity = std::clamp(scan.image.intensity[i] / full_brightness_intensity, 0.0f, 1.0f);
+        const float cos_incidence = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
+        brightness[i] = (0.3f + 0.7f * std::sqrt(intensity)) * (0.35f + 0.65f * cos_incidence);
     }
-    return shade;
+    return brightness;
 }
 
 /// Returns the intensity that only 5 % of the visible pixels exceed. The maximum would
@@ -96,63 +98,75 @@ float bright_intensity(const std::vector<RenderedScan>& scans) {
     return std::max(*high, 1e-3f);
 }
 
-/// @param top_left_row, top_left_column canvas position of the view's upper left pixel
-void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const RenderedScan& scan,
+struct CanvasPosition {
+    int row, column;
+};
+
+/// Draws a view of an asset on the canvas. Parts that were not observed, but copied from
+/// the mirrored other side, are bluish: they have less red and green.
+void draw_asset_view(Image& canvas, const CanvasPosition& top_left, const RenderedScan& scan,
                      const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {
-    for (int r = 0; r < scan.image.rows; ++r) {
-        for (int c = 0; c < scan.image.columns; ++c) {
-            const auto i = std::size_t(r) * std::size_t(scan.image.columns) + std::size_t(c);
+    for (int row = 0; row < scan.image.rows; ++row) {
+        for (int column = 0; column < scan.image.columns; ++column) {
+            const auto i = std::size_t(row) * std::size_t(scan.image.columns) + std::size_t(column);
             if (pixel_brightness[i] < 0.0f) continue;
-            const bool of_mirror = surface.is_mirror_observed(glm::dvec3(scan.end_of(i)));
-            const std::size_t i_canvas = std::size_t(top_left_row + r) * std::size_t(canvas.columns) +
-                                         std::size_t(top_left_column + c);
-            std::uint8_t* pixel = &canvas.rgb[3 * i_canvas];
-            for (int k = 0; k < 3; ++k)
-                pixel[k] = std::uint8_t(255.0f * pixel_brightness[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
+            const bool is_mirrored = surface.is_mirror_observed(glm::dvec3(scan.end_of(i)));
+            const float red_green = is_mirrored ? 0.7f : 1.0f;
+            const std::size_t i_canvas = std::size_t(top_left.row + row) * std::size_t(canvas.columns) +
+                                         std::size_t(top_left.column + column);
+            std::uint8_t* rgb = &canvas.rgb[3 * i_canvas];
+            rgb[0] = rgb[1] = std::uint8_t(255.0f * pixel_brightness[i] * red_green);
+            rgb[2] = std::uint8_t(255.0f * pixel_brightness[i]);
         }
     }
 }
 
-/// Renders pictures of an asset with parallel rays. The upper row shows the left, right
-/// and top sides. The lower row shows the back and the front. The rays are 2 cm apart, or
-/// more if the asset is longer than 8 m. A pixel is brighter if its intensity is higher,
-/// and darker if the ray meets the surface at a flat angle. Bluish parts were not
-/// observed. They are mirrored copies of the other side.
-Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
+/// Renders an asset with parallel rays in all kCameraViews. The rays are 2 cm apart, or
+/// more if the asset is longer than 8 m.
+std::vector<RenderedScan> render_views(Device& device, const ActorAsset& asset, double time_s,
+                                       const Pose& dataset_from_box) {
     const Run& run = asset.run;
     Config config = run.config;
     config.render.channels = properties_of(run.scene.surfels.primitive).has_normals ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const BoxTrack& box = run.sequence.boxes.front();
-    const double pixel_m = std::max(kPixelSize_m, std::max(box.size_m.x, box.size_m.y) / kMaxViewWidth_px),
-                 time_s = run.sequence.frames.front().time_s;
-    Pose dataset_from_box = box.world_from_box.pose_at(time_s);
-    dataset_from_box.translation += run.sequence.world_offset_m;
+    const glm::dvec3& size_m = run.sequence.boxes.front().size_m;
+    const double pixel_m = std::max(kPixelSize_m, std::max(size_m.x, size_m.y) / kMaxViewWidth_px);
+    // The sensor and the asset stand at the same pose, so the rays are in the box frame.
     const PoseTrack stands{{time_s}, {dataset_from_box}};
     std::vector<RenderedScan> scans;
     for (const CameraAxes& view : kCameraViews)
-        scans.push_back(
-            renderer.render({.rays = camera_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
-                            {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
+        scans.push_back(renderer.render({.rays = camera_rays(view, size_m, pixel_m), .name = "parallel rays"},
+                                        {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
+    return scans;
+}
+
+/// Draws pictures of an asset. The upper row shows the left, right and top sides. The
+/// lower row shows the back and the front.
+Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
+    const Log& log = asset.run.sequence;
+    const double time_s = log.frames.front().time_s;
+    Pose dataset_from_box = log.boxes.front().world_from_box.pose_at(time_s);
+    dataset_from_box.translation += log.world_offset_m;
+    const std::vector<RenderedScan> scans = render_views(device, asset, time_s, dataset_from_box);
+
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
-    const int upper = std::max(rows(kLeftView), rows(kTopView));
-    Image canvas{upper + rows(kBackView) + 3 * kViewGap_px,
-                 columns(kLeftView) + columns(kRightView) + columns(kTopView) + 4 * kViewGap_px,
-                 {}};
+    const int second_column = 2 * kViewGap_px + columns(kLeftView);
+    const int third_column = second_column + columns(kRightView) + kViewGap_px;
+    const int second_row = 2 * kViewGap_px + std::max(rows(kLeftView), rows(kTopView));
+    const CanvasPosition top_left_of_view[] = {{kViewGap_px, kViewGap_px},
+                                               {kViewGap_px, second_column},
+                                               {kViewGap_px, third_column},
+                                               {second_row, kViewGap_px},
+                                               {second_row, second_column}};
+    Image canvas{
+        second_row + rows(kBackView) + kViewGap_px, third_column + columns(kTopView) + kViewGap_px, {}};
     canvas.rgb.assign(3 * std::size_t(canvas.rows) * std::size_t(canvas.columns), kBackdropGrey);
-    const int second = 2 * kViewGap_px + columns(kLeftView),
-              third = second + kViewGap_px + columns(kRightView), below = upper + 2 * kViewGap_px;
-    const int view_positions_px[][2] = {{kViewGap_px, kViewGap_px},
-                                        {kViewGap_px, second},
-                                        {kViewGap_px, third},
-                                        {below, kViewGap_px},
-                                        {below, second}};
     const float brightest = bright_intensity(scans);
-    for (std::size_t v = 0; v < scans.size(); ++v)
-        draw_asset_view(canvas, view_positions_px[v][0], view_positions_px[v][1], scans[v],
-                        brightness_of(scans[v], kCameraViews[v], dataset_from_box.rotation, brightest),
+    for (std::size_t view = 0; view < scans.size(); ++view)
+        draw_asset_view(canvas, top_left_of_view[view], scans[view],
+                        brightness_of(scans[view], kCameraViews[view], dataset_from_box.rotation, brightest),
                         surface);
     return canvas;
 }
@@ -193,8 +207,8 @@ std::vector<std::string> list_track_ids(const Run& run) {
     return tracks;
 }
 
-/// Names can collide, because characters that are not allowed in folder names are
-/// replaced.
+/// Appends a number to the name of an asset if another asset has this name. Names can
+/// collide, because characters that are not allowed in folder names are replaced.
 void make_unique_name(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
@@ -214,6 +228,21 @@ std::vector<std::string> format_asset_row(const AssetDescription& asset_descript
     return row;
 }
 
+struct SkippedActors {
+    std::string lines;  ///< a line for each actor that is not saved
+    std::string best;   ///< text of the actor with the highest score
+    double highest_score = -1.0;
+
+    void add_actor(const std::string& track, const AssetDescription& asset, const std::string& reason) {
+        const std::string text = fmt::format("{} ({}): {}", track, asset.category, reason);
+        lines += "skipped " + text + "\n";
+        if (asset.covered_share() <= highest_score) return;
+        highest_score = asset.covered_share();
+        best = text;
+    }
+};
+
+/// Saves each actor of a run that was observed well enough as an asset with a picture.
 void run_assets(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         fail<UsageError>("--least: found {}; expected a number from 0 to 1", options.least);
@@ -225,44 +254,40 @@ void run_assets(const AssetOptions& options) {
     const std::vector<std::string> tracks = list_track_ids(run);
     Device device(to_device_options(options.device));
     TerminalProgress progress(options.quiet);
-    const std::map<std::string, ActorObservations> sightings =
+    const std::map<std::string, ActorObservations> observations_by_track =
         observe_actors(device, run, progress_callback(progress));
-    std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
-                                                "top", "mirrored", "nearest_m", "surfels"}};
+
+    TableRows rows{{"asset", "class", "score", "front", "rear", "left", "right", "top", "mirrored",
+                    "nearest_m", "surfels"}};
     std::set<std::string> used_names;
-    std::string skipped, best_skipped;
-    double highest_score = -1.0;
+    SkippedActors skipped;
     for (const std::string& track : tracks) {
-        const auto match = sightings.find(track);
-        const ActorObservations actor_sightings =
-            match == sightings.end() ? ActorObservations{} : match->second;
-        ActorAsset asset = extract_asset(run, track, actor_sightings);
-        if (const std::string reason = why_not_saved(asset.facts, actor_sightings, options.least);
-            !reason.empty()) {
-            const std::string text = fmt::format("{} ({}): {}", track, asset.facts.category, reason);
-            skipped += "skipped " + text + "\n";
-            if (const double score = asset.facts.covered_share(); score > highest_score) {
-                highest_score = score;
-                best_skipped = text;
-            }
+        const auto match = observations_by_track.find(track);
+        const ActorObservations seen =
+            match == observations_by_track.end() ? ActorObservations{} : match->second;
+        ActorAsset asset = extract_asset(run, track, seen);
+        if (const std::string reason = why_not_saved(asset.facts, seen, options.least); !reason.empty()) {
+            skipped.add_actor(track, asset.facts, reason);
             continue;
         }
         make_unique_name(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
-        const Image views = draw_asset(device, asset, observed_surface(asset.facts.size_m, actor_sightings));
-        write_png(folder.path() / asset.facts.name / "views.png", views);
+        write_png(folder.path() / asset.facts.name / "views.png",
+                  draw_asset(device, asset, observed_surface(asset.facts.size_m, seen)));
         rows.push_back(format_asset_row(asset.facts));
     }
     end_progress();
-    if (rows.size() == 1)
+
+    const std::size_t n_saved = rows.size() - 1;  // without the titles
+    if (n_saved == 0)
         fail(
             "no asset is saved, because none of the {} actors of run {} has a sufficient score; the best "
             "one: {}",
-            tracks.size(), options.run, make_one_line(best_skipped));
+            tracks.size(), options.run, make_one_line(skipped.best));
     folder.replace_folder();
     if (options.quiet) return;
-    print(format_table(rows) + skipped +
-          fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
+    print(format_table(rows) + skipped.lines +
+          fmt::format("saved {} of {} actors in {}\n", n_saved, tracks.size(), options.out));
 }
 
 constexpr const char* kAssetsHelp =
@@ -277,6 +302,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar assets` and its options to the parser.
 void add_assets(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
@@ -288,7 +314,7 @@ void add_assets(CLI::App& app, ParsedCommand& call) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kAssetsHelp);
-    command->callback([&call, options] { call.run = [options] { run_assets(*options); }; });
+    run_after_parsing(*command, call, options, run_assets);
 }
 
 }  // namespace relidar::cli

@@ -36,18 +36,19 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
 
 /// Returns the tracks of all actors that the edits have added or moved.
 std::vector<std::string> changed_tracks(const SceneWithLog& driving_scene, const Log& original_log) {
-    std::vector<std::string> placed;
+    std::vector<std::string> changed;
     for (const ModelInstance& instance : driving_scene.scene.instances) {
-        const BoxTrack *now = find_box(driving_scene.sequence, instance.track),
-                       *then = find_box(original_log, instance.track);
-        if (now && (!then || !is_same_track(now->world_from_box, then->world_from_box)))
-            placed.push_back(instance.track);
+        const BoxTrack* box = find_box(driving_scene.sequence, instance.track);
+        const BoxTrack* original = find_box(original_log, instance.track);
+        if (!box) continue;
+        if (!original || !is_same_track(box->world_from_box, original->world_from_box))
+            changed.push_back(instance.track);
     }
-    return placed;
+    return changed;
 }
 
-/// Actors above the ground or inside other objects, with sides without observations, or
-/// with too few surfels for their distance.
+/// Returns notes about changed actors that may look wrong: above the ground, inside other
+/// objects, with sides without observations, or with too few surfels for their distance.
 std::string placement_notes(const SceneWithLog& driving_scene, const Log& original_log) {
     std::string text;
     const std::vector<std::string> tracks = changed_tracks(driving_scene, original_log);
@@ -66,6 +67,7 @@ std::string placement_notes(const SceneWithLog& driving_scene, const Log& origin
     return text;
 }
 
+/// Applies the edits of the command line to a run, and saves it as a new run.
 void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
@@ -77,32 +79,35 @@ void run_edit(const EditOptions& options) {
                          options.out);
     const RunFolderWriter edited(options.out, options.force);
     Run run = load_run(options.run);
-    std::string text, ply_note;
+    std::string report, ply_note;
     if (!options.ply.empty())
         run.scene =
             read_surfel_ply(options.ply, with_all_blocks(run.scene), run.config.image.primitive, &ply_note);
-    if (!ply_note.empty()) text += fmt::format("note: {}: {}\n", options.ply, ply_note);
+    if (!ply_note.empty()) report += fmt::format("note: {}: {}\n", options.ply, ply_note);
+
     const std::string origin = absolute_path(options.run);
     SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
     // The boxes before all edits show later which actors have changed.
-    const Log before = strip_frames(driving.sequence);
+    const Log original_log = strip_frames(driving.sequence);
     for (const EditArgument& edit : options.edits) {
         EditResult applied = apply_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
-        text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
+        report += applied.description + "\n";
+        if (!applied.note.empty()) report += "note: " + applied.note + "\n";
     }
-    driving = complete_actors(std::move(driving), before.boxes);
-    text += placement_notes(driving, before);
+    driving = complete_actors(std::move(driving), original_log.boxes);
+    report += placement_notes(driving, original_log);
+
     // set_driving_scene() completes actors whose boxes differ from these. All actors
     // are complete already, so none may differ.
     run.sequence.boxes = driving.sequence.boxes;
     run.set_driving_scene(std::move(driving));
     edited.save_run_in(run);
     if (!options.quiet)
-        print(text + fmt::format("saved {} instances of {} models with {} surfels in {}\n",
-                                 run.scene.instances.size(), run.scene.models.size(),
-                                 count_surfels(run.scene), options.out));
+        print(report + fmt::format("saved {} instances of {} models with {} surfels in {}\n",
+                                   run.scene.instances.size(), run.scene.models.size(),
+                                   count_surfels(run.scene), options.out));
 }
 
 constexpr const char* kEditHelp =
@@ -126,6 +131,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar edit` and its options to the parser.
 void add_edit(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
@@ -150,7 +156,7 @@ void add_edit(CLI::App& app, ParsedCommand& call) {
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     add_quiet_option(*command, options->quiet);
     command->footer(kEditHelp);
-    command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
+    run_after_parsing(*command, call, options, run_edit);
 }
 
 }  // namespace relidar::cli

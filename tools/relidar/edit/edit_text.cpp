@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
-#include <string_view>
 #include <utility>
 
 #include <relidar/run/run.hpp>
@@ -52,24 +51,25 @@ Pose make_pose(const std::vector<double>& xyz_yaw_pitch_roll) {
             {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
 }
 
-/// "x,y,ground[,yaw_deg]"; no value if the third field is a number, because the text is
-/// then a full pose.
+/// Parses "x,y,ground[,yaw_deg]". Returns no value if the third field is not the word
+/// "ground", because the text is then a full pose.
 std::optional<GroundPlacement> parse_ground(const EditArgument& edit, const std::string& text) {
     constexpr std::string_view kGroundWord = ",ground";
-    const std::size_t at = text.find(kGroundWord);
-    if (at == std::string::npos) return {};
-    const std::vector<double> xy = parse_numbers(edit, text.substr(0, at), 2, 2);
+    const std::size_t word = text.find(kGroundWord);
+    if (word == std::string::npos) return {};
+    const std::vector<double> xy = parse_numbers(edit, text.substr(0, word), 2, 2);
     GroundPlacement placement{{xy[0], xy[1]}};
-    const std::string rest = text.substr(at + kGroundWord.size());
-    if (!rest.empty() && rest[0] != ',') fail_edit(edit, value_syntax(edit));
-    if (!rest.empty()) placement.yaw_rad = parse_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    const std::string yaw_part = text.substr(word + kGroundWord.size());  // ",yaw_deg" or empty
+    if (yaw_part.empty()) return placement;
+    if (yaw_part[0] != ',') fail_edit(edit, value_syntax(edit));
+    placement.yaw_rad = parse_numbers(edit, yaw_part.substr(1), 1, 1)[0] * kPi / 180.0;
     return placement;
 }
 
 struct ActorToInsert {
-    const SceneWithLog& owner;
+    const SceneWithLog& owner;  ///< Scene that contains the actor.
     const std::string& track;
-    std::optional<double> clearance_m;
+    std::optional<double> clearance_m;  ///< Height of its box above the ground, if it is known.
 };
 
 /// Parses a start pose with an optional speed in m/s. The text has the form
@@ -77,8 +77,8 @@ struct ActorToInsert {
 NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, const SceneWithLog& edited,
                             const ActorToInsert& actor) {
     const std::size_t colon = text.find(':');
-    const double speed_mps =
-        colon == std::string::npos ? 0.0 : parse_numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    const bool has_speed = colon != std::string::npos;
+    const double speed_mps = has_speed ? parse_numbers(edit, text.substr(colon + 1), 1, 1)[0] : 0.0;
     if (std::abs(speed_mps) > kFarOff_m) fail_edit(edit, "a speed from -1e6 to 1e6 m/s");
     const std::string position_text = text.substr(0, colon);
     if (std::optional<GroundPlacement> ground = parse_ground(edit, position_text)) {
@@ -87,22 +87,21 @@ NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, c
         return stand_on_ground({edited.scene, edited.sequence}, *ground,
                                {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_numbers(edit, position_text, 4, 6);
-    if (pose.size() == 5) fail_edit(edit, value_syntax(edit));
-    const Pose start = make_pose(pose);
+    const std::vector<double> numbers = parse_numbers(edit, position_text, 4, 6);
+    if (numbers.size() == 5) fail_edit(edit, value_syntax(edit));  // pitch without roll
+    const Pose start = make_pose(numbers);
     if (!(glm::distance(start.translation, edited.sequence.world_offset_m) < kFarOff_m))
         fail_edit(edit, "a position less than 1e6 m from the log");
     return {start, speed_mps};
 }
 
-/// Returns the position and tilt of an actor that the program has placed on the ground.
-/// Returns an empty text for other actors.
+/// Returns a text with position and tilt of an actor that the program has placed on the
+/// ground, because the user did not type them. Returns an empty text for other actors.
 std::string describe_ground(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
-    const double tilt_deg =
-        std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 /
-        kPi;
+    const double cos_tilt = (start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z;
+    const double tilt_deg = std::acos(std::clamp(cos_tilt, -1.0, 1.0)) * 180.0 / kPi;
     return fmt::format(", on the ground at {:.2f},{:.2f},{:.2f}, tilted by {:.1f} degrees", p.x, p.y, p.z,
                        tilt_deg);
 }
@@ -134,29 +133,28 @@ EditResult apply_move_edit(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), "moved " + track, ""};
 }
 
+/// Sets the class of an actor or object. Notes a class that has no standard kind
+/// (vehicle, cyclist or person).
 EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, name] = split_text(edit, edit.value, edit.value.rfind('='));
     edited = classify_track(std::move(edited), track, name);
-    const bool is_known = parse_kind(name) != ObjectKind::other;
-    return {std::move(edited), fmt::format("set the class of {} to {}", track, name),
-            is_known
-                ? ""
-                : fmt::format("the class {} is no vehicle, cyclist or person, so labels have the kind other",
-                              name)};
+    std::string note;
+    if (parse_kind(name) == ObjectKind::other)
+        note =
+            fmt::format("the class {} is no vehicle, cyclist or person, so labels have the kind other", name);
+    return {std::move(edited), fmt::format("set the class of {} to {}", track, name), note};
 }
 
-/// @param original track of the actor before the edit; null for a new actor
-std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack* original) {
+/// Returns a warning if an actor with new times is absent in frames of the log.
+std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack& original) {
     const BoxTrack* box = find_box(driving.sequence, id);
-    const bool is_in_any_frame = box && std::ranges::any_of(driving.sequence.frames, [&](const Frame& f) {
-                                     return box->is_observed(f.time_s);
-                                 });
-    if (!is_in_any_frame)
+    const auto is_present = [&](const Frame& frame) { return box && box->is_observed(frame.time_s); };
+    if (std::ranges::none_of(driving.sequence.frames, is_present))
         return fmt::format(
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
             "of the log",
             id);
-    return original ? describe_absence(*original, driving.sequence) : "";
+    return describe_absence(original, driving.sequence);
 }
 
 BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id) {
@@ -169,7 +167,7 @@ EditResult apply_delay(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, seconds] = split_text(edit, edit.value, edit.value.rfind(':'));
     const BoxTrack before = find_box_track(edited, track);
     edited = delay_track(std::move(edited), track, parse_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = warn_absent(edited, track, &before);
+    const std::string note = warn_absent(edited, track, before);
     return {std::move(edited), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
@@ -177,10 +175,12 @@ EditResult apply_speed(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, factor] = split_text(edit, edit.value, edit.value.rfind('='));
     const BoxTrack before = find_box_track(edited, track);
     edited = scale_speed(std::move(edited), track, parse_numbers(edit, factor, 1, 1)[0]);
-    const std::string note = warn_absent(edited, track, &before);
+    const std::string note = warn_absent(edited, track, before);
     return {std::move(edited), fmt::format("multiplied the speed of {} by {}", track, factor), note};
 }
 
+/// Replaces the poses of an actor by those of a CSV file. A file without heights places
+/// the actor on the ground.
 EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = find_box_track(edited, track);
@@ -192,8 +192,7 @@ EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
         motion = follow_ground(scene, motion.dataset_path, {}, scene, track);
     }
     edited = replace_track(std::move(edited), track, motion.dataset_path);
-    const std::string note =
-        join_notes({warn_absent(edited, track, &before), warn_unobserved(motion, track)});
+    const std::string note = join_notes({warn_absent(edited, track, before), warn_unobserved(motion, track)});
     return {std::move(edited), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -223,6 +222,7 @@ ExternalActor load_actor(const EditArgument& context, const std::string& source)
     return {folder, track, std::move(run), std::move(owner)};
 }
 
+/// Returns a warning if an actor was recorded with another sensor than the edited run.
 std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& edited) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = edited.sequence.lidars[0].sensor;
@@ -236,19 +236,19 @@ std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& ed
         actor.track);
 }
 
+/// Adds an actor of another run, or an asset, to the scene.
 EditResult apply_insert(SceneWithLog edited, const EditArgument& edit) {
     const auto [what, place] = split_text(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_actor(edit, what);
     const NewActorMotion start =
         parse_motion(edit, place, edited, {actor.owner, actor.track, read_clearance(actor.run)});
-    const std::string sensor = warn_other_sensor(actor, edited);
+    const std::string sensor_note = warn_other_sensor(actor, edited);
     edited = insert_track(std::move(edited), actor.owner, actor.track, start);
-    const std::string note = join_notes({sensor, warn_unobserved(start, last_track_id(edited))});
-    const std::string placed = describe_ground(start, place);
-    return {
-        edited,
-        fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track_id(edited), placed),
-        note};
+    const std::string& new_id = last_track_id(edited);
+    return {edited,
+            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, new_id,
+                        describe_ground(start, place)),
+            join_notes({sensor_note, warn_unobserved(start, new_id)})};
 }
 
 EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
@@ -287,7 +287,6 @@ const std::vector<EditOption>& edit_options() {
     return options;
 }
 
-/// Applies one edit of the command line.
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     try {
         return option_of(edit).apply(std::move(edited), edit);

@@ -16,18 +16,20 @@ struct EditArgument {
 
 struct EditResult {
     SceneWithLog driving;
-    std::string said;  ///< One line that describes the edit.
-    std::string note;  ///< Warning for the user. Empty if the edit causes no warning.
+    std::string description;  ///< One line that describes the edit.
+    std::string note;         ///< Warning for the user. Empty if the edit causes no warning.
 };
 
 struct EditOption {
     std::string_view option;
     EditResult (*apply)(SceneWithLog edited, const EditArgument& edit);
-    const char* form;
+    const char* form;  ///< Syntax of the value, for the help and for errors.
     const char* help;
 };
+/// The table of all edits. To add an edit, add its function and its row.
 const std::vector<EditOption>& edit_options();
 
+/// Applies one edit of the command line.
 /// @throws UsageError naming option and value if the value is malformed or the track does
 /// not exist
 /// @throws DataError if a file is malformed
