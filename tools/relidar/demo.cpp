@@ -40,6 +40,7 @@ struct DemoOptions {
     bool quiet = false;
 };
 
+/// Returns the settings of the training. The user can change them with --set.
 Config demo_config(const DemoOptions& options, const fs::path& street_folder) {
     Config config = make_preset("quick");
     set_value(config, "train.seed", options.seed);
@@ -85,8 +86,9 @@ Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& st
     return summarise(std::move(frames), renderer.times());
 }
 
+/// Writes the rendered scans of scored frames, with pictures of real and rendered ranges.
 void write_demo_scans(const fs::path& folder, const Evaluation& result, const Run& run, const Pose& offset) {
-    const OutputFolder made(folder);
+    const OutputFolder created(folder);
     ScanOutputOptions format = default_options(run, make_sensor(run.config, run.sequence));
     format.offset = offset;
     format.formats = {"npz", "png", "ply", "exr"};
@@ -100,7 +102,7 @@ void write_demo_scans(const fs::path& folder, const Evaluation& result, const Ru
 }
 
 std::string format_demo_table(const Evaluation& held_out_evaluation, const Evaluation& shifted_evaluation) {
-    std::vector<std::vector<std::string>> rows{{"metric", "held-out frames", "shifted sensor"}};
+    TableRows rows{{"metric", "held-out frames", "shifted sensor"}};
     const auto cell = [](const MetricValues& row, const char* name) {
         return row.contains(name) ? format_number(row.at(name)) : std::string("-");
     };
@@ -142,6 +144,8 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     const LockedFolder folder(out);
     const RunOutputFolder run_folder(out / "run", ExistingRunPolicy::replace);
     Device device(to_device_options(options.device));
+
+    // Writes the log of the street and reads it like a recorded log.
     StreetOptions street;
     street.seed = config.train.seed;
     save_street(street, out / "street");
@@ -154,6 +158,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
         std::fflush(stdout);
     }
 
+    // Trains the scene.
     install_handlers();
     remove_results(run_folder.path());
     remove_blocks(run_folder.path());
@@ -164,13 +169,16 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     move_result(run, result);
     save_run(run);
     check_interrupt();
-    StageTimes stages;
+
+    // Completes the run: poses of held-out scans, noise of intensities, ray-drop network.
+    StageTimes stages;  // not shown
     align_and_fit_noise(device, run, options.quiet, stages);
     check_interrupt();
     if (config.refine.enabled &&
         train_network_with_bar(device, run, options.quiet) == TrainingEndReason::finished)
         save_run(run);
     check_interrupt();
+
     write_demo_report(device, run, street, training_report(run, result, device, command_line), out,
                       options.quiet);
 }
@@ -182,6 +190,7 @@ Example: relidar demo --out demo)";
 
 }  // namespace
 
+/// Adds the command `relidar demo` and its options to the parser.
 void add_demo(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
