@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <tuple>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -62,29 +61,35 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     return text;
 }
 
+/// Returns a table of boxes, or an empty text if there are none.
+/// @param show_instance_columns for a run: also the number and surfels of each actor
 std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_columns) {
     if (boxes.empty()) return "";
-    std::vector<std::vector<std::string>> rows{{"track", "class", "length", "width", "height", "frames",
-                                                "path length", "mean speed", "start x,y,z,yaw_deg"}};
+    TableRows rows{{"track", "class", "length", "width", "height", "frames", "path length", "mean speed",
+                    "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
-    for (const BoxSummary& b : boxes) {
-        const auto& [id, category, size_m] = std::tie(b.box.id, b.box.category, b.box.size_m);
-        const std::string box_class =
-            b.box.size_guess.empty() ? category : fmt::format("{}, {}?", category, b.box.size_guess);
-        rows.push_back({id, box_class, fmt::format("{:.2f} m", size_m.x), fmt::format("{:.2f} m", size_m.y),
-                        fmt::format("{:.2f} m", size_m.z),
-                        b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
-                        fmt::format("{:.1f} m", b.path_m),
-                        b.box.is_moving() ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
-                        fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z,
-                                    b.start_yaw_deg)});
-        if (show_instance_columns)
-            rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
-                                                   b.instance ? fmt::format("{}", b.n_surfels) : "-"});
+    for (const BoxSummary& summary : boxes) {
+        const BoxTrack& box = summary.box;
+        const glm::dvec3& start_m = summary.start_m;
+        std::string box_class = box.category;
+        if (!box.size_guess.empty()) box_class += fmt::format(", {}?", box.size_guess);
+        rows.push_back({box.id, box_class});
+        for (const int axis : {0, 1, 2}) rows.back().push_back(fmt::format("{:.2f} m", box.size_m[axis]));
+        rows.back().push_back(summary.n_frames ? fmt::format("{}-{}", summary.first_frame, summary.last_frame)
+                                               : "none");
+        rows.back().push_back(fmt::format("{:.1f} m", summary.path_m));
+        rows.back().push_back(box.is_moving() ? fmt::format("{:.1f} m/s", summary.mean_speed_mps) : "parked");
+        rows.back().push_back(fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", start_m.x, start_m.y, start_m.z,
+                                          summary.start_yaw_deg));
+        if (!show_instance_columns) continue;
+        // An object without a model has no instance.
+        rows.back().push_back(summary.instance ? fmt::format("{}", *summary.instance) : "-");
+        rows.back().push_back(summary.instance ? fmt::format("{}", summary.n_surfels) : "-");
     }
     return "\n" + format_table(rows) + box_notes(boxes);
 }
 
+/// Returns the summary of a box for `relidar info --json`.
 Json summary_json(const BoxSummary& summary) {
     const BoxTrack& box = summary.box;
     Json json = {{"id", box.id},
@@ -102,7 +107,8 @@ Json summary_json(const BoxSummary& summary) {
                  {"surfels", summary.n_surfels}};
     if (summary.instance) json["instance"] = *summary.instance;
     if (!box.size_guess.empty()) json["size_guess"] = box.size_guess;
-    if (const std::size_t n = box.n_before + box.n_after; n > 0) json["beside_labels"] = n;
+    const std::size_t n_unlabelled_frames = box.n_before + box.n_after;
+    if (n_unlabelled_frames > 0) json["beside_labels"] = n_unlabelled_frames;
     return json;
 }
 
@@ -114,11 +120,11 @@ Json summary_json(const LidarSummary& summary) {
             {"frames", summary.n_frames},   {"second_returns", summary.n_second_returns}};
 }
 
+/// Returns the summary of a log for `relidar info --json`.
 Json summary_json(const LogSummary& summary) {
-    Json boxes = Json::array();
-    for (const BoxSummary& b : summary.boxes) boxes.push_back(summary_json(b));
-    Json lidars = Json::array();
-    for (const LidarSummary& l : summary.lidars) lidars.push_back(summary_json(l));
+    Json boxes = Json::array(), lidars = Json::array();
+    for (const BoxSummary& box : summary.boxes) boxes.push_back(summary_json(box));
+    for (const LidarSummary& lidar : summary.lidars) lidars.push_back(summary_json(lidar));
     const Log& log = summary.log;
     Json json = {{"name", log.name},
                  {"source", log.source},
@@ -145,12 +151,14 @@ std::string dump_json(const Json& json) {
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+/// Summarises a box: when it is present, where it starts, how far and fast it moves.
 BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
     BoxSummary summary{box};
     for (const Frame& frame : sequence.frames) {
         if (!box.is_observed(frame.time_s)) continue;
-        if (summary.n_frames++ == 0) summary.first_frame = frame.index;
+        if (summary.n_frames == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
+        ++summary.n_frames;
     }
     const PoseTrack& track = box.world_from_box;
     summary.path_m = path_length_m(track);
@@ -164,29 +172,16 @@ BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
     return summary;
 }
 
+/// Summarises a LiDAR of a log: its pattern of rays and its numbers of scans and returns.
 LidarSummary summarise(const Log& sequence, int lidar_index) {
     const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
-    // Angles and counts start at 0 and are computed below.
-    LidarSummary summary{lidar.name,
-                         sensor.name,
-                         sensor.beams.size(),
-                         sensor.columns,
-                         0.0,
-                         0.0,
-                         sensor.period_s,
-                         sensor.max_range_m,
-                         0,
-                         0};
-    const auto lower = [](const Beam& first, const Beam& second) {
-        return first.elevation_rad < second.elevation_rad;
-    };
-    const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
-    if (low != sensor.beams.end()) {
-        summary.bottom_deg = low->elevation_rad * 180.0 / kPi;
-        summary.top_deg = high->elevation_rad * 180.0 / kPi;
-    }
-    if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
+    LidarSummary summary;
+    summary.name = lidar.name;
+    summary.sensor = sensor.name;
+    summary.max_range_m = sensor.max_range_m;
+    if (lidar.pattern) {
+        // A sensor that does not spin has no beam table, so its nominal rays are used.
         const RayTable rays = make_lidar_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         summary.n_beams = std::size_t(rays.rows);
@@ -194,31 +189,42 @@ LidarSummary summarise(const Log& sequence, int lidar_index) {
         summary.period_s = lidar.sweep_period_s();
         summary.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi;
         summary.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
+    } else {
+        summary.n_beams = sensor.beams.size();
+        summary.columns = sensor.columns;
+        summary.period_s = sensor.period_s;
+        if (!sensor.beams.empty()) {
+            const auto [lowest, highest] = std::ranges::minmax(sensor.beams, {}, &Beam::elevation_rad);
+            summary.bottom_deg = lowest.elevation_rad * 180.0 / kPi;
+            summary.top_deg = highest.elevation_rad * 180.0 / kPi;
+        }
     }
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
         ++summary.n_frames;
-        for (const AdditionalReturns& f : frame.scan.second_returns)
+        for (const AdditionalReturns& second : frame.scan.second_returns)
             summary.n_second_returns += std::size_t(
-                std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
+                std::ranges::count_if(second.range_m, [](float range_m) { return range_m > 0.0f; }));
     }
     return summary;
 }
 
+/// Returns a LiDAR as one line. A single LiDAR may have no name.
 std::string summary_text(const LidarSummary& summary) {
     const std::string name =
         summary.name.empty() ? "" : fmt::format("{}, {} frames, ", summary.name, summary.n_frames);
-    const std::string second =
+    const std::string second_returns =
         summary.n_second_returns == 0 ? "" : fmt::format(", {} second returns", summary.n_second_returns);
     if (summary.n_beams == 0)
         return fmt::format("{}{}: unknown beams, range up to {:.4g} m{}", name, summary.sensor,
-                           summary.max_range_m, second);
+                           summary.max_range_m, second_returns);
     return fmt::format(
         "{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s per sweep, range up to {:.4g} m{}",
         name, summary.sensor, summary.n_beams, summary.columns, summary.top_deg, summary.bottom_deg,
-        summary.period_s, summary.max_range_m, second);
+        summary.period_s, summary.max_range_m, second_returns);
 }
 
+/// Returns the summary of a log as lines "name  value", followed by the table of boxes.
 std::string summary_text(const LogSummary& summary, bool show_instance_columns) {
     const Log& log = summary.log;
     std::string text = format_line("log", log.name) + format_line("source", log.source) +
@@ -230,14 +236,13 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
     text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.frames.size(),
                                               log.frames.front().index, log.frames.back().index,
                                               duration_s(log), summary.path_m));
-    if (summary.returns_share)
-        text += format_line(
-            "returns",
-            fmt::format("{:.1f} % of all rays return{}", 100.0 * *summary.returns_share,
-                        summary.is_look
-                            ? fmt::format(" in a sample of {} scans of the log; --all reads all scans",
-                                          summary.n_scans_read)
-                            : ""));
+    if (summary.returns_share) {
+        std::string returns = fmt::format("{:.1f} % of all rays return", 100.0 * *summary.returns_share);
+        if (summary.is_sample)
+            returns += fmt::format(" in a sample of {} scans of the log; --all reads all scans",
+                                   summary.n_scans_read);
+        text += format_line("returns", returns);
+    }
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxTrack::is_moving);
     text += format_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(), n_moving,
                                              std::ssize(summary.boxes) - n_moving));
@@ -274,10 +279,11 @@ RunSummary summarise(const Run& run) {
         run.edits.empty() ? format_box_list(find_unmodelled(run.scene, run.sequence, run.config.init)) : "";
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i) {
         const SimulatedSensor sensor = make_sensor(run.config, run.sequence, int(i));
-        summary.rendered_sensors.push_back({sensor.name, sensor.grid ? sensor.grid->rows : sensor.rays.rows,
-                                            sensor.grid ? sensor.grid->columns : sensor.rays.columns,
-                                            sensor.limits.max_m});
+        const int rows = sensor.grid ? sensor.grid->rows : sensor.rays.rows;
+        const int columns = sensor.grid ? sensor.grid->columns : sensor.rays.columns;
+        summary.rendered_sensors.push_back({sensor.name, rows, columns, sensor.limits.max_m});
     }
+    // Finds the model of each box.
     for (BoxSummary& box : summary.log.boxes) {
         const auto instance = std::ranges::find(run.scene.instances, box.box.id, &ModelInstance::track);
         if (instance == run.scene.instances.end()) continue;
@@ -285,6 +291,7 @@ RunSummary summarise(const Run& run) {
         box.n_surfels = run.scene.models[instance->model].count;
     }
     for (const SurfelModel& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
+    // The blocks of a long log also belong to the background, the first model.
     for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
     for (const int position : run.split.test)
         summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
@@ -301,9 +308,9 @@ std::string format_as_text(const LogSummary& log) { return summary_text(log, fal
 std::string format_as_text(const RunSummary& summary) {
     const Run& run = summary.run;
     const PrimitiveType primitive = run.scene.surfels.primitive;
-    const std::string other =
-        primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", properties_of(primitive).label);
-    std::string text = format_line("surfels", fmt::format("{}{}", count_surfels(run.scene), other));
+    const bool is_default_type = primitive == ImageModel{}.primitive;
+    const std::string type = is_default_type ? "" : fmt::format(" {}", properties_of(primitive).label);
+    std::string text = format_line("surfels", fmt::format("{}{}", count_surfels(run.scene), type));
     if (!run.scene.blocks.empty())
         text += format_line(
             "blocks", fmt::format("the background consists of {} blocks; each is loaded when a scan needs it",
@@ -326,20 +333,20 @@ std::string format_as_text(const RunSummary& summary) {
     text +=
         format_line("split", fmt::format("{} training frames, {} test frames ({})", run.split.train.size(),
                                          run.split.test.size(), fmt::join(summary.test_frames, ", ")));
-    for (const RenderedSensorSummary& sensor : summary.rendered_sensors)
+    for (const RenderedSensorSummary& sensor : summary.rendered_sensors) {
+        const std::string image =
+            sensor.rows == 0 ? "" : fmt::format("{} rows x {} columns, ", sensor.rows, sensor.columns);
         text += format_line(
-            "renders",
-            fmt::format(
-                "{}: {}range up to {:.4g} m", sensor.name,
-                sensor.rows == 0 ? "" : fmt::format("{} rows x {} columns, ", sensor.rows, sensor.columns),
-                sensor.max_range_m));
-    std::vector<std::vector<std::string>> rows{{"file", "size"}};
+            "renders", fmt::format("{}: {}range up to {:.4g} m", sensor.name, image, sensor.max_range_m));
+    }
+    TableRows rows{{"file", "size"}};
     for (const auto& [name, size] : summary.files) rows.push_back({name, format_bytes(size)});
     return text + summary_text(summary.log, true) + "\n" + format_table(rows);
 }
 
 std::string format_as_json(const LogSummary& log) { return dump_json(summary_json(log)); }
 
+/// Returns the summary of a run and its log for `relidar info --json`.
 std::string format_as_json(const RunSummary& summary) {
     const Run& run = summary.run;
     Json json = {{"preset", run.config.preset},

@@ -43,12 +43,14 @@ struct LogSummary {
     /// no value if the scans are missing
     std::optional<double> returns_share = {};
     std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
-    bool is_look = false;          ///< True if the summary is based on only some of the scans.
+    bool is_sample = false;        ///< True if the summary is based on only some of the scans.
     std::vector<BoxSummary> boxes = {};
     /// moving boxes without a model, whose points training ignores
     std::string masked = {};
 };
 
+/// Summarises a log for `relidar info`.
+/// @param options which moving objects get a model
 LogSummary summarise(const Log& sequence, const InitOptions& options);
 
 struct RenderedSensorSummary {
@@ -66,8 +68,10 @@ struct RunSummary {
     std::vector<int> test_frames = {};
     std::vector<std::pair<std::string, std::uint64_t>> files = {};  ///< Name and size in bytes of each file.
 };
+/// Summarises a run and its log for `relidar info`.
 RunSummary summarise(const Run& run);
 
+// What `relidar info` prints, as lines of text or, with --json, as JSON.
 std::string format_as_text(const LogSummary& log);
 std::string format_as_text(const RunSummary& run);
 std::string format_as_json(const LogSummary& log);

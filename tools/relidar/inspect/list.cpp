@@ -10,28 +10,35 @@
 namespace relidar::cli {
 namespace {
 
-/// The output is a TOML file that the option --config can read.
+struct ListSettingsOptions {
+    SettingsCommandOptions settings;
+    bool all = false;
+};
+
+/// Prints settings as a TOML file that the option --config can read.
+void print_settings(const ListSettingsOptions& options) {
+    const Config config = make_config(options.settings);
+    print(options.all ? to_toml(config) : to_short_toml(config));
+}
+
+/// Adds the command `relidar list settings` and its options to the parser.
 void add_list_settings(CLI::App& list_command, ParsedCommand& call) {
     CLI::App* command =
         list_command.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
-    const auto settings = std::make_shared<SettingsCommandOptions>();
-    const auto all = std::make_shared<bool>(false);
-    add_settings_options(*command, *settings);
-    command->add_flag("--all", *all,
+    const auto options = std::make_shared<ListSettingsOptions>();
+    add_settings_options(*command, options->settings);
+    command->add_flag("--all", options->all,
                       "also print all expert settings (default: only those that differ from the preset)");
     command->footer(
         "Later settings replace earlier ones in this order: preset, config file, --set.\nExamples:\n  "
         "relidar list settings --preset quick\n  relidar list settings --preset paper --set loss.depth=0.2 > "
         "mine.toml");
-    command->callback([&call, settings, all] {
-        call.run = [settings, all] {
-            print(*all ? to_toml(make_config(*settings)) : to_short_toml(make_config(*settings)));
-        };
-    });
+    run_after_parsing(*command, call, options, print_settings);
 }
 
 }  // namespace
 
+/// Adds the command `relidar list`, which consists of three subcommands, to the parser.
 void add_list(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
