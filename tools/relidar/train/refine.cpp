@@ -28,7 +28,8 @@ struct RefineCommandOptions {
     bool quiet = false;
 };
 
-/// No value if training starts from the beginning.
+/// Loads the checkpoint that --resume continues. Returns no value if training starts from
+/// the beginning.
 std::optional<Checkpoint> load_checkpoint(const RefineCommandOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
@@ -56,11 +57,11 @@ void train_network(Device& device, Run& run, const RefineCommandOptions& options
     install_handlers();
     if (train_network_with_bar(device, run, options.quiet, {.checkpoints = checkpoints, .start = from}) ==
         TrainingEndReason::stopped) {
-        const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        const std::string command = resume_command("refine", options.run, options.device);
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted: the ray-drop network of run {} is unchanged{}",
-                                run.folder.string(), can_go_on ? "; continue with: " + command : ""));
+        std::string message =
+            fmt::format("interrupted: the ray-drop network of run {} is unchanged", run.folder.string());
+        if (!list_checkpoints(checkpoints).empty())
+            message += "; continue with: " + resume_command("refine", options.run, options.device);
+        throw Error(ExitCode::interrupted, message);
     }
     save_run(run);
 }
@@ -73,7 +74,8 @@ Evaluation score_held_out(Device& device, Run run, bool use_drop_network, bool q
                            interruptible_progress(progress));
 }
 
-/// Writes the scores with the network to metrics.json.
+/// Scores the run without and with the ray-drop network and prints both. Writes the
+/// scores with the network to metrics.json.
 void compare_scores(Device& device, const Run& run, const RefineCommandOptions& options) {
     const Evaluation before = score_held_out(device, run, false, options.quiet),
                      after = score_held_out(device, run, true, options.quiet);
@@ -85,6 +87,7 @@ void compare_scores(Device& device, const Run& run, const RefineCommandOptions& 
               "\nThe column \"baseline\" has the scores without the ray-drop network.\n");
 }
 
+/// Trains the ray-drop network of an existing run again, and scores the result.
 void run_refine(const RefineCommandOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run_folder(options.run)) lock.emplace(options.run);
@@ -107,6 +110,7 @@ void run_refine(const RefineCommandOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) compare_scores(device, run, options);
+
     // The checkpoints are removed last, so that --resume can use them if the process is
     // killed earlier.
     remove_network_state(run.folder);
@@ -125,6 +129,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar refine` and its options to the parser.
 void add_refine(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
     const auto options = std::make_shared<RefineCommandOptions>();
@@ -136,7 +141,7 @@ void add_refine(CLI::App& app, ParsedCommand& call) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames after the training");
     add_quiet_option(*command, options->quiet);
     command->footer(kRefineHelp);
-    command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
+    run_after_parsing(*command, call, options, run_refine);
 }
 
 }  // namespace relidar::cli

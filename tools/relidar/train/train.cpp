@@ -52,8 +52,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which argument is the log and which is the output folder, because --resume can
-/// precede either of them.
+/// Decides which argument is the log and which is the output folder. The parser assigns a
+/// path after --resume to this option, although it may be the log or the folder.
 TrainOptions resolve_paths(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -82,8 +82,9 @@ Config training_config(const TrainOptions& options) {
         config = load_settings(saved);
         apply_settings(config, options.settings.sets);
     }
-    if (options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // 0 means automatic. The resumed training uses the range that was found earlier.
+    // 0 means automatic. A resumed training uses the range that was found earlier.
+    const bool has_automatic_range = config.dataset.max_range_m == 0.0;
+    if (options.resume && has_automatic_range && is_file(saved))
         config.dataset.max_range_m = load_settings(saved).dataset.max_range_m;
     if (contains_run(options.dataset))
         fail<UsageError>(
@@ -93,29 +94,32 @@ Config training_config(const TrainOptions& options) {
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     apply_selection(config, options.part);
-    if (std::string length = options.blocks; !length.empty()) {
-        if (length.ends_with('m')) length.pop_back();
-        set_value(config, "blocks.length_m", length);
-    }
+    std::string block_length = options.blocks;
+    if (block_length.ends_with('m')) block_length.pop_back();
+    if (!block_length.empty()) set_value(config, "blocks.length_m", block_length);
     if (!options.seed.empty()) set_value(config, "train.seed", options.seed);
     return config;
 }
 
-/// It must have a scene, a report, and at least the requested number of iterations.
+/// Returns true if a run has a scene, a report, and at least the requested number of
+/// iterations.
 bool is_finished(const fs::path& run_folder, const Config& config) {
     return is_file(run_folder / "scene.json") && is_file(run_folder / "report.html") &&
            last_iteration(run_folder) >= config.train.iterations;
 }
 
-/// settings whose names begin with the group
+/// Compares the settings whose names begin with a text, for example "refine.".
 bool is_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
-    const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
-    for (std::size_t i = 0; i < x.size(); ++i)
-        if (x[i].key.starts_with(setting_name_prefix) && x[i].value != y[i].value) return false;
+    const std::vector<ConfigKey> keys = list_config_keys(first), other_keys = list_config_keys(second);
+    for (std::size_t i = 0; i < keys.size(); ++i)
+        if (keys[i].key.starts_with(setting_name_prefix) && keys[i].value != other_keys[i].value)
+            return false;
     return true;
 }
 
-/// @throws UsageError if the run was trained with other settings
+/// Checks that a finished run agrees with the settings of the command line, because
+/// nothing is trained. Only settings outside of find_fixed_setting() may differ.
+/// @throws UsageError that names the first other setting
 void check_same_settings(const fs::path& run_folder, const Config& current_config) {
     const Config trained = load_settings(run_folder / kConfigFile);
     std::string key = find_fixed_setting(trained, current_config);
@@ -142,7 +146,8 @@ bool lacks_report(const fs::path& run_folder, const Config& config) {
     return log_of(trained.dataset) == log_of(config.dataset) && find_fixed_setting(trained, config).empty();
 }
 
-/// No value if training starts from the beginning.
+/// Loads the newest checkpoint of the run to resume. Returns no value if there is none,
+/// so that training starts from the beginning.
 std::optional<Checkpoint> load_checkpoint(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest(checkpoint_folder(folder), print_warning);
@@ -181,9 +186,9 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
     } catch (const Error& error) {
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
-        throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
-                                              has_checkpoint ? "the last checkpoint is saved; continue with"
-                                                             : "start again with",
+        const char* advice =
+            has_checkpoint ? "the last checkpoint is saved; continue with" : "start again with";
+        throw Error(error.code(), fmt::format("{}; {}: {}", error.what(), advice,
                                               resume_command("train", options.out, options.device)));
     }
 }
@@ -203,7 +208,8 @@ void finish_scene(Device& device, Run& run, const TrainOptions& options, StageTi
                            options);
 }
 
-/// Empty if the log has no held-out frames.
+/// Scores the held-out frames and writes metrics.json. Returns an empty evaluation if
+/// there are no held-out frames, or if the user wants no scores.
 Evaluation score_run(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
@@ -214,6 +220,25 @@ Evaluation score_run(Device& device, const Run& run, const TrainOptions& options
     write_text_file(run.folder / "metrics.json",
                     metrics_json(evaluation, run.config, describe_source(run, device, seconds_since(start))));
     return evaluation;
+}
+
+/// Scores the run and adds the scores and pictures of actors to its report.
+Evaluation add_scores(Report& report, Device& device, const Run& run, const TrainOptions& options,
+                      StageTimes& stage_times) {
+    try {
+        stage_times.start_stage("evaluate");
+        Evaluation evaluation = score_run(device, run, options);
+        stage_times.start_stage("report");
+        add_evaluation(report, evaluation, run, {"held out", "real"});
+        for (ReportFigure& strip : draw_worst_actors(device, run, evaluation))
+            report.figures.push_back(std::move(strip));
+        if (std::optional<ReportFigure> strip = draw_walker(device, run))
+            report.figures.push_back(std::move(*strip));
+        return evaluation;
+    } catch (const Error& error) {
+        if (error.code() != ExitCode::interrupted) throw;
+        throw resume_error("held-out frames were scored or drawn", run, options);
+    }
 }
 
 /// Writes the report. If the training was not interrupted, also computes the scores and
@@ -232,20 +257,7 @@ void write_train_report(Device& device, const Run& run, const TrainResult& resul
                 result.iterations, run.config.train.iterations, run.folder.string(),
                 resume_command("train", options.out, options.device)));
     }
-    Evaluation evaluation;
-    try {
-        stage_times.start_stage("evaluate");
-        evaluation = score_run(device, run, options);
-        stage_times.start_stage("report");
-        add_evaluation(report, evaluation, run, {"held out", "real"});
-        for (ReportFigure& strip : draw_worst_actors(device, run, evaluation))
-            report.figures.push_back(std::move(strip));
-        if (std::optional<ReportFigure> strip = draw_walker(device, run))
-            report.figures.push_back(std::move(*strip));
-    } catch (const Error& error) {
-        if (error.code() != ExitCode::interrupted) throw;
-        throw resume_error("held-out frames were scored or drawn", run, options);
-    }
+    const Evaluation evaluation = add_scores(report, device, run, options, stage_times);
     report.facts.emplace_back("Stages", stage_times_text(stage_times));
     write_report(run.folder / "report.html", report);
     stage_times.end_stage();
@@ -282,7 +294,7 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
     else if (!options.quiet)
         print(fmt::format("resume  training of the ray-drop network continues from step {}\n",
                           start->iteration));
-    const auto leave_out = [](const Error& error) {
+    const auto continue_without = [](const Error& error) {
         end_progress();
         print_warning(error.what());
     };
@@ -296,9 +308,9 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
         // The checkpoints are useless, because a resumed training would fail with the
         // same error.
         remove_network_state(run.folder);
-        return leave_out(error);
+        return continue_without(error);
     } catch (const DeviceError& error) {
-        return leave_out(error);
+        return continue_without(error);
     }
     save_run(run);
     remove_network_state(run.folder);
@@ -348,40 +360,29 @@ void prepare_run_folder(const fs::path& run_folder, const Config& config, bool k
     write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
-void run_train(const TrainOptions& command_options, const std::string& command_line) {
-    const MpiProcessGroup ranks;
-    TrainOptions options = resolve_paths(command_options);
-    options.quiet = options.quiet || !ranks.is_first();
-    options.device = ranks.select_device(options.device);
-    Config config = training_config(options);
-    if (options.resume && !options.force && is_finished(options.out, config)) {
-        check_same_settings(options.out, config);
-        if (!options.quiet)
-            print(
-                fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
-                            "train.iterations to continue\n",
-                            options.out, config.train.iterations));
-        return;
-    }
+/// Returns what happens to an existing run in the output folder.
+ExistingRunPolicy existing_run_policy(const TrainOptions& options) {
+    if (options.force) return ExistingRunPolicy::replace;
+    return options.resume ? ExistingRunPolicy::keep : ExistingRunPolicy::refuse;
+}
+
+/// Trains a log from the beginning or from a checkpoint, and writes the run. With
+/// --blocks, the MPI processes share the training, and the first one writes the run.
+void train_run(const TrainOptions& options, Config config, const MpiProcessGroup& ranks,
+               const std::string& command_line) {
     const bool resume = options.resume && !options.force;
-    if (!options.no_eval) check_lpips_weights();
-    if (resume && lacks_report(options.out, config)) {
-        if (ranks.is_first()) finish_run(options, config, command_line);
-        return;
-    }
     const bool in_blocks = config.blocks.length_m > 0.0;
     if (ranks.size() > 1 && !in_blocks)
         fail<UsageError>(
             "training with {} MPI processes needs --blocks, because the processes share the blocks of a log",
             ranks.size());
     std::optional<RunOutputFolder> folder;
-    if (ranks.is_first())
-        folder.emplace(options.out, options.force    ? ExistingRunPolicy::replace
-                                    : options.resume ? ExistingRunPolicy::keep
-                                                     : ExistingRunPolicy::refuse);
+    if (ranks.is_first()) folder.emplace(options.out, existing_run_policy(options));
     if (resume && in_blocks) check_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? load_checkpoint(options) : std::nullopt;
     Device device(to_device_options(options.device));
+
+    // Reads and prepares the log.
     StageTimes stages;
     stages.start_stage("read");
     Log sequence = load_dataset(config, options.quiet);
@@ -392,7 +393,10 @@ void run_train(const TrainOptions& command_options, const std::string& command_l
     prepare_log(sequence, split, config, options.quiet, ranks.group(), &stages);
     if (start) check_resume(*start, sequence, split, config);
     if (folder) prepare_run_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    // The other processes must not write blocks before the folder is prepared.
     ranks.barrier();
+
+    // Trains the scene.
     Run run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.start_stage("train");
     TrainResult result =
@@ -401,13 +405,41 @@ void run_train(const TrainOptions& command_options, const std::string& command_l
                   : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress();
-    start.reset();
+    start.reset();  // frees its memory
+
+    // Saves the scene, then runs the steps that need it.
     if (!in_blocks) move_result(run, result);
     stages.start_stage("save");
     save_run(run);
     if (!result.interrupted) finish_scene(device, run, options, stages);
     if (config.refine.enabled && !result.interrupted) train_drop(device, run, options, stages);
     write_train_report(device, run, result, options, command_line, stages);
+}
+
+/// Runs `relidar train`. A resumed run that is complete stays as it is. If only its
+/// scores or its report are missing, computes only these.
+void run_train(const TrainOptions& command_options, const std::string& command_line) {
+    const MpiProcessGroup ranks;
+    TrainOptions options = resolve_paths(command_options);
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.select_device(options.device);
+    const Config config = training_config(options);
+    const bool resume = options.resume && !options.force;
+    if (resume && is_finished(options.out, config)) {
+        check_same_settings(options.out, config);
+        if (!options.quiet)
+            print(
+                fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
+                            "train.iterations to continue\n",
+                            options.out, config.train.iterations));
+        return;
+    }
+    if (!options.no_eval) check_lpips_weights();
+    if (resume && lacks_report(options.out, config)) {
+        if (ranks.is_first()) finish_run(options, config, command_line);
+        return;
+    }
+    train_run(options, config, ranks, command_line);
 }
 
 constexpr const char* kTrainHelp =
@@ -425,6 +457,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar train` and its options to the parser.
 void add_train(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();

@@ -20,7 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Returns true if a setting may differ between the separately trained blocks of a scene.
+/// Returns true if a setting may differ between the separately trained blocks of a scene,
+/// because it does not change the result, or only a later step.
 bool may_differ(const std::string& setting_key) {
     // Each block lists only the actors in its part of the log.
     constexpr std::array kFreeSettings{"dataset.path",           "dataset.memory_mib", "train.log_every",
@@ -33,28 +34,30 @@ bool may_differ(const std::string& setting_key) {
 
 /// @throws DataError if the block was trained with other settings
 void check_block_settings(const fs::path& folder, const Config& trained, const Config& current) {
-    const std::vector<ConfigKey> was = list_config_keys(trained), is = list_config_keys(current);
-    for (std::size_t i = 0; i < is.size(); ++i)
-        if (!may_differ(is[i].key) && was[i].value != is[i].value)
+    const std::vector<ConfigKey> before = list_config_keys(trained), now = list_config_keys(current);
+    for (std::size_t i = 0; i < now.size(); ++i)
+        if (!may_differ(now[i].key) && before[i].value != now[i].value)
             fail(
                 "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same value, or "
                 "--force to train all blocks again",
-                folder.string(), is[i].key, was[i].value, is[i].value);
+                folder.string(), now[i].key, before[i].value, now[i].value);
 }
 
-/// @throws DataError if the block was trained on other frames
+/// Checks that a block of an earlier training has the frames that it has now.
+/// @throws DataError if it was trained on other frames
 void check_block_frames(const Run& trained_block, const BlockTrainingLog& current_block_log) {
     const auto is_same = [](const Frame& first, const Frame& second) {
         return first.index == second.index && first.lidar == second.lidar;
     };
-    const std::vector<Frame>&was = trained_block.sequence.frames, &is = current_block_log.sequence.frames;
+    const std::vector<Frame>& before = trained_block.sequence.frames;
+    const std::vector<Frame>& now = current_block_log.sequence.frames;
     if (trained_block.split.train != current_block_log.split.train ||
-        !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
+        !std::ranges::equal(before, now, is_same))
         fail(
             "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from {} to "
             "{}; use the same frames, or --force to train all blocks again",
-            trained_block.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
-            is.front().index, is.back().index);
+            trained_block.folder.string(), before.size(), before.front().index, before.back().index,
+            now.size(), now.front().index, now.back().index);
 }
 
 /// Sums up the times of all blocks. Averages each line of the log over the blocks that

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <fstream>
+#include <limits>
 
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
@@ -106,6 +107,7 @@ void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
 
 TrainResult train_scene(Device& device, const Log& sequence, const Split& split, const Config& config,
                         const fs::path& folder, bool quiet, TrainSession session) {
+    // The arrays of the training need memory that earlier steps have freed.
     release_freed_memory();
     LogFile log(folder / "log.jsonl",
                 session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
@@ -119,11 +121,12 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
     session.note = print_warning;
     const TrainResult result = train(
         device, sequence, split, config,
-        [&](const TrainProgress& p) {
-            if (!p.densified.note.empty()) print_note(p.densified.note);
-            progress.show_text(progress_line(p), p.iteration == p.n_iterations);
-            log.append(p);
-            return true;
+        [&](const TrainProgress& line) {
+            if (!line.densified.note.empty()) print_note(line.densified.note);
+            const bool is_last = line.iteration == line.n_iterations;
+            progress.show_text(progress_line(line), is_last);
+            log.append(line);
+            return true;  // continues the training
         },
         session);
     // Writes the log again if a line could not be written.
@@ -131,8 +134,6 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
     return result;
 }
 
-/// Runs the steps between the training of a scene and of its ray-drop network: aligns the
-/// held-out scans and learns the noise of intensities.
 TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, StageTimes& stage_times) {
     stage_times.start_stage("place");
     align_held_out(device, run, quiet);
@@ -153,15 +154,17 @@ TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet, R
     use.stop = is_interrupted;
     use.note = print_warning;
     use.step = [&](const RayDropTrainProgress& p) {
-        const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
+        const double remaining_s = p.seconds / p.step * (p.n_steps - p.step);
+        const bool is_last = p.step == p.n_steps;
         progress.show_text(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining "
                                        "{}  loss (cross-entropy) {}  accuracy {:.4f}",
                                        p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds,
-                                       format_duration(eta_s), format_number(p.entropy), p.accuracy),
-                           p.step == p.n_steps);
+                                       format_duration(remaining_s), format_number(p.entropy), p.accuracy),
+                           is_last);
     };
     RayDropNetwork network = train_drops(device, run, use);
     end_progress();
+    // An interrupted training returns no network.
     if (network.empty()) return TrainingEndReason::stopped;
     run.drop_network = std::move(network);
     return TrainingEndReason::finished;
@@ -170,7 +173,7 @@ TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet, R
 std::string progress_line(const TrainProgress& progress) {
     std::string terms;
     for (std::size_t k = 0; k < progress.terms.size(); ++k) {
-        if (progress.terms[k] != 0.0)
+        if (progress.terms[k] != 0.0)  // The settings use this term.
             terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
                                  format_number(progress.terms[k]));
     }
@@ -204,6 +207,7 @@ std::vector<TrainProgress> read_log(const fs::path& folder) {
     std::vector<TrainProgress> lines;
     for (std::string line; std::getline(file, line);) {
         const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
+        // Skips times of stages, and a line that was not written completely.
         if (!json.is_object() || !json.contains("iteration") || !json["iteration"].is_number_integer())
             continue;
         const auto number_of = [&](const char* key) {
@@ -215,7 +219,8 @@ std::vector<TrainProgress> read_log(const fs::path& folder) {
         p.loss = number_of("loss");
         for (std::size_t k = 0; k < p.terms.size(); ++k) p.terms[k] = number_of(kLossTermNames[k]);
         // The limits make the conversion to 32 bits well defined.
-        p.n_surfels = static_cast<std::uint32_t>(std::clamp(number_of("surfels"), 0.0, 4294967295.0));
+        constexpr double kMaxSurfels = std::numeric_limits<std::uint32_t>::max();
+        p.n_surfels = static_cast<std::uint32_t>(std::clamp(number_of("surfels"), 0.0, kMaxSurfels));
     }
     return lines;
 }
