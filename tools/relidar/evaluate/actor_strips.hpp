@@ -25,7 +25,8 @@ std::optional<ReportFigure> draw_walker(Device& device, const Run& run);
 /// @param run run whose log is loaded with the scans of the held-out frames
 std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, const Evaluation& result);
 
-/// At most 20 actors, as FOLDER/actor_TRACK.png.
+/// Writes pictures of the 20 actors with the worst scores, as FOLDER/actor_TRACK.png.
+/// Actors with few points are left out.
 void write_worst_actors(const std::filesystem::path& folder, Device& device, const Run& run,
                         const Evaluation& result);
 

@@ -40,12 +40,14 @@ struct EvalOptions {
     bool quiet = false;
 };
 
+/// Scores need frames that training has not seen.
 void check_held_out(const Split& split, const std::string& run_or_log_path) {
     if (split.test.empty())
         fail("cannot evaluate {}: it has no held-out frames; expected at least one", run_or_log_path);
 }
 
-/// The first MPI process checks that they are writable, before any process renders.
+/// Files and folders of the results. The first MPI process creates the folders before any
+/// process renders, so that a folder that cannot be written is reported early.
 struct EvaluationOutputs {
     std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
@@ -64,6 +66,7 @@ struct EvaluationOutputs {
     }
 };
 
+/// Prints the scores and writes them to the JSON file, if it has a name.
 void write_metrics(const EvaluationOutputs& output, const Evaluation& result, const Config& config,
                    const EvaluationProvenance& provenance, bool quiet) {
     end_progress();
@@ -91,6 +94,23 @@ void select_local_frames(std::vector<int>& frame_positions, const MpiProcessGrou
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
+/// Loads a run with the settings of the command line.
+Run load_scored_run(const EvalOptions& options) {
+    std::vector<std::string> setting_names = render_settings();
+    setting_names.push_back("dataset.");
+    check_settings_used(options.sets, setting_names, "eval");
+    return load_configured_run(options.target, options.sets, {}, options.no_refine);
+}
+
+/// Writes the report of an evaluation next to the JSON file and opens it in a browser.
+void open_report(const EvalOptions& options, const EvaluationOutputs& output, Device& device, const Run& run,
+                 const Evaluation& result, const std::string& command_line) {
+    Report report = evaluation_report(run, result, device, command_line);
+    for (ReportFigure& strip : draw_worst_actors(device, run, result))
+        report.figures.push_back(std::move(strip));
+    write_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
+}
+
 /// Scores the held-out frames of a run. Each MPI process renders a part of the frames,
 /// and the first process writes all scores.
 void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const std::string& command_line) {
@@ -98,13 +118,7 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     std::optional<FolderLock> lock;
     if (ranks.is_first() && options.out.empty() && is_run_folder(options.target))
         lock.emplace(options.target);
-    std::vector<std::string> setting_names = render_settings();
-    setting_names.push_back("dataset.");
-    check_settings_used(options.sets, setting_names, "eval");
-    Run run = load_run(options.target);
-    apply_settings(run.config, options.sets);
-    run.config = with_max_range(std::move(run.config), run.sequence);
-    if (options.no_refine) run.config.refine.enabled = false;
+    Run run = load_scored_run(options);
     const EvaluationOutputs output(
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
@@ -114,20 +128,24 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     Device device(to_device_options(options.device));
     const Log log = load_dataset(run.config, options.quiet);
     copy_scans(run, run.split.test, log);
-    if (!options.baseline.empty()) copy_scans(run, run.split.train, log);
+    // A baseline predicts held-out scans from training scans.
+    const bool has_baseline = !options.baseline.empty();
+    if (has_baseline) copy_scans(run, run.split.train, log);
 
     install_handlers();
     const auto start = Clock::now();
     TerminalProgress progress(options.quiet);
     const auto callback = interruptible_progress(progress);
     std::optional<Evaluation> baseline;
-    if (!options.baseline.empty())
+    if (has_baseline)
         baseline = gather_evaluation(
             evaluate_baseline(options.baseline, run.config, run.sequence, run.split, callback), ranks);
     ScanRenderer renderer(device, run);
     const auto process_frame = [&](const ScoredFrame& frame) { output.write_pictures(frame, run.config); };
     Evaluation result = gather_evaluation(
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
+
+    // The first process now has all scores and writes the results alone.
     if (!ranks.is_first()) return;
     if (!options.quiet && !run.edits.empty())
         print(
@@ -137,24 +155,24 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     source.baseline = baseline ? &*baseline : nullptr;
     write_metrics(output, result, run.config, source, options.quiet);
     if (!output.pictures.empty()) {
+        // Pictures of actors also need the frames that other processes have rendered.
         run.split.test = all_test;
         if (ranks.size() > 1) copy_scans(run, run.split.test, log);
         write_worst_actors(output.pictures, device, run, result);
     }
-    if (!options.open) return;
-    Report report = evaluation_report(run, result, device, command_line);
-    for (ReportFigure& strip : draw_worst_actors(device, run, result))
-        report.figures.push_back(std::move(strip));
-    write_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
+    if (options.open) open_report(options, output, device, run, result, command_line);
 }
 
+/// Settings that change the real scans or their images. A baseline renders no scene, so
+/// all other settings have no effect on it.
 const std::vector<std::string> kBaselineSettings = {
     "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
     "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// Needs neither a trained run nor a GPU.
+/// Scores a baseline, a simple prediction of the held-out scans of a log. Needs neither a
+/// trained run nor a GPU.
 void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
     check_settings_used(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
@@ -178,20 +196,45 @@ void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
         gather_evaluation(evaluate_baseline(options.baseline, config, log, split,
                                             interruptible_progress(progress), process_frame),
                           ranks);
-    if (ranks.is_first())
-        write_metrics(output, result, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+    const EvaluationProvenance source{.run = "", .device = "none", .seconds = seconds_since(start)};
+    if (ranks.is_first()) write_metrics(output, result, config, source, options.quiet);
 }
 
+/// Makes a table of the existing scores of several runs, without rendering.
+void write_score_tables(const EvalOptions& options, const MpiProcessGroup& ranks) {
+    if (ranks.is_first()) write_tables(options.targets, options.tables);
+    if (options.quiet) return;
+    for (const std::string& file : options.tables) print("table  " + absolute_path(file) + "\n");
+}
+
+/// Rejects options that do not fit to the argument, before anything is loaded, because
+/// loading takes a long time.
+/// @param is_log_baseline only a baseline of a log is scored, so that no run is needed
+void check_eval_options(const EvalOptions& options, bool is_log_baseline, int n_processes) {
+    if (options.open && n_processes > 1)
+        fail<UsageError>(
+            "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
+            "several processes renders only a part of them",
+            n_processes);
+    // Called only for its error.
+    if (!options.baseline.empty()) (void)parse_baseline(options.baseline);
+    if (is_log_baseline && options.open)
+        throw UsageError(
+            "--open: the argument is a log; expected a run, because only the scores of a run are written as "
+            "a page");
+    if (!is_log_baseline && (!options.part.frames.empty() || !options.part.sequence.empty()))
+        fail<UsageError>(
+            "{} cannot be used with a run, because a run already has its held-out frames; expected it only "
+            "with --baseline and a log",
+            options.part.frames.empty() ? "--sequence" : "--frames");
+}
+
+/// Runs `relidar eval`: writes a table of existing scores, or scores a run or a baseline.
 void run_eval(const EvalOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
     EvalOptions options = command_options;
     options.quiet = options.quiet || !ranks.is_first();
-    if (!options.tables.empty()) {
-        if (ranks.is_first()) write_tables(options.targets, options.tables);
-        if (!options.quiet)
-            for (const std::string& file : options.tables) print("table  " + absolute_path(file) + "\n");
-        return;
-    }
+    if (!options.tables.empty()) return write_score_tables(options, ranks);
     if (options.targets.size() > 1)
         fail<UsageError>(
             "found {} runs as arguments; expected one run, or --table FILE to write a table of the scores of "
@@ -199,39 +242,23 @@ void run_eval(const EvalOptions& command_options, const std::string& command_lin
             options.targets.size());
     options.target = options.targets.front();
     options.device = ranks.select_device(options.device);
-    if (options.open && ranks.size() > 1)
-        fail<UsageError>(
-            "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
-            "several processes renders only a part of them",
-            ranks.size());
-    // Throws an error for an unknown baseline. This is checked before the log is loaded,
-    // because loading takes a long time.
-    if (!options.baseline.empty()) (void)parse_baseline(options.baseline);
-    if (!options.baseline.empty() && !is_run_folder(options.target)) {
-        if (options.open)
-            throw UsageError(
-                "--open: the argument is a log; expected a run, because only the scores of a run are written "
-                "as a page");
-        return eval_baseline(options, ranks);
-    }
-    if (!options.part.frames.empty() || !options.part.sequence.empty())
-        fail<UsageError>(
-            "{} cannot be used with a run, because a run already has its held-out frames; expected it only "
-            "with --baseline and a log",
-            options.part.frames.empty() ? "--sequence" : "--frames");
-    eval_run(options, ranks, command_line);
+    const bool is_log_baseline = !options.baseline.empty() && !is_run_folder(options.target);
+    check_eval_options(options, is_log_baseline, ranks.size());
+    if (is_log_baseline) eval_baseline(options, ranks);
+    else eval_run(options, ranks, command_line);
 }
 
 /// Rejects all options except --table and --quiet, because no scan is rendered.
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
-        if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
-            option->check_lname("quiet"))
-            continue;
-        fail<UsageError>(
-            "{} cannot be used together with --table, which only reads existing scores; use it in `relidar "
-            "eval RUN`",
-            option->get_name());
+        const bool was_typed = option->count() > 0;
+        const bool is_allowed =
+            option->get_positional() || option->check_lname("table") || option->check_lname("quiet");
+        if (was_typed && !is_allowed)
+            fail<UsageError>(
+                "{} cannot be used together with --table, which only reads existing scores; use it in "
+                "`relidar eval RUN`",
+                option->get_name());
     }
 }
 
@@ -253,6 +280,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar eval` and its options to the parser.
 void add_eval(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();

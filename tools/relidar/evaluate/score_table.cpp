@@ -53,6 +53,7 @@ ScoredRun read_run_scores(const std::string& run_path) {
     return run;
 }
 
+/// Returns the scores of the runs that have scores.
 std::vector<MetricValues> mean_metrics_of(const std::vector<ScoredRun>& runs) {
     std::vector<MetricValues> rows;
     for (const ScoredRun& run : runs)
@@ -60,14 +61,16 @@ std::vector<MetricValues> mean_metrics_of(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// For example "grid, range". The table warns about them, because scores of different
-/// protocols are not comparable.
+/// Returns the keys of the protocol, such as "grid, range", whose values are not equal in
+/// all runs with scores. The protocol says how scores were computed, so scores are then
+/// not comparable.
 std::string differing_keys(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
     for (const ScoredRun& run : runs) {
         if (run.mean.empty()) continue;
         if (!first) first = &run;
+        // A key may be missing in either run.
         for (const auto& [key, value] : run.protocol.items())
             if (!first->protocol.contains(key) || first->protocol[key] != value) keys.insert(key);
         for (const auto& [key, value] : first->protocol.items())
@@ -95,30 +98,33 @@ std::string markdown_row(const TextCells& cells) {
     return line + "\n";
 }
 
-/// Makes a table with a column for each key metric and a row for each run.
+/// Makes a table with a column for each key metric and a row for each run, and a last row
+/// with the means.
 std::string markdown_table(const std::vector<ScoredRun>& runs) {
     const std::vector<MetricValues> rows = mean_metrics_of(runs);
     const MetricValues mean_row = mean_metrics(rows);
     std::vector<std::string> metrics;  // key metrics for which at least one run has a value
     for (const ReportKeyMetric& key : key_metrics())
         if (mean_row.contains(key.metric)) metrics.push_back(key.metric);
-    const auto line = [&](TextCells cells, const MetricValues& values) {
+    const auto append_values = [&](TextCells first_cells, const MetricValues& values) {
         for (const std::string& name : metrics)
-            cells.push_back(values.contains(name) ? format_number(values.at(name)) : "-");
-        return markdown_row(cells);
+            first_cells.push_back(values.contains(name) ? format_number(values.at(name)) : "-");
+        return markdown_row(first_cells);
     };
     // Columns of text are aligned to the left, columns of numbers to the right.
-    TextCells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
-    head.insert(head.end(), metrics.begin(), metrics.end());
-    rule.resize(head.size(), "--:");
-    std::string text = markdown_row(head) + markdown_row(rule);
-    for (const ScoredRun& run : runs)
+    TextCells titles{"run", "log", "held-out frames", "training s"}, alignment{"---", "---", "--:", "--:"};
+    titles.insert(titles.end(), metrics.begin(), metrics.end());
+    alignment.resize(titles.size(), "--:");
+    std::string text = markdown_row(titles) + markdown_row(alignment);
+    for (const ScoredRun& run : runs) {
+        const bool has_scores = !run.mean.empty();
         text +=
-            run.mean.empty()
-                ? line({run.name, "no scores", "-", format_number(run.training_s)}, {})
-                : line({run.name, run.log, fmt::format("{}", run.n_frames), format_number(run.training_s)},
-                       run.mean);
-    if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
+            append_values({run.name, has_scores ? run.log : "no scores",
+                           has_scores ? fmt::format("{}", run.n_frames) : "-", format_number(run.training_s)},
+                          run.mean);
+    }
+    if (rows.size() > 1)
+        text += append_values({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
     const std::string note = protocol_warning(runs);
     return note.empty() ? text : text + "\n" + note + "\n";
 }
@@ -129,6 +135,7 @@ std::string quote_csv_text(const std::string& text) {
     return quoted + "\"";
 }
 
+/// Makes a table with a column for each metric and a row for each run, for programs.
 std::string csv_table(const std::vector<ScoredRun>& runs) {
     // The columns are all metrics for which at least one run has a value.
     const MetricValues metrics = mean_metrics(mean_metrics_of(runs));
@@ -145,6 +152,7 @@ std::string csv_table(const std::vector<ScoredRun>& runs) {
     return text;
 }
 
+/// Writes the scores of all runs side by side as a web page.
 void write_html(const fs::path& file, const std::vector<ScoredRun>& runs) {
     const std::vector<MetricValues> rows = mean_metrics_of(runs);
     Report report;
@@ -152,18 +160,19 @@ void write_html(const fs::path& file, const std::vector<ScoredRun>& runs) {
     report.summary =
         fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), protocol_warning(runs));
     report.key_metrics = key_metrics();
-    std::set<std::string> logs;
+    std::set<std::string> scored_frames;  // log and number of frames of each run
     for (const ScoredRun& run : runs) {
-        report.facts.emplace_back(
-            run.name, run.mean.empty() ? "no scores"
-                                       : fmt::format("{}, {} held-out frames, {} of training", run.log,
-                                                     run.n_frames, format_duration(run.training_s)));
-        if (run.mean.empty()) continue;
-        logs.insert(fmt::format("{} {}", run.log, run.n_frames));
+        if (run.mean.empty()) {
+            report.facts.emplace_back(run.name, "no scores");
+            continue;
+        }
+        report.facts.emplace_back(run.name, fmt::format("{}, {} held-out frames, {} of training", run.log,
+                                                        run.n_frames, format_duration(run.training_s)));
         report.metrics.emplace_back(run.name, run.mean);
+        scored_frames.insert(fmt::format("{} {}", run.log, run.n_frames));
     }
     // Scores are comparable only with equal logs, frame counts and protocols.
-    report.same_scans = logs.size() < 2 && differing_keys(runs).empty();
+    report.same_scans = scored_frames.size() < 2 && differing_keys(runs).empty();
     if (rows.size() > 1) report.metrics.emplace_back("mean", mean_metrics(rows));
     write_report(file, report);
 }
@@ -190,8 +199,10 @@ void write_tables(const std::vector<std::string>& run_folders, const std::vector
     for (const std::string& run : run_folders) scored.push_back(read_run_scores(run));
     for (const fs::path file : output_files) {
         if (file.extension() == ".html") write_html(file, scored);
-        else write_text_file(file, file.extension() == ".md" ? markdown_table(scored) : csv_table(scored));
+        else if (file.extension() == ".md") write_text_file(file, markdown_table(scored));
+        else write_text_file(file, csv_table(scored));
     }
+    // Fails last, so that a script has the scores of all other runs.
     check_scores(scored);
 }
 

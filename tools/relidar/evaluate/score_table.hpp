@@ -6,7 +6,8 @@
 
 namespace relidar::cli {
 
-/// If a run has no scores, throws after the files are written.
+/// Writes the existing scores of several runs as tables. If a run has no scores, throws
+/// after the files are written.
 /// @param output_files FILE.md receives the means of the key metrics, FILE.csv all
 /// metrics, and FILE.html both as a web page
 /// @throws UsageError if a file has another extension
