@@ -6,6 +6,7 @@
 #include <nlohmann/json_fwd.hpp>
 
 #include <relidar/score/evaluation.hpp>
+#include "console.hpp"
 
 namespace relidar::cli {
 
@@ -14,10 +15,12 @@ class MpiProcessGroup;
 /// The five most important scores, one per line. A missing score is left out.
 std::string format_scores(const Evaluation& result);
 /// The 20 moving boxes with the worst scores, below the column titles.
-std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result);
-/// Scores at depth edges, below the column titles: one row each for edges/*,
-/// edges_repeat/* and smooth/*. A region without pixels is left out.
-std::vector<std::vector<std::string>> edge_rows(const Evaluation& result);
+TableRows worst_actor_rows(const Evaluation& result);
+/// Scores of the points at depth edges and elsewhere, below the column titles. A region
+/// without pixels is left out. If the sensor stands still in some frames, a row compares
+/// successive real scans (edges_repeat/*), which shows the limit of any simulation.
+TableRows edge_rows(const Evaluation& result);
+/// All scores as tables, followed by the definitions of the metrics.
 /// @param baseline its means are shown too; may be null
 std::string format_metrics(const Evaluation& result, const Evaluation* baseline = nullptr);
 
@@ -25,6 +28,7 @@ std::string format_metrics(const Evaluation& result, const Evaluation* baseline 
 /// processes; in the other processes, `local_evaluation`
 Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks);
 
+/// The scores of each frame, for metrics.json and for other MPI processes.
 nlohmann::ordered_json frames_json(const Evaluation& result);
 
 /// How the scores were computed, for metrics.json.
@@ -36,6 +40,7 @@ struct EvaluationProvenance {
     const Evaluation* baseline = nullptr;
 };
 EvaluationProvenance describe_source(const Run& run, const Device& device, double seconds = 0.0);
+/// The content of metrics.json.
 std::string metrics_json(const Evaluation& result, const Config& config, const EvaluationProvenance& source);
 
 }  // namespace relidar::cli

@@ -16,7 +16,6 @@ namespace relidar::cli {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using TextTableRows = std::vector<std::vector<std::string>>;
 
 constexpr const char* kPeerNote =
     "all pixels; dropped pixels count as 0; ranges are clamped to [1e-6, max_range_m], intensities to [1e-6, "
@@ -59,22 +58,26 @@ constexpr const char* kClassesNote =
 constexpr const char* kRegionColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                           "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
+/// Describes how the scores were computed: settings that change them, and the definition
+/// of each group of metrics. Scores are comparable only if their protocols are equal.
 Json protocol_json(const Config& config) {
-    const std::string lpips = lpips_weights_path();
+    const std::string weights = lpips_weights_path();
+    const std::string lpips_note =
+        weights.empty()
+            ? "no weights"
+            : "AlexNet, v0.1, computed on metres and intensity, x -> 2 x - 1 without clamping; weights " +
+                  weights;
+    const bool is_native = config.sensor.grid == "native";
     return {
         {"frames",
          "frames that did not train the scene; each metric is the mean over the frames that have a value"},
         {"grid", config.sensor.grid},
-        {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
+        {"grid_method", is_native ? "rays of the real scan" : config.sensor.grid_method},
         {"range", config.render.range},
         {"points_range", config.render.points == "median" ? "median" : config.render.range},
         {"min_range_m", config.dataset.min_range_m},
         {"max_range_m", config.dataset.max_range_m},
-        {"lpips",
-         lpips.empty()
-             ? "no weights"
-             : "AlexNet, v0.1, computed on metres and intensity, x -> 2 x - 1 without clamping; weights " +
-                   lpips},
+        {"lpips", lpips_note},
         {"peer", kPeerNote},
         {"strict", kStrictNote},
         {"points", kPointsNote},
@@ -85,23 +88,25 @@ Json protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
+/// Returns true for a metric of complete scans, and false for a metric of a region, such
+/// as moving_boxes/depth_mae_m.
 bool is_frame_metric(const std::string& metric_name) {
     return metric_name.starts_with("peer/") || metric_name.starts_with("strict/") ||
            metric_name.starts_with("points/") || metric_name.starts_with("actors/") ||
            metric_name.starts_with("classes/");
 }
 
-/// Returns the range of a metric over the frames that have a value.
+/// Returns the lowest and the highest value of a metric over all frames.
 std::pair<double, double> metric_min_max(const Evaluation& result, const std::string& metric_name) {
-    // The mean lies within this range.
-    double low = result.mean.at(metric_name), high = low;
+    // Starts at the mean, which is never outside the range.
+    double lowest = result.mean.at(metric_name), highest = lowest;
     for (const ScoredFrame& frame : result.frames) {
-        const auto it = frame.metrics.find(metric_name);
-        if (it == frame.metrics.end()) continue;
-        low = std::min(low, it->second);
-        high = std::max(high, it->second);
+        const auto metric = frame.metrics.find(metric_name);
+        if (metric == frame.metrics.end()) continue;
+        lowest = std::min(lowest, metric->second);
+        highest = std::max(highest, metric->second);
     }
-    return {low, high};
+    return {lowest, highest};
 }
 
 Json actor_scores_json(const std::vector<ActorScore>& actor_scores) {
@@ -115,25 +120,28 @@ std::string format_metric(const MetricValues& metrics, const std::string& metric
     return metrics.contains(metric_name) ? format_number(metrics.at(metric_name)) : "-";
 }
 
-/// Makes a table of metrics: mean and range over all frames, and mean of the baseline.
-TextTableRows metric_rows(const Evaluation& result, const Evaluation* baseline) {
-    const bool spread = result.frames.size() > 1;
-    TextTableRows rows{{"metric", spread ? "mean" : "value"}};
-    if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
+/// Makes a table of the metrics of complete scans: mean, lowest and highest value over
+/// all frames, and mean of the baseline. With a single frame, only its value.
+TableRows metric_rows(const Evaluation& result, const Evaluation* baseline) {
+    const bool has_several_frames = result.frames.size() > 1;
+    TableRows rows{{"metric", has_several_frames ? "mean" : "value"}};
+    if (has_several_frames) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
     for (const auto& [name, mean_value] : result.mean) {
         if (!is_frame_metric(name)) continue;
         rows.push_back({name, format_number(mean_value)});
-        const auto [low, high] = metric_min_max(result, name);
-        if (spread) rows.back().insert(rows.back().end(), {format_number(low), format_number(high)});
+        const auto [lowest, highest] = metric_min_max(result, name);
+        if (has_several_frames)
+            rows.back().insert(rows.back().end(), {format_number(lowest), format_number(highest)});
         if (baseline) rows.back().push_back(format_metric(baseline->mean, name));
     }
     return rows;
 }
 
-/// Makes a table with one row per region. Metrics of a region are named REGION/METRIC.
-TextTableRows region_rows(const Evaluation& result) {
-    TextTableRows rows{{result.title + ", metrics by region"}};
+/// Makes a table with a row for each region, which is a set of pixels such as
+/// moving_boxes. Metrics of a region are named REGION/METRIC.
+TableRows region_rows(const Evaluation& result) {
+    TableRows rows{{result.title + ", metrics by region"}};
     for (const char* column : kRegionColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : result.mean)
@@ -146,7 +154,8 @@ TextTableRows region_rows(const Evaluation& result) {
     return rows;
 }
 
-/// Parses the output of frames_json(). The frames have no images.
+/// Appends the frames in a text of frames_json(), which another process has sent. They
+/// have scores, but no images.
 void append_frames(std::vector<ScoredFrame>& frames, const std::string& json_text) {
     for (const Json& json : Json::parse(json_text)) {
         ScoredFrame& frame = frames.emplace_back();
@@ -164,38 +173,49 @@ void append_frames(std::vector<ScoredFrame>& frames, const std::string& json_tex
 
 }  // namespace
 
-std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result) {
+TableRows worst_actor_rows(const Evaluation& result) {
     constexpr std::size_t kMaxActorRows = 20;
-    const auto number_in = [](const MetricValues& row, const char* name, int digits) {
-        const auto it = row.find(name);
-        return it == row.end() ? "-" : fmt::format("{:.{}f}", it->second, digits);
+    struct ActorColumn {
+        const char* title;
+        const char* metric;
+        int n_decimals;
     };
-    TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median error, m", "bias, m",
-                        "errors above 0.3 m", "F1", "trail points", "real trail points"}};
-    for (const ActorScore& actor : result.actors) {
-        // The first row has the titles.
-        if (rows.size() > kMaxActorRows) break;
-        const MetricValues& m = actor.metrics;
-        rows.push_back({actor.track, actor.category, number_in(m, "points", 0),
-                        number_in(m, "points_real", 0), number_in(m, "range_medae_m", 3),
-                        number_in(m, "range_bias_m", 3), number_in(m, "range_above_30cm", 3),
-                        number_in(m, "f1", 3), number_in(m, "tail", 0), number_in(m, "tail_real", 0)});
+    constexpr ActorColumn kColumns[] = {{"points", "points", 0},
+                                        {"real points", "points_real", 0},
+                                        {"median error, m", "range_medae_m", 3},
+                                        {"bias, m", "range_bias_m", 3},
+                                        {"errors above 0.3 m", "range_above_30cm", 3},
+                                        {"F1", "f1", 3},
+                                        {"trail points", "tail", 0},
+                                        {"real trail points", "tail_real", 0}};
+    TableRows rows{{"actor, worst first", "class"}};
+    for (const ActorColumn& column : kColumns) rows.back().emplace_back(column.title);
+    // The actors are sorted, the worst is first.
+    for (std::size_t i = 0; i < std::min(kMaxActorRows, result.actors.size()); ++i) {
+        const ActorScore& actor = result.actors[i];
+        rows.push_back({actor.track, actor.category});
+        for (const auto& [title, metric, n_decimals] : kColumns) {
+            const auto value = actor.metrics.find(metric);
+            const bool is_known = value != actor.metrics.end();
+            rows.back().push_back(is_known ? fmt::format("{:.{}f}", value->second, n_decimals) : "-");
+        }
     }
     return rows;
 }
 
-std::vector<std::vector<std::string>> edge_rows(const Evaluation& result) {
-    constexpr std::pair<const char*, const char*> kRegions[] = {
+TableRows edge_rows(const Evaluation& result) {
+    constexpr std::pair<std::string_view, const char*> kRegionTitles[] = {
         {"edges", "at depth edges"},
         {"edges_repeat", "limit: the next real scan while the sensor stands"},
         {"smooth", "elsewhere"}};
-    TextTableRows rows{{"points", "share of returns", "also returned", "errors above 1 m", "Chamfer, m",
-                        "F-score, 5 cm", "F-score, 22 cm"}};
-    for (const auto& [region, name] : kRegions) {
-        if (!result.mean.contains(region + std::string("/share"))) continue;
-        rows.push_back({name});
-        for (const char* column : {"share", "returned", "above_1m", "cd_mean_m", "f_5cm", "f_22cm"})
-            rows.back().push_back(format_metric(result.mean, fmt::format("{}/{}", region, column)));
+    TableRows rows{{"points", "share of returns", "also returned", "errors above 1 m", "Chamfer, m",
+                    "F-score, 5 cm", "F-score, 22 cm"}};
+    for (const auto& [region, title] : kRegionTitles) {
+        const bool has_pixels = result.mean.contains(fmt::format("{}/share", region));
+        if (!has_pixels) continue;
+        rows.push_back({title});
+        for (const char* metric : {"share", "returned", "above_1m", "cd_mean_m", "f_5cm", "f_22cm"})
+            rows.back().push_back(format_metric(result.mean, fmt::format("{}/{}", region, metric)));
     }
     return rows;
 }
@@ -221,20 +241,23 @@ std::string format_scores(const Evaluation& result) {
 }
 
 std::string format_metrics(const Evaluation& result, const Evaluation* baseline) {
-    TextTableRows rows = metric_rows(result, baseline);
-    const bool lpips = std::any_of(result.mean.begin(), result.mean.end(),
-                                   [](const auto& metric) { return metric.first.ends_with("_lpips"); });
-    // Reports missing LPIPS weights, instead of leaving out both metrics.
-    if (!lpips)
+    TableRows rows = metric_rows(result, baseline);
+    const bool has_lpips = std::any_of(result.mean.begin(), result.mean.end(),
+                                       [](const auto& metric) { return metric.first.ends_with("_lpips"); });
+    // Says why both metrics are missing: the user must download the network's weights.
+    if (!has_lpips)
         for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
             rows.push_back({name, "no weights"});
             rows.back().resize(rows.front().size());
         }
+
     std::string text =
         format_scores(result) + "\n" + format_table(rows) + "\n" + format_table(region_rows(result));
     if (baseline) text += "\n" + format_table(region_rows(*baseline));
-    for (const TextTableRows& table : {edge_rows(result), worst_actor_rows(result)})
-        if (table.size() > 1) text += "\n" + format_table(table);
+    for (const TableRows& table : {edge_rows(result), worst_actor_rows(result)}) {
+        const bool has_scores = table.size() > 1;  // the first row has the titles
+        if (has_scores) text += "\n" + format_table(table);
+    }
     return text +
            fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nedges    {}\nactors   {}\n",
                        kPeerNote, kStrictNote, kPointsNote, kRegionsNote, kEdgesNote, kActorsNote);
@@ -242,14 +265,14 @@ std::string format_metrics(const Evaluation& result, const Evaluation* baseline)
 
 Json frames_json(const Evaluation& result) {
     Json frames = Json::array();
-    for (const ScoredFrame& f : result.frames)
-        frames.push_back({{"frame", f.frame},
-                          {"lidar", f.lidar},
-                          {"time_s", f.time_s},
-                          {"n_rays", f.n_rays},
-                          {"trace_ms", f.rendered.trace_ms},
-                          {"metrics", f.metrics},
-                          {"actors", actor_scores_json(f.actors)}});
+    for (const ScoredFrame& frame : result.frames)
+        frames.push_back({{"frame", frame.frame},
+                          {"lidar", frame.lidar},
+                          {"time_s", frame.time_s},
+                          {"n_rays", frame.n_rays},
+                          {"trace_ms", frame.rendered.trace_ms},
+                          {"metrics", frame.metrics},
+                          {"actors", actor_scores_json(frame.actors)}});
     return frames;
 }
 
@@ -279,6 +302,7 @@ std::string metrics_json(const Evaluation& result, const Config& config, const E
         json["baseline"] = {{"scored", source.baseline->title},
                             {"mean", source.baseline->mean},
                             {"frames", frames_json(*source.baseline)}};
+    // Replaces invalid UTF-8, which paths may contain, instead of throwing an error.
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -286,10 +310,12 @@ std::string metrics_json(const Evaluation& result, const Config& config, const E
 /// their process, because they are large.
 Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks) {
     if (ranks.size() == 1) return local_evaluation;
-    const std::vector<std::string> all = ranks.gather_texts(frames_json(local_evaluation).dump());
+    const std::vector<std::string> frames_of_rank = ranks.gather_texts(frames_json(local_evaluation).dump());
     if (!ranks.is_first()) return local_evaluation;
+    // The first process has its own frames with their images.
     std::vector<ScoredFrame> frames = local_evaluation.frames;
-    for (std::size_t r = 1; r < all.size(); ++r) append_frames(frames, all[r]);
+    for (std::size_t rank = 1; rank < frames_of_rank.size(); ++rank)
+        append_frames(frames, frames_of_rank[rank]);
     Evaluation result = summarise(std::move(frames), {});
     result.title = local_evaluation.title;
     result.kernel_ms = local_evaluation.kernel_ms;

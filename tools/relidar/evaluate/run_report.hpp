@@ -24,7 +24,8 @@ struct EvaluationLabels {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
-/// The first call also extends the summary of the report.
+/// Adds the scores of a sensor to a report: a column of metrics, tables, and an example
+/// frame. The first call also adds the quality of the result to the summary.
 void add_evaluation(Report& report, const Evaluation& result, const Run& run, const EvaluationLabels& labels);
 
 Report evaluation_report(const Run& run, const Evaluation& result, const Device& device,
