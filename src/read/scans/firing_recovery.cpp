@@ -35,8 +35,9 @@ constexpr double kMaxSpreadRatio = 0.75, kMinOtherSeam = 1.2;
 constexpr double kMinSpread_rad = 3e-5;
 // Poses explain the compensation if their spread is at most this factor above the best.
 constexpr double kMaxPoseSpread = 1.15;
-// limits of the found motion relative to that of the poses
-constexpr double kMinMotion = 0.8, kMaxMotion = 1.25;
+// limits of the found motion relative to that of the poses. The compensation of KITTI
+// odometry uses motions that are up to 1.2 times the true ones.
+constexpr double kMinMotion = 0.7, kMaxMotion = 1.4;
 // Without poses, the direction of rotation follows from the driving direction, so the
 // vehicle must drive at least this far in a turn.
 constexpr double kMinForward_m = 0.05;

@@ -30,8 +30,9 @@ struct Drive {
     bool is_half_missing = false;
     /// The dataset extrapolated the motion before each frame.
     bool has_constant_velocity = false;
-    bool is_raw = false;  ///< the points were not moved
-    double left_m = 0.0;  ///< beams start beside the axis, in turn on its left and right
+    double compensated_share = 1.0;  ///< motion that the dataset used, relative to the truth
+    bool is_raw = false;             ///< the points were not moved
+    double left_m = 0.0;             ///< beams start beside the axis, in turn on its left and right
     int columns = 400, beams = 20;
 };
 
@@ -82,6 +83,7 @@ Recording record(const Drive& drive) {
             compensation.time_s.resize(std::size_t(i) + 2);
             compensation.pose.resize(std::size_t(i) + 2);
         }
+        for (Pose& pose : compensation.pose) pose.translation *= drive.compensated_share;
         const Scan scan = cast_street_rays({.moving_cars = false}, rays, recording.world_from_sensor, time_s);
         LidarPoints fired;
         for (std::size_t r = 0; r < rays.size(); ++r) {
@@ -177,6 +179,10 @@ TEST(FiringRecovery, FindsTurns) {
 TEST(FiringRecovery, AcceptsConstantVelocity) {
     expect_recovered({.turn = {true, kPi, 0.5}, .yaw_rate_radps = 0.2, .has_constant_velocity = true}, true,
                      0.02);
+}
+
+TEST(FiringRecovery, AcceptsACompensationWithAWrongSpeed) {
+    expect_recovered({.turn = {true, kPi, 0.5}, .compensated_share = 1.3}, true, 0.02);
 }
 
 TEST(FiringRecovery, AcceptsHalfASweep) {
