@@ -17,6 +17,7 @@
 namespace relidar::street {
 namespace {
 
+/// Point origin + t * direction at which a ray enters a shape. No hit: t is infinite.
 struct ShapeHit {
     double t = std::numeric_limits<double>::infinity();
     glm::dvec3 normal{0.0};
@@ -28,56 +29,60 @@ struct ShapeHit {
 ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, const glm::dvec3& direction) {
     const auto inside = cross_box(origin, direction, -half_size, half_size);
     if (!inside || !(inside->enter > 0.0)) return {};
-    ShapeHit meeting{inside->enter, glm::dvec3(0.0)};
-    meeting.normal[inside->axis] = -std::copysign(1.0, direction[inside->axis]);
-    return meeting;
+    ShapeHit hit{inside->enter, glm::dvec3(0.0)};
+    hit.normal[inside->axis] = -std::copysign(1.0, direction[inside->axis]);
+    return hit;
+}
+
+/// Returns the t at which a ray enters the infinite cylinder around the z axis, or
+/// nothing if it misses. Solves |o + t d| = radius in x and y, which is a t^2 + 2 b t + c
+/// = 0.
+std::optional<double> enter_tube(double radius, const glm::dvec3& o, const glm::dvec3& d) {
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y,
+                 c = o.x * o.x + o.y * o.y - radius * radius;
+    const double discriminant = b * b - a * c;
+    if (!(a > 0.0 && discriminant >= 0.0)) return {};
+    return (-b - std::sqrt(discriminant)) / a;
 }
 
 /// Intersects a ray with an upright cylinder around the origin. Tests the curved side
 /// first and then the cap that faces the ray.
 ShapeHit intersect_cylinder(double radius, double half_height, const glm::dvec3& ray_origin,
                             const glm::dvec3& ray_direction) {
-    const double a = ray_direction.x * ray_direction.x + ray_direction.y * ray_direction.y,
-                 b = ray_origin.x * ray_direction.x + ray_origin.y * ray_direction.y,
-                 c = ray_origin.x * ray_origin.x + ray_origin.y * ray_origin.y - radius * radius;
     ShapeHit best;
-    const double root = b * b - a * c;
-    if (a > 0.0 && root >= 0.0) {
-        const double t = (-b - std::sqrt(root)) / a;
-        const glm::dvec3 p = ray_origin + t * ray_direction;
-        if (t > 0.0 && std::abs(p.z) <= half_height) best = {t, glm::dvec3(p.x, p.y, 0.0) / radius};
+    if (const auto t = enter_tube(radius, ray_origin, ray_direction)) {
+        const glm::dvec3 p = ray_origin + *t * ray_direction;
+        if (*t > 0.0 && std::abs(p.z) <= half_height) best = {*t, glm::dvec3(p.x, p.y, 0.0) / radius};
     }
     if (ray_direction.z != 0.0) {
-        const double cap = -std::copysign(half_height, ray_direction.z),
-                     t = (cap - ray_origin.z) / ray_direction.z;
+        const double cap_z = -std::copysign(half_height, ray_direction.z),
+                     t = (cap_z - ray_origin.z) / ray_direction.z;
         const glm::dvec3 p = ray_origin + t * ray_direction;
         if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius)
-            best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
+            best = {t, {0.0, 0.0, std::copysign(1.0, cap_z)}};
     }
     return best;
 }
 
-/// Intersects a ray with a capsule whose axis points down from the origin. Tests the
-/// curved side and both end spheres.
+/// Intersects a ray with a capsule, whose axis points down from the origin. Tests the
+/// curved side and both end spheres, and keeps the first hit.
 ShapeHit intersect_capsule(double radius, double length, const glm::dvec3& ray_origin,
                            const glm::dvec3& ray_direction) {
     ShapeHit best;
-    const auto offer = [&](double t, double axis_z) {
+    // The normal points from (0, 0, axis_z), the nearest point of the axis, to the hit.
+    const auto keep_if_nearer = [&](double t, double axis_z) {
         if (t > 0.0 && t < best.t)
             best = {t, (ray_origin + t * ray_direction - glm::dvec3(0.0, 0.0, axis_z)) / radius};
     };
-    const double a = ray_direction.x * ray_direction.x + ray_direction.y * ray_direction.y,
-                 b = ray_origin.x * ray_direction.x + ray_origin.y * ray_direction.y,
-                 c = ray_origin.x * ray_origin.x + ray_origin.y * ray_origin.y - radius * radius;
-    if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
-        const double t = (-b - std::sqrt(root)) / a, z = ray_origin.z + t * ray_direction.z;
-        if (z <= 0.0 && z >= -length) offer(t, z);
+    if (const auto t = enter_tube(radius, ray_origin, ray_direction)) {
+        const double z = ray_origin.z + *t * ray_direction.z;
+        if (z <= 0.0 && z >= -length) keep_if_nearer(*t, z);
     }
-    for (const double end : {0.0, -length}) {
-        const glm::dvec3 to = ray_origin - glm::dvec3(0.0, 0.0, end);
-        const double half = glm::dot(to, ray_direction),
-                     rest = half * half - glm::dot(to, to) + radius * radius;
-        if (rest >= 0.0) offer(-half - std::sqrt(rest), end);
+    for (const double end_z : {0.0, -length}) {
+        const glm::dvec3 from_centre = ray_origin - glm::dvec3(0.0, 0.0, end_z);
+        const double b = glm::dot(from_centre, ray_direction),
+                     discriminant = b * b - glm::dot(from_centre, from_centre) + radius * radius;
+        if (discriminant >= 0.0) keep_if_nearer(-b - std::sqrt(discriminant), end_z);
     }
     return best;
 }
@@ -227,25 +232,30 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(stre
     // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
     constexpr double kMaxClusterRadius_m = 4.0;
     const std::span<const StreetShape> shapes = street.shapes;
-    for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
+    std::size_t begin = 0;
+    while (begin < shapes.size()) {
+        std::size_t end = begin + 1;
         while (end < shapes.size() &&
                bounding_sphere(shapes.subspan(begin, end + 1 - begin)).radius_m < kMaxClusterRadius_m)
             ++end;
         clusters_.push_back({bounding_sphere(shapes.subspan(begin, end - begin)), end});
+        begin = end;
     }
-    for (MovingStreetActor& car : street.cars) {
-        const std::string_view category = car.category;
-        SurfaceClass surface = SurfaceClass::vehicle;
-        if (category == "Pedestrian") surface = SurfaceClass::person;
-        if (category == "Cyclist") surface = SurfaceClass::cyclist;
-        for (StreetShape& shape : car.shapes) shape.surface = surface;
-        RayCastActor& new_car = cars_.emplace_back(RayCastActor{std::move(car), {}});
-        new_car.solids = prepare_shapes(new_car.moving.shapes);
-        for (const RayCastShape& s : new_car.solids)
-            new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
-        for (const SwingingLimb& l : new_car.moving.limbs)
-            new_car.reach_m = std::max(new_car.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
-    }
+    for (MovingStreetActor& car : street.cars) add_actor(std::move(car));
+}
+
+void StreetCaster::add_actor(MovingStreetActor moving) {
+    const std::string_view category = moving.category;
+    SurfaceClass surface = SurfaceClass::vehicle;
+    if (category == "Pedestrian") surface = SurfaceClass::person;
+    if (category == "Cyclist") surface = SurfaceClass::cyclist;
+    for (StreetShape& shape : moving.shapes) shape.surface = surface;
+    RayCastActor& actor = cars_.emplace_back(RayCastActor{std::move(moving), {}});
+    actor.solids = prepare_shapes(actor.moving.shapes);
+    for (const RayCastShape& s : actor.solids)
+        actor.reach_m = std::max(actor.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+    for (const SwingingLimb& l : actor.moving.limbs)
+        actor.reach_m = std::max(actor.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
 }
 
 /// Computes the poses of all cars at a time, unless the cache already contains this time.
@@ -265,20 +275,20 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
                                                       ActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
-    // Solids are sorted by cluster. A cluster is skipped if the ray misses its sphere.
-    std::size_t solid = 0;
+    // Shapes are sorted by cluster. A cluster is skipped if the ray misses its sphere.
+    std::size_t begin = 0;
     for (const Cluster& cluster : clusters_) {
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
-            for (; solid < cluster.end; ++solid)
-                search.hit_solid(solids_[solid], ray.origin_m, ray.direction);
-        solid = cluster.end;
+            for (std::size_t i = begin; i < cluster.end; ++i)
+                search.hit_solid(solids_[i], ray.origin_m, ray.direction);
+        begin = cluster.end;
     }
     place_cars(time_s, car_pose_cache);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const RayCastActor& car = cars_[i];
         if (search.can_skip_sphere({car_pose_cache.centre_m[i], car.reach_m}, ray.origin_m, ray.direction))
             continue;
-        // The solids of an actor are in the frame of its box. The ray is moved there.
+        // Moves the ray to the frame of the box, in which the shapes of the actor are.
         const Pose& box_from_world = car_pose_cache.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
@@ -310,45 +320,53 @@ constexpr float kMinSeparation_m = 0.5f, kMinIntensity = 1e-3f;
 // The weakest surfaces that fill a beam and return, at the maximum range and nearby.
 constexpr double kFarReflectivity = 0.8, kNearReflectivity = 0.0025;
 
-struct SubRayHit {
+/// A hit of a thin ray, or a return of a beam: its range, and its light as the sum of the
+/// intensities of the thin rays.
+struct ConeHit {
     float range_m = 0.0f, light = 0.0f;
+    auto operator<=>(const ConeHit&) const = default;
 };
 
-/// Combines the hits of the thin rays of a beam to returns, sorted by range.
-/// @param n_hits  output: thin rays that hit a surface
-std::vector<SubRayHit> group_hits(const Scan& cone_scan, std::size_t ray, int& n_hits) {
-    std::vector<std::pair<float, float>> hits;
-    for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)
+/// Returns the hits of the thin rays of a beam, sorted by range.
+std::vector<ConeHit> list_hits(const Scan& cone_scan, std::size_t beam) {
+    std::vector<ConeHit> hits;
+    for (std::size_t i = beam * kConeRays; i < (beam + 1) * kConeRays; ++i)
         if (cone_scan.range_m[i] > 0.0f)
-            hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], kMinIntensity));
-    n_hits = int(hits.size());
+            hits.push_back({cone_scan.range_m[i], std::max(cone_scan.intensity[i], kMinIntensity)});
     std::sort(hits.begin(), hits.end());
-    std::vector<SubRayHit> returns;
+    return hits;
+}
+
+/// Combines hits to returns, sorted by range. A hit that is less than kMinSeparation_m
+/// behind the hit before it belongs to the same return. The range of a return is the mean
+/// range of its hits, weighted by light.
+std::vector<ConeHit> group_hits(const std::vector<ConeHit>& hits) {
+    std::vector<ConeHit> returns;
     float last_m = -1e9f;
-    for (const auto& [range_m, light] : hits) {
-        if (range_m - last_m >= kMinSeparation_m) returns.emplace_back();
-        returns.back().range_m += range_m * light;
-        returns.back().light += light;
-        last_m = range_m;
+    for (const ConeHit& hit : hits) {
+        if (hit.range_m - last_m >= kMinSeparation_m) returns.emplace_back();
+        returns.back().range_m += hit.range_m * hit.light;
+        returns.back().light += hit.light;
+        last_m = hit.range_m;
     }
-    for (SubRayHit& r : returns) r.range_m /= r.light;
+    for (ConeHit& r : returns) r.range_m /= r.light;
     return returns;
 }
 
 /// Chooses the second return of a beam: the last one, or the next strongest one if the
-/// strongest return is the last. Returns an empty hit if it is too weak.
-SubRayHit choose_second(const std::vector<SubRayHit>& returns,
-                        std::vector<SubRayHit>::const_iterator strongest_return, double max_range_m) {
-    SubRayHit second;
-    if (strongest_return + 1 != returns.end()) {
+/// strongest return is the last. Returns an empty hit if it is too weak: the light
+/// that it needs grows with the square of its range.
+ConeHit choose_second(const std::vector<ConeHit>& returns, std::size_t strongest, double max_range_m) {
+    ConeHit second;
+    if (strongest + 1 < returns.size()) {
         second = returns.back();
     } else {
-        for (auto r = returns.begin(); r != returns.end(); ++r)
-            if (r != strongest_return && r->light > second.light) second = *r;
+        for (std::size_t r = 0; r < returns.size(); ++r)
+            if (r != strongest && returns[r].light > second.light) second = returns[r];
     }
     const double range_share = double(second.range_m) / max_range_m;
     const double weakest = std::max(kFarReflectivity * range_share * range_share, kNearReflectivity);
-    return double(second.light) >= weakest * kConeRays ? second : SubRayHit{};
+    return double(second.light) >= weakest * kConeRays ? second : ConeHit{};
 }
 
 }  // namespace
@@ -359,17 +377,17 @@ RayTable make_cone_rays(const RayTable& rays) {
     cone.columns = rays.columns * kConeRays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         // d, side and d x side are orthogonal. The helper axis is never parallel to d.
-        const glm::dvec3 d(rays.direction[i]),
-            side = glm::normalize(
-                glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
+        const glm::dvec3 d(rays.direction[i]);
+        const glm::dvec3 helper = std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
+        const glm::dvec3 side = glm::normalize(glm::cross(d, helper));
         for (int k = 0; k < kConeRays; ++k) {
             // The square root spreads the rays evenly over the area of the cone.
             const double angle = 0.5 * rays.divergence_of_rad(i) * std::sqrt((k + 0.5) / kConeRays);
             // Direction from the beam axis to thin ray k. Steps of the golden angle
             // spread the rays evenly around the axis.
-            const glm::dvec3 off = std::cos(1.0 + k * kGoldenAngle_rad) * side +
-                                   std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);
-            cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
+            const glm::dvec3 outward = std::cos(1.0 + k * kGoldenAngle_rad) * side +
+                                       std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);
+            cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * outward);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);
             cone.channel.push_back(rays.channel[i]);
@@ -380,20 +398,20 @@ RayTable make_cone_rays(const RayTable& rays) {
 
 Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double max_range_m) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
-    AdditionalReturns& echo = scan.second_returns.emplace_back(
+    AdditionalReturns& second_returns = scan.second_returns.emplace_back(
         AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        int n_back = 0;
-        const std::vector<SubRayHit> returns = group_hits(scan_of_cone_rays, i, n_back);
+        const std::vector<ConeHit> hits = list_hits(scan_of_cone_rays, i);
         // A beam has a return only if more than half of its thin rays hit a surface.
-        if (2 * n_back <= kConeRays) continue;
-        const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
-        const SubRayHit second = choose_second(returns, strongest, max_range_m);
+        if (2 * int(hits.size()) <= kConeRays) continue;
+        const std::vector<ConeHit> returns = group_hits(hits);
+        const auto strongest = std::ranges::max_element(returns, {}, &ConeHit::light);
+        const ConeHit second = choose_second(returns, std::size_t(strongest - returns.begin()), max_range_m);
+        // The intensity is the mean light of all thin rays of the beam.
         scan.range_m[i] = strongest->range_m;
-        // mean light of all thin rays of the beam
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
-        echo.range_m[i] = second.range_m;
-        echo.intensity[i] = second.light / kConeRays;
+        second_returns.range_m[i] = second.range_m;
+        second_returns.intensity[i] = second.light / kConeRays;
     }
     return scan;
 }

@@ -125,6 +125,8 @@ private:
     std::vector<Cluster> clusters_;
     std::vector<RayCastActor> cars_;
 
+    /// Adds a moving actor. Sets the class of its surfaces and its bounding sphere.
+    void add_actor(MovingStreetActor moving);
     static std::vector<RayCastShape> prepare_shapes(const std::vector<StreetShape>& shapes);
     void place_cars(double time_s, ActorPoses& car_pose_cache) const;
 };

@@ -61,35 +61,42 @@ struct StreetSide {
 /// houses.
 /// @param yard_gap  if true, leaves a gap for the yard
 void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side, bool yard_gap) {
-    const auto& [side, kerb_m, half_m] = street_side;
-    for (double x = -half_m; x < half_m;) {
+    double x = -street_side.half_m;  // begin of the next house
+    while (x < street_side.half_m) {
         const double width = random.sample_uniform(8.0, 18.0), height = random.sample_uniform(5.0, 14.0),
                      depth = random.sample_uniform(6.0, 10.0);
-        const double setback = random.sample_uniform(2.5, 4.5);
-        const double y = kerb_m + side * (setback + 0.5 * depth);
+        const double setback = random.sample_uniform(2.5, 4.5);  // distance from the kerb
+        const double y = street_side.kerb_m + street_side.left * (setback + 0.5 * depth);
         const double reflectance = random.sample_uniform(0.3, 0.8);
-        if (!yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
+        const bool is_in_yard = x + width >= kYardBegin_m && x <= kYardEnd_m;
+        if (!(yard_gap && is_in_yard))
             street.shapes.push_back(make_wall({x + 0.5 * width, y, 0.5 * height},
                                               0.5 * glm::dvec3(width, depth, height), reflectance));
-        x += width + (random.sample_uniform() < 0.3 ? random.sample_uniform(2.0, 5.0) : 0.0);
+        const bool has_gap = random.sample_uniform() < 0.3;
+        x += width + (has_gap ? random.sample_uniform(2.0, 5.0) : 0.0);
     }
 }
 
-/// Adds lamp posts and trees on the pavement of one side.
+/// Adds lamp posts and trees (a trunk and a cube of leaves) on the pavement of one side.
 void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
-    const auto& [side, kerb_m, half_m] = street_side;
+    const double half_m = street_side.half_m;
     for (double x = -half_m + random.sample_uniform(2.0, 8.0); x < half_m;
          x += random.sample_uniform(9.0, 16.0)) {
-        const double y = kerb_m + side * random.sample_uniform(0.5, 1.0);
-        const bool tree = random.sample_uniform() < 0.4;
-        const double height = tree ? 3.0 : random.sample_uniform(4.0, 7.0),
-                     radius = tree ? 0.18 : random.sample_uniform(0.07, 0.13);
-        street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height, tree ? 0.3 : 0.5,
-                                              tree ? SurfaceClass::vegetation : SurfaceClass::pole));
-        if (!tree) continue;
-        const double size = random.sample_uniform(0.7, 1.2);
-        street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), 0.4, SurfaceClass::vegetation,
-                                         random.sample_uniform(0.0, 1.5)));
+        const double y = street_side.kerb_m + street_side.left * random.sample_uniform(0.5, 1.0);
+        const bool is_tree = random.sample_uniform() < 0.4;
+        if (!is_tree) {
+            const double height = random.sample_uniform(4.0, 7.0);
+            const double radius = random.sample_uniform(0.07, 0.13);
+            street.shapes.push_back(
+                make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height, 0.5, SurfaceClass::pole));
+            continue;
+        }
+        constexpr double kTrunk_m = 3.0, kTrunkRadius_m = 0.18;
+        street.shapes.push_back(make_cylinder({x, y, 0.5 * kTrunk_m}, kTrunkRadius_m, 0.5 * kTrunk_m, 0.3,
+                                              SurfaceClass::vegetation));
+        const double half_crown = random.sample_uniform(0.7, 1.2), yaw = random.sample_uniform(0.0, 1.5);
+        street.shapes.push_back(make_box({x, y, kTrunk_m + half_crown}, glm::dvec3(half_crown), 0.4,
+                                         SurfaceClass::vegetation, yaw));
     }
 }
 
@@ -119,10 +126,10 @@ std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
 void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_rad,
                     const std::vector<StreetShape>& car_shapes) {
     for (StreetShape shape : car_shapes) {
-        const glm::dvec3 c = shape.centre;
-        shape.centre =
-            glm::dvec3(x_m + c.x * std::cos(yaw_rad) - c.y * std::sin(yaw_rad),
-                       y_m + c.x * std::sin(yaw_rad) + c.y * std::cos(yaw_rad), c.z + kBoxCentre_m);
+        const glm::dvec3 in_box = shape.centre;
+        shape.centre = glm::dvec3(x_m + in_box.x * std::cos(yaw_rad) - in_box.y * std::sin(yaw_rad),
+                                  y_m + in_box.x * std::sin(yaw_rad) + in_box.y * std::cos(yaw_rad),
+                                  in_box.z + kBoxCentre_m);
         shape.yaw_rad = yaw_rad;
         shape.surface = SurfaceClass::vehicle;
         street.shapes.push_back(shape);
@@ -176,19 +183,21 @@ void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOpti
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
     if (driven_m(options) <= kLongDrive_m) return;
+    // Both vehicles approach each other, so a car that meets the sensor at x is farther
+    // away than x in the middle of the log.
+    const double approach_ratio = 1.0 + kSpeed_mps / options.speed_mps;
     for (double met_m = kBetweenCars_m; met_m < 0.5 * driven_m(options); met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
-            street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
-                                                  kLane_m, kPi, kSpeed_mps,
+            street.cars.push_back(make_moving_car(options, x * approach_ratio, kLane_m, kPi, kSpeed_mps,
                                                   random.sample_uniform(0.15, 0.8)));
 }
 
-/// Most rays pass through its leaves and twigs.
-void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& p) {
+/// Adds a bush: 60 small cubes, so that most rays pass between its leaves.
+void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const double z_m = random.sample_uniform(0.1, 1.6);
-        const double y_m = p.y + random.sample_uniform(-0.5, 0.5);
-        const double x_m = p.x + random.sample_uniform(-1.0, 1.0);
+        const double y_m = position_m.y + random.sample_uniform(-0.5, 0.5);
+        const double x_m = position_m.x + random.sample_uniform(-1.0, 1.0);
         street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
                                  glm::dvec3(random.sample_uniform(0.03, 0.08)),
                                  random.sample_uniform(0.0, 1.5), false, 0.4, SurfaceClass::vegetation});
@@ -197,6 +206,7 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& p) {
 
 /// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
 /// the ground, so that it contains the feet but no ground.
+/// @param position_at_middle_time_m  x, y in the street frame in the middle of the log
 MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
                                   double yaw_rad, double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
@@ -208,8 +218,9 @@ MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2
     const glm::dvec2 start = position_at_middle_time_m - speed_mps * middle_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
-    walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, 0.35),
-                     make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, 0.5)};
+    const StreetShape legs = make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, 0.35),
+                      body = make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, 0.5);
+    walker.shapes = {legs, body};
     return walker;
 }
 
@@ -220,18 +231,16 @@ void add_swinging_limbs(MovingStreetActor& pedestrian) {
                      kShoulder_m = 0.23;
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
     const double half = 0.5 * pedestrian.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
-    pedestrian.shapes.erase(pedestrian.shapes.begin());
+    pedestrian.shapes.erase(pedestrian.shapes.begin());  // the legs, see make_pedestrian()
+    // An arm swings opposite to the leg of its side.
     for (const double side : {1.0, -1.0}) {
         const double phase = side > 0.0 ? 0.0 : kPi;
-        pedestrian.limbs.push_back(
-            {{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
-        pedestrian.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m},
-                                    kArm_m,
-                                    kArmRadius_m,
-                                    kSwing_rad,
-                                    phase + kPi,
-                                    0.5});
+        const glm::dvec3 hip(0.0, side * kHip_m, hip_z),
+            shoulder(0.0, side * kShoulder_m, half - kShoulderBelowTop_m);
+        pedestrian.limbs.push_back({hip, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
+        pedestrian.limbs.push_back({shoulder, kArm_m, kArmRadius_m, kSwing_rad, phase + kPi, 0.5});
     }
+    // In each of the two steps of a stride, one foot swings from front to back.
     pedestrian.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
     pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
 }
@@ -248,18 +257,16 @@ MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& m
 /// Adds a pedestrian on each pavement, a pedestrian who crosses the street, and a cyclist
 /// next to the lane.
 void add_people(SyntheticStreet& street, Random& random, const StreetOptions& options) {
-    const std::size_t first = street.cars.size();
     struct Walk {
-        double min_x_m, max_x_m, y_m, yaw_rad;
+        double min_x_m, max_x_m, y_m, yaw_rad;  // position and heading in the middle of the log
     };
     for (const Walk& walk : {Walk{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
                              Walk{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, Walk{24.0, 30.0, 4.5, -0.5 * kPi}}) {
         const double speed_mps = random.sample_uniform(1.0, 1.6);
         const double x_m = random.sample_uniform(walk.min_x_m, walk.max_x_m);
         street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
+        if (options.gait) add_swinging_limbs(street.cars.back());
     }
-    if (options.gait)
-        for (std::size_t i = first; i < street.cars.size(); ++i) add_swinging_limbs(street.cars[i]);
     const double cyclist_speed_mps = random.sample_uniform(4.0, 6.0);
     const double cyclist_x_m = random.sample_uniform(6.0, 9.0);
     street.cars.push_back(make_cyclist(options, {cyclist_x_m, kRightKerb_m + 2.7}, cyclist_speed_mps));
@@ -271,9 +278,8 @@ SyntheticStreet make_street(const StreetOptions& options) {
     SyntheticStreet street;
     Random random(options.seed);
     // The street continues beyond both ends of the sensor's path, even for a long log.
-    const double driven_length_m = driven_m(options);
-    const double half_length_m =
-        driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
+    const bool is_long = driven_m(options) > kLongDrive_m;
+    const double half_length_m = is_long ? 0.5 * driven_m(options) + kHalfLength_m : kHalfLength_m;
     const StreetSide left{1.0, kLeftKerb_m, half_length_m}, right{-1.0, kRightKerb_m, half_length_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
@@ -282,10 +288,9 @@ SyntheticStreet make_street(const StreetOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // Initial distance of the car ahead. It is so large that the sensor never
-        // overtakes the car.
-        const double ahead_m =
-            driven_m(options) > kLongDrive_m ? 12.0 + 0.05 * 0.5 * driven_m(options) : 12.0;
+        // The car ahead is 5 % faster. Its distance in the middle of the log is so large
+        // that it is ahead of the sensor from the beginning.
+        const double ahead_m = is_long ? 12.0 + 0.05 * 0.5 * driven_m(options) : 12.0;
         street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming_cars(street, random, options);
     }

@@ -8,7 +8,6 @@
 // reproducible.
 
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -93,12 +92,14 @@ street::SyntheticStreet crop_street(const street::SyntheticStreet& full_street,
 
 /// Casts every ray of a scan at its firing time. Calls on_hit(ray, hit) for each ray that
 /// hits a surface.
+/// @param world_origin_in_street_m  origin of the log's world in the street frame
+/// @param rays  rays in the sensor frame, with times relative to `scan_time_s`
 template <class Receive>
 void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& world_origin_in_street_m,
                const PoseTrack& sensor_track, double scan_time_s, const RayTable& rays,
                const Receive& on_hit) {
-    const street::StreetCaster street(crop_street(
-        full_street, sensor_track.pose_at(scan_time_s).translation + world_origin_in_street_m, scan_time_s));
+    const glm::dvec3 sensor_m = sensor_track.pose_at(scan_time_s).translation + world_origin_in_street_m;
+    const street::StreetCaster street(crop_street(full_street, sensor_m, scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // One cache of car poses per column, because rays of a column usually have the same
     // time.
@@ -149,10 +150,9 @@ Scan cast_dual_scan(const street::SyntheticStreet& street, const glm::dvec3& wor
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray has only "
             "one return");
-    return street::combine_cone(
-        rays,
-        cast_scan(street, world_origin_in_street_m, street::make_cone_rays(rays), sensor_track, scan_time_s),
-        max_range_m);
+    const Scan cone_scan =
+        cast_scan(street, world_origin_in_street_m, street::make_cone_rays(rays), sensor_track, scan_time_s);
+    return street::combine_cone(rays, cone_scan, max_range_m);
 }
 
 std::uint64_t seed_of(const StreetOptions& options, const Frame& frame) {
@@ -160,19 +160,21 @@ std::uint64_t seed_of(const StreetOptions& options, const Frame& frame) {
     return frame.lidar == 0 ? seed : hash_pair(seed, std::uint64_t(frame.lidar));
 }
 
-/// Seeds each ray by itself, so that its noise does not depend on other rays.
+/// Adds normal noise to all ranges of a scan. Each ray has its own random numbers, so its
+/// noise does not depend on other rays.
 void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         Random random(hash_pair(seed, i));
-        const auto spread = [&](float& range_m) {
+        const auto add_noise = [&](float& range_m) {
             if (range_m > 0.0f)
                 range_m = float(std::max(double(range_m) + noise_stddev_m * random.sample_normal(), 0.01));
         };
-        spread(scan.range_m[i]);
-        for (AdditionalReturns& f : scan.second_returns) spread(f.range_m[i]);
+        add_noise(scan.range_m[i]);
+        for (AdditionalReturns& further : scan.second_returns) add_noise(further.range_m[i]);
     }
 }
 
+/// Returns a scan with two returns per ray and noisy ranges.
 Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStreet& street,
                         const Log& sequence, const RayTable& rays, const Frame& frame) {
     const SpinningSensor& sensor = sequence.lidar_of(frame).sensor;
@@ -202,6 +204,7 @@ Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& 
     return scan;
 }
 
+/// Returns the box of each moving actor at all times. Its id is the number of the actor.
 std::vector<BoxTrack> make_car_tracks(const street::SyntheticStreet& street,
                                       const std::vector<double>& times_s) {
     std::vector<BoxLabel> labels;
@@ -228,6 +231,19 @@ std::vector<MountedSensor> read_street_rig(const StreetOptions& options) {
     return std::move(*rig);
 }
 
+/// Returns the LiDARs of a rig. Rays are cast up to kMaxRange_m, where their range ends.
+std::vector<Lidar> make_rig_lidars(const std::vector<MountedSensor>& rig) {
+    std::vector<Lidar> lidars;
+    for (const MountedSensor& mounted : rig) {
+        Lidar& lidar = lidars.emplace_back(Lidar{mounted.name, {}, mounted.rig_from_sensor});
+        set_sensor(lidar, mounted.sensor);
+        const RangeLimits limits = intersect(mounted.sensor.limits, {0.0, kMaxRange_m});
+        lidar.sensor.min_range_m = limits.min_m;
+        lidar.sensor.max_range_m = limits.max_m;
+    }
+    return lidars;
+}
+
 }  // namespace
 
 Log make_frames(const StreetOptions& options, int begin_frame, int end_frame) {
@@ -249,15 +265,7 @@ Log make_frames(const StreetOptions& options, int begin_frame, int end_frame) {
     sequence.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of a "
         "frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
-    sequence.lidars.clear();
-    for (const MountedSensor& mounted : rig) {
-        Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
-        set_sensor(lidar, mounted.sensor);
-        const RangeLimits limits = intersect(mounted.sensor.limits, {0.0, kMaxRange_m});
-        lidar.sensor.min_range_m = limits.min_m;
-        lidar.sensor.max_range_m = limits.max_m;
-        sequence.lidars.push_back(std::move(lidar));
-    }
+    sequence.lidars = make_rig_lidars(rig);
     for (int frame = begin_frame; frame < end_frame; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
             add_frame(sequence, frame, street::frame_time_of_s(frame),

@@ -39,6 +39,8 @@ void visit_street_options(Options& options, const Visit& visit) {
     visit("rig", options.rig, "a file");
 }
 
+/// Reads street.toml. A missing key keeps its default value. An unknown key or a value of
+/// the wrong type is an error.
 StreetOptions parse_street_toml(const fs::path& toml_file) {
     const std::string file = toml_file.string();
     const std::string text = read_text_file(toml_file);
@@ -55,10 +57,11 @@ StreetOptions parse_street_toml(const fs::path& toml_file) {
         keys.emplace_back(key);
         const toml::node* node = table.get(key);
         if (!node) return;
+        // TOML has only signed integers.
         using Stored = std::conditional_t<std::is_same_v<T, std::uint64_t>, std::int64_t, T>;
-        // toml++ converts real numbers to integers without an error.
-        const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
-        const auto value = is_cut ? std::nullopt : node->value<Stored>();
+        // toml++ would convert a real number to an integer without an error.
+        const bool loses_digits = std::is_integral_v<T> && node->is_floating_point();
+        const auto value = loses_digits ? std::nullopt : node->value<Stored>();
         if (!value)
             fail("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line,
                  key, type);
@@ -85,7 +88,7 @@ Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     Log sequence;
     try {
         sequence = make_frames(street, frames.begin, frames.end);
-        // The wrong value is in a file, not on the command line.
+        // The wrong value is in a file and not on the command line, so it is a DataError.
     } catch (const UsageError& error) {
         fail("{}: {}", file.string(), error.what());
     }
