@@ -17,6 +17,7 @@ constexpr const char *kCoverageFormat = "relidar coverage", *kClassesFormat = "r
                      *kSweepsFormat = "relidar sweeps", *kScatterFormat = "relidar intensity scatter";
 constexpr const char* kCellSizeKey = "cell_m";
 
+/// Writes arrays to a file, or removes the file of an earlier save if all are empty.
 void write_unless_empty(const fs::path& path, const std::vector<NamedArray>& arrays, const char* format,
                         const std::map<std::string, std::string>& metadata = {}) {
     const bool is_empty = std::ranges::all_of(arrays, [](const NamedArray& a) { return a.bytes.empty(); });
@@ -37,6 +38,7 @@ T read_entry(const NamedArray& array, std::size_t index) {
     return value;
 }
 
+/// Reads a file with values for cells of a grid. Throws if the cells have another size.
 ArrayFile read_cell_file(const fs::path& path, const char* format, double cell_size_m) {
     ArrayFile file(path, format);
     if (const std::string expected = fmt::format("{}", cell_size_m); file.metadata[kCellSizeKey] != expected)
@@ -44,6 +46,7 @@ ArrayFile read_cell_file(const fs::path& path, const char* format, double cell_s
     return file;
 }
 
+/// Returns the frame whose index in the log is the name of an array.
 Frame& find_frame(const std::string& array_name, Log& sequence, const std::string& file_name) {
     std::size_t index = sequence.frames.size();
     const char* last = array_name.data() + array_name.size();
@@ -54,29 +57,33 @@ Frame& find_frame(const std::string& array_name, Log& sequence, const std::strin
     return sequence.frames[index];
 }
 
-/// Stores a decision tree as one array per member of a node, named INDEX.MEMBER.
-void append_scatter(std::vector<NamedArray>& arrays, std::size_t index, const IntensityScatterModel& model) {
-    std::vector<std::int32_t> feature, child, first, count;
-    std::vector<float> at;
-    for (const IntensityScatterModel::DecisionTreeNode& node : model.nodes) {
-        feature.push_back(node.feature);
-        child.push_back(node.child);
-        first.push_back(std::int32_t(node.first));
-        count.push_back(std::int32_t(node.count));
-        at.push_back(node.at);
-    }
+using TreeNode = IntensityScatterModel::DecisionTreeNode;
+
+/// Returns one member of all nodes, in the type in which the file stores it.
+template <class Stored, class Member>
+std::vector<Stored> list_members(const std::vector<TreeNode>& nodes, Member TreeNode::*member) {
+    std::vector<Stored> values;
+    for (const TreeNode& node : nodes) values.push_back(Stored(node.*member));
+    return values;
+}
+
+/// Stores the noise of a LiDAR's intensities: a decision tree, as one array per member of
+/// a node, and the values of its leaves. An array has the name LIDAR.MEMBER.
+void append_scatter(std::vector<NamedArray>& arrays, std::size_t lidar, const IntensityScatterModel& model) {
     const auto add = [&](const char* member, const auto& values) {
-        arrays.push_back(make_vector_array(fmt::format("{}.{}", index, member), values));
+        arrays.push_back(make_vector_array(fmt::format("{}.{}", lidar, member), values));
     };
-    add("feature", feature);
-    add("child", child);
-    add("first", first);
-    add("count", count);
-    add("at", at);
+    add("feature", list_members<std::int32_t>(model.nodes, &TreeNode::feature));
+    add("child", list_members<std::int32_t>(model.nodes, &TreeNode::child));
+    add("first", list_members<std::int32_t>(model.nodes, &TreeNode::first));
+    add("count", list_members<std::int32_t>(model.nodes, &TreeNode::count));
+    add("at", list_members<float>(model.nodes, &TreeNode::at));
     add("values", model.values);
     add("step", std::vector{model.step});
 }
 
+/// Reads the noise of a LiDAR's intensities, as append_scatter() stores it. Checks every
+/// node, so that a search in the tree ends and reads existing values.
 IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
     const auto read = [&](const char* member, const char* dtype, std::size_t count = kAnyLength) {
         return file.find_numbers(fmt::format("{}.{}", lidar, member), dtype, count);
@@ -95,7 +102,8 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
         const bool has_children = child[i] > double(i) && child[i] + 1.0 < double(n);
         const bool has_values =
             first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
-        if (!has_values || !(is_leaf || (has_feature && has_children)))
+        const bool is_valid_branch = has_feature && has_children;
+        if (!has_values || (!is_leaf && !is_valid_branch))
             fail(
                 "{0}: node {2} of the decision tree for the intensities of LiDAR {1} is invalid (feature "
                 "{3}, first child {4}, first value {5}, {6} values); expected a file that relidar has "
@@ -121,6 +129,8 @@ void save_azimuths(const fs::path& path, const Log& sequence) {
     write_unless_empty(path, arrays, kSweepsFormat);
 }
 
+/// Reads Frame::azimuth_shift_rad: how far each column of a sweep is from its nominal
+/// azimuth. The name of an array is the index of its frame.
 void load_azimuths(const fs::path& path, Log& sequence) {
     const ArrayFile file(path, kSweepsFormat);
     for (const NamedArray& array : file.arrays) {
@@ -147,6 +157,7 @@ void save_coverage(const fs::path& path, const ObservedVoxelSet& coverage) {
         kCoverageFormat, {{kCellSizeKey, fmt::format("{}", ObservedVoxelSet::kCell_m)}});
 }
 
+/// Reads the voxels that the log observed: blocks of voxels with one bit per voxel.
 ObservedVoxelSet load_coverage(const fs::path& path) {
     const ArrayFile file = read_cell_file(path, kCoverageFormat, ObservedVoxelSet::kCell_m);
     const NamedArray& places = file.find("place", "i4", {kAnyLength, 3});
@@ -172,6 +183,8 @@ void save_class_map(const fs::path& path, const SurfaceClassMap& class_map) {
         kClassesFormat, {{kCellSizeKey, fmt::format("{}", kClassCell_m)}});
 }
 
+/// Reads the class of the surface in each cell of a grid. `place` is the position of a
+/// cell in units of cells.
 SurfaceClassMap load_class_map(const fs::path& path) {
     const ArrayFile file = read_cell_file(path, kClassesFormat, kClassCell_m);
     const NamedArray& places = file.find("place", "i4", {kAnyLength, 3});

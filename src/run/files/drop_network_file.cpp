@@ -12,6 +12,8 @@ namespace {
 
 constexpr const char* kNetworkFormat = "relidar drop network";
 
+/// Reads the shape of a ray-drop network from JSON: kind of images, names of the inputs,
+/// channels of each level (widths), heads of the attention, and filter size (taps).
 void read_architecture(const JsonField& architecture, RayDropNetwork& network) {
     network.image = architecture.at("image").text();
     const JsonField inputs = architecture.at("inputs"), widths = architecture.at("widths");
@@ -46,6 +48,7 @@ void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& 
         kNetworkFormat, {{"shape", shape.dump()}});
 }
 
+/// Loads a ray-drop network: its shape from the metadata, and three arrays of numbers.
 RayDropNetwork load_drop_network(const std::filesystem::path& path) {
     files::ArrayFile file(path, kNetworkFormat);
     RayDropNetwork network;

@@ -27,6 +27,7 @@ constexpr const char* kModelFormat = "relidar model";
 constexpr const char *kSurfaceKey = "surface", *kBlocksKey = "blocks", *kSensorDrop = "sensor_drop";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
+/// Throws if a parameter of the surfels, for example the mean, is infinite or NaN.
 void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surfels,
                           const std::string& file) {
     const std::span<const float> values = group.values(surfels);
@@ -60,31 +61,47 @@ std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     return surface;
 }
 
+/// Converts the observed parts of an actor's box surface to JSON: a text of 0 and 1 for
+/// the patches of each side.
+nlohmann::ordered_json surface_json(const ObservedBoxSurface& surface) {
+    const glm::dvec3 size_m = 2.0 * surface.half_size_m();
+    nlohmann::ordered_json json = {{"size_m", {size_m.x, size_m.y, size_m.z}},
+                                   {"completed", surface.is_completed}};
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        json[name_of(BoxSide(s))] = surface.format_patches(BoxSide(s));
+    return json;
+}
+
+/// Reads a model, which has the surfels [first, first + count) of the scene.
+SurfelModel read_model(const JsonField& field) {
+    // The walked distance after which the leg motion repeats; 0 for a rigid model.
+    const double stride_m = field.has_member("stride_m") ? field.at("stride_m").number_in(1e-3, 1e6) : 0.0;
+    return {field.at("name").text(),
+            static_cast<std::uint32_t>(field.at("first").integer_in(0, kMaxSurfels)),
+            static_cast<std::uint32_t>(field.at("count").integer_in(0, kMaxSurfels)),
+            glm::vec3(read_vector(field.at("half_size_m"), 0.0, 1e6)),
+            float(stride_m),
+            read_surface(field)};
+}
+
 /// Reads the models and instances of a scene whose surfels are already loaded. The models
 /// must cover all surfels in order, without gaps.
 void read_models(const JsonField& layout, Scene& scene) {
-    const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
-    std::int64_t next = 0;
+    std::size_t n_surfels = 0;  // of the models before
     for (std::size_t i = 0; i < models.size(); ++i) {
-        const JsonField m = models.at(i);
-        const std::int64_t first = m.at("first").integer_in(0, kMaxSurfels),
-                           count = m.at("count").integer_in(0, kMaxSurfels);
-        if (first != next)
-            m.at("first").reject(
-                fmt::format("found {}", first),
+        const SurfelModel& model = scene.models.emplace_back(read_model(models.at(i)));
+        if (model.first != n_surfels)
+            models.at(i).at("first").reject(
+                fmt::format("found {}", model.first),
                 fmt::format(
                     "expected {}, because the surfels of successive models follow each other without gaps",
-                    next));
-        next = first + count;
-        // The walked distance after which the leg motion repeats; 0 for a rigid model.
-        const double stride_m = m.has_member("stride_m") ? m.at("stride_m").number_in(1e-3, 1e6) : 0.0;
-        scene.models.push_back(
-            {m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count),
-             glm::vec3(read_vector(m.at("half_size_m"), 0.0, 1e6)), float(stride_m), read_surface(m)});
+                    n_surfels));
+        n_surfels += model.count;
     }
-    if (next != n)
-        models.reject(fmt::format("found models of {} surfels", next), fmt::format("expected {} surfels", n));
+    if (n_surfels != scene.surfels.size())
+        models.reject(fmt::format("found models of {} surfels", n_surfels),
+                      fmt::format("expected {} surfels", scene.surfels.size()));
     if (models.size() == 0 || instances.size() == 0)
         models.reject(fmt::format("found {} models and {} instances", models.size(), instances.size()),
                       "expected at least one model and at least one instance");
@@ -108,8 +125,9 @@ std::string format_blocks(const Scene& scene, const std::filesystem::path& model
     return json.dump();
 }
 
-/// Reads the list of background blocks from JSON. Rejects file names outside the folder
-/// of the model.
+/// Reads the list of background blocks from JSON: file, number of surfels, and corners of
+/// the bounding box. Rejects files outside the folder of the model, because a run from
+/// another source must not read other files.
 void parse_blocks(const std::string& json_text, const std::string& where,
                   const std::filesystem::path& model_folder, Scene& scene) {
     const nlohmann::json json = parse_json(json_text, where);
@@ -118,12 +136,12 @@ void parse_blocks(const std::string& json_text, const std::string& where,
         const JsonField block = blocks.at(i);
         const std::filesystem::path file = block.at("file").text();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
-        const auto read_corner = [&](const char* name) {
-            return glm::vec3(read_vector(block.at(name), -1e7, 1e7));
-        };
         if (file.empty() || file.is_absolute() || goes_up)
             block.at("file").reject("found the file name " + file.string(),
                                     "expected the name of a file in the folder of the model");
+        const auto read_corner = [&](const char* name) {
+            return glm::vec3(read_vector(block.at(name), -1e7, 1e7));
+        };
         scene.blocks.push_back({model_folder / file,
                                 static_cast<std::uint32_t>(block.at("surfels").integer_in(0, kMaxSurfels)),
                                 read_corner("low_m"), read_corner("high_m")});
@@ -148,18 +166,13 @@ std::string format_layout(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()},
                                    {"instances", nlohmann::ordered_json::array()}};
     for (const SurfelModel& m : scene.models) {
-        json["models"].push_back({{"name", m.name},
-                                  {"first", m.first},
-                                  {"count", m.count},
-                                  {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
-        if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
-        if (m.surface) {
-            const glm::dvec3 size_m = 2.0 * m.surface->half_size_m();
-            nlohmann::ordered_json& surface = json["models"].back()[kSurfaceKey];
-            surface = {{"size_m", {size_m.x, size_m.y, size_m.z}}, {"completed", m.surface->is_completed}};
-            for (std::size_t s = 0; s < kBoxSides; ++s)
-                surface[name_of(BoxSide(s))] = m.surface->format_patches(BoxSide(s));
-        }
+        nlohmann::ordered_json model = {{"name", m.name},
+                                        {"first", m.first},
+                                        {"count", m.count},
+                                        {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}};
+        if (m.stride_m > 0.0f) model["stride_m"] = m.stride_m;  // the model changes its shape
+        if (m.surface) model[kSurfaceKey] = surface_json(*m.surface);
+        json["models"].push_back(std::move(model));
     }
     for (const ModelInstance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});
@@ -191,10 +204,13 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     files::write_array_file(path, arrays, kModelFormat, std::move(metadata));
 }
 
-/// Loads a scene. Checks the shape of every array before it allocates memory.
+/// Loads a scene from a safetensors file. Its metadata has the models and instances
+/// (layout) and the background blocks. Checks the shape of every array before it
+/// allocates memory, because the file may be damaged.
 Scene load_model(const std::filesystem::path& path) {
     const files::ArrayFile file(path, kModelFormat);
-    const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocksKey);
+    const auto layout = file.metadata.find("layout");
+    const auto blocks = file.metadata.find(kBlocksKey);
     if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
              file.path);
@@ -204,6 +220,7 @@ Scene load_model(const std::filesystem::path& path) {
                            [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
     for (const SurfelParameterGroup& group : list_groups(parameters))
         file.find(group.name, "f4", group.array_shape(n));
+
     Scene scene;
     scene.surfels.resize(n, parameters);
     for (const SurfelParameterGroup& group : list_groups(parameters)) {

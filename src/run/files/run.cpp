@@ -37,8 +37,8 @@ void create_folder(const fs::path& folder) {
              failed ? failed.message() : "a file with this name exists");
 }
 
-/// Creates a hard link to a file. Copies the file if the file system cannot create the
-/// link.
+/// Creates a hard link to a file, because the files of blocks are large and never change.
+/// Copies the file if the file system cannot create the link.
 void link_file(const fs::path& source_file, const fs::path& target_file) {
     create_folder(target_file.parent_path());
     std::error_code failed;
@@ -60,20 +60,22 @@ std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target, bool
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!skip_linked || !fs::equivalent(blocks[i].file, run.folder / file, failed))
-            link_file(blocks[i].file, target / file);
+        const bool is_linked = fs::equivalent(blocks[i].file, run.folder / file, failed);
+        if (!(skip_linked && is_linked)) link_file(blocks[i].file, target / file);
         blocks[i].file = target / file;
     }
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Some fields of Config are not settings,
-/// so the file cannot store them. Throws an error if such a field differs from the
-/// preset.
+/// Writes the settings of a run to config.toml. Only presets can change some fields of
+/// Config, so the file contains only the name of the preset for them. Throws an error if
+/// a program has changed such a field, because the file would not describe the run.
+/// @param folder  staging folder; an error message names the folder of the run instead
 void save_run_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
-    if (load_settings(path) != run.config)
+    const bool is_complete = load_settings(path) == run.config;
+    if (!is_complete)
         fail(
             "cannot save {}: the file can store only the preset {} and settings, but the program changed a "
             "field of Config that is not a setting; change only the settings that `relidar list settings "
@@ -81,6 +83,7 @@ void save_run_config(const Run& run, const fs::path& folder) {
             (run.folder / kConfigFile).string(), run.config.preset);
 }
 
+/// Writes the model of a run, and links the files of its background blocks.
 void save_scene(const Run& run, const fs::path& folder, bool keep_block_files) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
     // The scene contains only the actors, because the background surfels are in block
@@ -90,6 +93,9 @@ void save_scene(const Run& run, const fs::path& folder, bool keep_block_files) {
     save_model(folder / kModelFile, scene);
 }
 
+/// Writes all files of a run to a folder.
+/// @param keep_block_files  true: block files that the folder of the run already has are
+/// not linked again, because they stay there
 void write_run_files(const Run& run, const fs::path& folder, bool keep_block_files) {
     // The small text files first, so that an invalid value causes an error early.
     write_text_file(folder / kSceneFile, files::format_scene(run));
@@ -108,14 +114,19 @@ void stage_run(const Run& run, const fs::path& staging_folder, bool keep_block_f
     try {
         write_run_files(run, staging_folder, keep_block_files);
     } catch (const DataError& error) {
+        const std::string staging = staging_folder.string(), final_name = run.folder.string();
         std::string message = error.what();
-        for (std::size_t at = 0; (at = message.find(staging_folder.string(), at)) != std::string::npos;
-             at += run.folder.string().size())
-            message.replace(at, staging_folder.string().size(), run.folder.string());
+        std::size_t at = message.find(staging);
+        while (at != std::string::npos) {
+            message.replace(at, staging.size(), final_name);
+            at = message.find(staging, at + final_name.size());
+        }
         throw DataError(message);
     }
 }
 
+/// A folder next to the files of a run, on the same file system, so that files can be
+/// renamed from it. The destructor removes it.
 struct TemporaryFolder {
     fs::path path;
 
@@ -140,13 +151,15 @@ void rename_file(const fs::path& source, const fs::path& target) {
 /// Moves the files of `staging` to the run's folder. scene.json and a changed config.toml
 /// are removed first and moved last, so that an interrupted move leaves no run that looks
 /// complete. An equal config.toml stays, so that training can be resumed even then.
+/// @param remove_old  removes other files of an earlier run; may be empty
 void move_files(const fs::path& staging, const fs::path& folder, const std::function<void()>& remove_old) {
-    const std::string config = read_file(staging / kConfigFile);
-    const bool same_config =
-        does_path_exist(folder / kConfigFile) && read_file(folder / kConfigFile) == config;
-    if (!same_config || remove_old) fs::remove(folder / kConfigFile);
+    const bool is_same_config = does_path_exist(folder / kConfigFile) &&
+                                read_file(folder / kConfigFile) == read_file(staging / kConfigFile);
+    const bool keeps_config = is_same_config && !remove_old;
+    if (!keeps_config) fs::remove(folder / kConfigFile);
     fs::remove(folder / kSceneFile);
     if (remove_old) remove_old();
+    // Optional files of an earlier save that the new run does not have.
     for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
         if (!does_path_exist(staging / name)) fs::remove(folder / name);
     std::vector<fs::path> files;
@@ -159,7 +172,7 @@ void move_files(const fs::path& staging, const fs::path& folder, const std::func
         rename_file(staging / file, folder / file);
     }
     rename_file(staging / kSceneFile, folder / kSceneFile);
-    if (!same_config || remove_old) rename_file(staging / kConfigFile, folder / kConfigFile);
+    if (!keeps_config) rename_file(staging / kConfigFile, folder / kConfigFile);
 }
 
 }  // namespace
@@ -179,10 +192,10 @@ void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_f
         return staged.publish_folder();
     }
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
-    // The new files are complete before old files are removed. Old block files are kept
-    // if the caller removes no files.
+    // The new files are complete before old files are removed.
     const TemporaryFolder staged(run.folder);
-    stage_run(run, staged.path, !remove_earlier_files);
+    const bool keep_block_files = !remove_earlier_files;
+    stage_run(run, staged.path, keep_block_files);
     move_files(staged.path, run.folder, remove_earlier_files);
 }
 
@@ -192,6 +205,34 @@ void Run::set_driving_scene(SceneWithLog driving_scene) {
     sequence = std::move(driving_scene.sequence);
 }
 
+namespace {
+
+/// Loads the files that only some runs have.
+void load_optional_files(Run& run) {
+    const auto is_present = [&](const char* name) { return does_path_exist(run.folder / name); };
+    if (is_present(kSweepsFile)) files::load_azimuths(run.folder / kSweepsFile, run.sequence);
+    if (is_present(kCoverageFile)) run.coverage = files::load_coverage(run.folder / kCoverageFile);
+    if (is_present(kClassesFile)) run.classes = files::load_class_map(run.folder / kClassesFile);
+    if (is_present(kScatterFile))
+        run.intensity_scatter = files::load_scatter(run.folder / kScatterFile, run.sequence.lidars.size());
+    if (is_present(kDropNetworkFile)) run.drop_network = load_drop_network(run.folder / kDropNetworkFile);
+}
+
+/// Checks that the files of a run belong together.
+/// @param n_surfels  number of surfels according to scene.json
+void check_run_files(const Run& run, std::size_t n_surfels) {
+    const Surfels& surfels = run.scene.surfels;
+    if (surfels.size() != n_surfels)
+        fail("{}: counts.surfels is {}, but {} contains {} surfels", (run.folder / kSceneFile).string(),
+             n_surfels, kModelFile, surfels.size());
+    if (surfels.size() > 0 && surfels.primitive != run.config.image.primitive)
+        fail("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
+             (run.folder / kConfigFile).string(), properties_of(run.config.image.primitive).name, kModelFile,
+             properties_of(surfels.primitive).label, properties_of(surfels.primitive).name);
+}
+
+}  // namespace
+
 Run load_run(const fs::path& folder) {
     require_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile})
@@ -199,11 +240,11 @@ Run load_run(const fs::path& folder) {
             fail("the file {} is missing, but every run folder must contain it", (folder / name).string());
     Run run;
     run.folder = folder;
-    run.config = load_settings(folder / kConfigFile);
     const fs::path scene_path = folder / kSceneFile;
+    const Config settings = load_settings(folder / kConfigFile);
     files::SceneJsonContents scene = files::parse_scene(read_text_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
-    run.config = with_max_range(std::move(run.config), run.sequence);
+    run.config = with_max_range(settings, run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;
@@ -213,21 +254,8 @@ Run load_run(const fs::path& folder) {
         if (!does_path_exist(block.file))
             fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
                  run.scene.blocks.size());
-    if (does_path_exist(folder / kSweepsFile)) files::load_azimuths(folder / kSweepsFile, run.sequence);
-    if (does_path_exist(folder / kCoverageFile)) run.coverage = files::load_coverage(folder / kCoverageFile);
-    if (does_path_exist(folder / kClassesFile)) run.classes = files::load_class_map(folder / kClassesFile);
-    if (does_path_exist(folder / kScatterFile))
-        run.intensity_scatter = files::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
-    if (does_path_exist(folder / kDropNetworkFile))
-        run.drop_network = load_drop_network(folder / kDropNetworkFile);
-    if (run.scene.surfels.size() != scene.n_surfels)
-        fail("{}: counts.surfels is {}, but {} contains {} surfels", scene_path.string(), scene.n_surfels,
-             kModelFile, run.scene.surfels.size());
-    if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        fail("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
-             (folder / kConfigFile).string(), properties_of(run.config.image.primitive).name, kModelFile,
-             properties_of(run.scene.surfels.primitive).label,
-             properties_of(run.scene.surfels.primitive).name);
+    load_optional_files(run);
+    check_run_files(run, scene.n_surfels);
     return run;
 }
 

@@ -20,8 +20,10 @@ struct SceneJsonContents {
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };
+/// Returns the text of scene.json: the log of a run without scans, its split and edits.
 /// @throws DataError if the sequence is inconsistent or not finite
 std::string format_scene(const Run& run);
+/// Reads the text of scene.json. All sections except the basic ones are optional.
 /// @throws DataError naming the file and the field
 SceneJsonContents parse_scene(const std::string& json_text, const std::string& file_name);
 

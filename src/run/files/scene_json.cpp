@@ -44,6 +44,8 @@ Json to_json(const Pose& pose) {
             pose.rotation.x,    pose.rotation.y,    pose.rotation.z};
 }
 
+/// Converts a box and its poses to JSON. `beside_labels` has the numbers of poses before
+/// the first and after the last label, which were added without a label.
 Json to_json(const BoxTrack& box) {
     Json json = {{"id", box.id},
                  {"category", box.category},
@@ -60,6 +62,7 @@ Json to_json(const RangeNoiseTable& noise) {
     return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}};
 }
 
+/// Converts the LiDARs to JSON: pose on the vehicle, sensor, and noise of the ranges.
 Json lidars_json(const Log& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
@@ -71,20 +74,20 @@ Json lidars_json(const Log& sequence) {
     return json;
 }
 
-/// Converts the frames to JSON: index, time, LiDAR, part of the split, and vehicle pose.
+/// Converts the frames to JSON: index, time, LiDAR, part of the split (train, test or
+/// unused), and vehicle pose.
 Json frames_json(const Log& sequence, const Split& split) {
+    std::vector<const char*> parts(sequence.frames.size(), "unused");
+    for (const int i : split.test) parts.at(std::size_t(i)) = "test";
+    for (const int i : split.train) parts.at(std::size_t(i)) = "train";
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const auto in = [&](const std::vector<int>& positions) {
-            return std::ranges::find(positions, static_cast<int>(i)) != positions.end();
-        };
-        const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
         const Pose& pose = sequence.world_from_vehicle.pose[sequence.find_pose_index(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
-                          {"split", part},
+                          {"split", parts[i]},
                           {"world_from_vehicle", to_json(pose)}});
     }
     return frames;
@@ -98,11 +101,13 @@ void check_magnitude(const JsonField& field, const std::vector<double>& values, 
                          fmt::format("expected an absolute value of at most {:.15g}", limit));
 }
 
+/// Reads a pose: the translation x y z in metres and the unit quaternion w x y z.
 Pose read_pose(const JsonField& field) {
+    constexpr double kMaxLengthError = 1e-6;
     const auto v = field.numbers<7>();
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
-    if (std::abs(length - 1.0) > 1e-6)
+    if (std::abs(length - 1.0) > kMaxLengthError)
         field.reject(fmt::format("found a quaternion of length {}", length),
                      "expected a quaternion of length 1");
     check_magnitude(field, {v[0], v[1], v[2]}, kMaxCoordinate_m);
@@ -117,19 +122,22 @@ glm::dvec3 read_vector(const JsonField& field, double max_absolute_value) {
     return {v[0], v[1], v[2]};
 }
 
+/// Reads the noise of a LiDAR: a table with the standard deviation of the range for each
+/// range and each cosine of the angle of incidence.
 RangeNoiseTable parse_range_noise(const JsonField& field) {
-    const RangeNoiseTable n{field.at("range_m").numbers(), field.at("cosine").numbers(),
-                            field.at("sigma_m").numbers()};
-    if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
+    const RangeNoiseTable noise{field.at("range_m").numbers(), field.at("cosine").numbers(),
+                                field.at("sigma_m").numbers()};
+    if (noise.sigma_m.size() != noise.range_m.size() * noise.cosine.size() || noise.sigma_m.empty())
         field.at("sigma_m").reject(
-            fmt::format("found {} numbers", n.sigma_m.size()),
-            fmt::format("expected {} x {} numbers", n.range_m.size(), n.cosine.size()));
-    if (!std::ranges::all_of(n.sigma_m, [](double s) { return s >= 0.0 && s < 1e3; }))
+            fmt::format("found {} numbers", noise.sigma_m.size()),
+            fmt::format("expected {} x {} numbers", noise.range_m.size(), noise.cosine.size()));
+    if (!std::ranges::all_of(noise.sigma_m, [](double sigma) { return sigma >= 0.0 && sigma < 1e3; }))
         field.at("sigma_m").reject("found a value outside 0 to 1000",
                                    "expected standard deviations in metres");
-    return n;
+    return noise;
 }
 
+/// Reads the LiDARs with their sensors and poses on the vehicle.
 std::vector<Lidar> read_lidars(const JsonField& root) {
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
@@ -144,23 +152,24 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Reads how measured intensities depend on range and angle of incidence.
+/// Reads how measured intensities depend on range and on the angle of incidence.
 IntensityResponse parse_response(const JsonField& field) {
-    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
-                              field.at("incidence").number_in(0.0, 1.0)};
-    if (r.factor.size() != r.range_m.size())
+    const IntensityResponse response{field.at("range_m").numbers(), field.at("factor").numbers(),
+                                     field.at("incidence").number_in(0.0, 1.0)};
+    if (response.factor.size() != response.range_m.size())
         field.at("factor").reject(
-            fmt::format("found {} factors", r.factor.size()),
-            fmt::format("expected {}, one for each range in range_m", r.range_m.size()));
-    if (!std::ranges::is_sorted(r.range_m))
+            fmt::format("found {} factors", response.factor.size()),
+            fmt::format("expected {}, one for each range in range_m", response.range_m.size()));
+    if (!std::ranges::is_sorted(response.range_m))
         field.at("range_m").reject("found decreasing ranges", "expected increasing ranges");
-    if (!std::ranges::all_of(r.factor, [](double f) { return f > 0.0 && f < kMaxValue; }))
+    if (!std::ranges::all_of(response.factor, [](double f) { return f > 0.0 && f < kMaxValue; }))
         field.at("factor").reject("found a factor that is 0 or less, or too large",
                                   fmt::format("expected factors above 0 and below {:g}", kMaxValue));
-    return r;
+    return response;
 }
 
-/// Reads the frames, their vehicle poses, and the split into training and test frames.
+/// Reads the frames, their vehicle poses, and the split into training and test frames
+/// (indices in the list of frames).
 void parse_frames(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
@@ -169,8 +178,8 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
         frame.index = static_cast<int>(entry.at("index").integer_in(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number_in(-kMaxValue, kMaxValue);
         frame.lidar = static_cast<int>(entry.at("lidar").integer_in(0, last_lidar));
-        if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
-                         std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
+        const auto order = [](const Frame& f) { return std::pair(f.time_s, f.lidar); };
+        if (i > 0 && order(frame) <= order(scene.sequence.frames.back()))
             entry.at("time_s").reject(fmt::format("found {}", frame.time_s),
                                       "expected frames in the order of their times, and at equal times in "
                                       "the order of their LiDARs, without duplicates");
@@ -188,8 +197,18 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
     if (scene.sequence.frames.empty()) field.reject("found no frame", "expected at least one frame");
 }
 
-/// Reads a box with its poses. `beside_labels` has the numbers of poses that were added
-/// before the first and after the last label.
+/// Checks that a box has one pose for each time, in the order of time.
+void check_poses(const JsonField& field, const PoseTrack& track) {
+    check_magnitude(field.at("time_s"), track.time_s, kMaxValue);
+    if (track.pose.size() != track.time_s.size())
+        field.at("world_from_box")
+            .reject(fmt::format("found {} poses", track.pose.size()),
+                    fmt::format("expected {} poses, one for each time", track.time_s.size()));
+    if (!std::ranges::is_sorted(track.time_s))
+        field.at("time_s").reject("found decreasing times", "expected increasing times");
+}
+
+/// Reads a box with its poses, as to_json() writes it.
 BoxTrack read_box_track(const JsonField& field) {
     BoxTrack box;
     box.id = field.at("id").text();
@@ -202,20 +221,14 @@ BoxTrack read_box_track(const JsonField& field) {
     box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
-    const std::size_t n = box.world_from_box.time_s.size();
-    check_magnitude(field.at("time_s"), box.world_from_box.time_s, kMaxValue);
-    if (poses.size() != n)
-        poses.reject(fmt::format("found {} poses", poses.size()),
-                     fmt::format("expected {} poses, one for each time", n));
-    if (!std::ranges::is_sorted(box.world_from_box.time_s))
-        field.at("time_s").reject("found decreasing times", "expected increasing times");
+    check_poses(field, box.world_from_box);
     if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").text();
     if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");
-        const auto most = static_cast<std::int64_t>(n);
-        box.n_before = static_cast<std::size_t>(beside.at(0).integer_in(0, most));
-        box.n_after = static_cast<std::size_t>(
-            beside.at(1).integer_in(0, most - static_cast<std::int64_t>(box.n_before)));
+        const auto n_poses = static_cast<std::int64_t>(poses.size());
+        const std::int64_t n_before = beside.at(0).integer_in(0, n_poses);
+        box.n_before = static_cast<std::size_t>(n_before);
+        box.n_after = static_cast<std::size_t>(beside.at(1).integer_in(0, n_poses - n_before));
     }
     return box;
 }
@@ -223,14 +236,25 @@ BoxTrack read_box_track(const JsonField& field) {
 /// Compares each count in the file with the length of its list, to detect entries that a
 /// manual edit or a wrong merge has removed.
 void check_counts(const JsonField& root, const SceneJsonContents& scene) {
-    const auto check = [&](const char* name, std::size_t n) {
+    const auto check = [&](const char* name, std::size_t n_listed) {
         const JsonField count = root.at("counts").at(name);
-        if (count.integer_in(0, kMaxInt) != static_cast<std::int64_t>(n))
-            count.reject(fmt::format("found {}", count.integer_in(0, kMaxInt)),
-                         fmt::format("expected {}, the number of listed entries", n));
+        const std::int64_t found = count.integer_in(0, kMaxInt);
+        if (found != static_cast<std::int64_t>(n_listed))
+            count.reject(fmt::format("found {}", found),
+                         fmt::format("expected {}, the number of listed entries", n_listed));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
+}
+
+/// Throws if the file has another format or version.
+void check_format(const JsonField& root) {
+    if (const std::string format = root.at("format").text(); format != kSceneFormat)
+        root.at("format").reject("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
+    if (const std::int64_t version = root.at("version").integer_in(0, kMaxInt); version != kSceneVersion)
+        root.at("version").reject(fmt::format("found {}", version),
+                                  fmt::format("relidar {} reads only version {}; train the run again",
+                                              RELIDAR_VERSION, kSceneVersion));
 }
 
 }  // namespace
@@ -274,12 +298,7 @@ std::string format_scene(const Run& run) {
 SceneJsonContents parse_scene(const std::string& json_text, const std::string& file_name) {
     const nlohmann::json json = parse_json(json_text, file_name);
     const JsonField root(json, file_name, "");
-    if (const std::string format = root.at("format").text(); format != kSceneFormat)
-        root.at("format").reject("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
-    if (const std::int64_t version = root.at("version").integer_in(0, kMaxInt); version != kSceneVersion)
-        root.at("version").reject(fmt::format("found {}", version),
-                                  fmt::format("relidar {} reads only version {}; train the run again",
-                                              RELIDAR_VERSION, kSceneVersion));
+    check_format(root);
     SceneJsonContents scene;
     Log& s = scene.sequence;
     s.name = root.at("name").text();
