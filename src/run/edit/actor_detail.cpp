@@ -4,7 +4,6 @@
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include <fmt/ranges.h>
@@ -15,49 +14,51 @@
 namespace relidar {
 
 /// Counts the rays that hit the box of an actor, all fired from one pose of the sensor.
+/// @param ray_origins, ray_directions  in the sensor frame
 ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
                                       std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
                                       const glm::dvec3& size_m, std::size_t n_surfels) {
-    ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
+    ActorModelResolution detail{.nearest_m = glm::length(box_from_sensor.translation), .surfels = n_surfels};
+    // The bounding sphere of the box rejects most rays quickly. It is a little larger,
+    // because this test is in single precision.
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
     for (std::size_t i = 0; i < ray_directions.size(); ++i) {
-        // The bounding sphere of the box rejects most rays quickly.
         const glm::vec3 to_centre = centre_m - ray_origins[i];
         const float along_m = glm::dot(to_centre, ray_directions[i]),
                     distance2 = glm::dot(to_centre, to_centre);
-        const bool is_sphere_hit = distance2 <= radius_m * radius_m ||
-                                   (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
-        if (!is_sphere_hit) continue;
+        const bool starts_in_sphere = distance2 <= radius_m * radius_m;
+        const bool enters_sphere = along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m;
+        if (!starts_in_sphere && !enters_sphere) continue;
         const auto inside =
             cross_box(box_from_sensor * glm::dvec3(ray_origins[i]),
                       box_from_sensor.rotation * glm::dvec3(ray_directions[i]), -0.5 * size_m, 0.5 * size_m);
-        detail.rays += inside && inside->leave >= 0.0;
+        if (inside && inside->leave >= 0.0) ++detail.rays;
     }
     return detail;
 }
 
-/// Finds the frame in which the actor is nearest to the LiDAR, and counts the rays that
-/// hit it there.
+/// Finds the frame in which the actor is nearest to the LiDAR, and counts the rays of
+/// this sweep that hit its box.
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
     const auto instance = std::ranges::find(edited.scene.instances, track, &ModelInstance::track);
     const BoxTrack* box = find_box(log, track);
     if (instance == edited.scene.instances.end() || !box)
         fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
-    ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
-                                edited.scene.models[instance->model].count};
+    ActorModelResolution detail{.nearest_m = std::numeric_limits<double>::infinity(),
+                                .surfels = edited.scene.models[instance->model].count};
     const PoseTrack world_from_sensor = log.lidar_track(lidar);
-    Pose box_from_sensor;
+    Pose box_from_sensor;  // in the nearest frame
     for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar || !box->is_observed(frame.time_s)) continue;
-        const Pose nearer =
+        const Pose pose =
             inverse(box->world_from_box.pose_at(frame.time_s)) * world_from_sensor.pose_at(frame.time_s);
-        if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m) {
-            box_from_sensor = nearer;
-            detail.nearest_m = distance_m;
-            detail.time_s = frame.time_s;
-        }
+        const double distance_m = glm::length(pose.translation);
+        if (distance_m >= detail.nearest_m) continue;
+        box_from_sensor = pose;
+        detail.nearest_m = distance_m;
+        detail.time_s = frame.time_s;
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
     const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar)], detail.time_s);
@@ -70,25 +71,24 @@ std::string describe_unseen(const Scene& scene, const std::string& track_id) {
     const auto actor = std::ranges::find(scene.instances, track_id, &ModelInstance::track);
     if (actor == scene.instances.end() || !scene.models[actor->model].surface) return "";
     const std::optional<ObservedBoxSurface>& surface = scene.models[actor->model].surface;
-    std::vector<std::string> parts;
+    std::vector<std::string> mirrored, sentences;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const double share = surface->mirrorable_fraction(BoxSide(s));
         if (surface->is_completed && share >= double(kUnseenSide))
-            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, name_of(BoxSide(s))));
+            mirrored.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, name_of(BoxSide(s))));
     }
-    const std::string unseen = list_unseen_sides(surface->covered_sides());
-    std::string text;
-    if (!parts.empty())
-        text = fmt::format(
+    if (!mirrored.empty())
+        sentences.push_back(fmt::format(
             "actor {}: the log did not observe these parts of it, so they are mirror images of the other "
             "side: {}",
-            track_id, fmt::join(parts, ", "));
-    if (!unseen.empty())
-        text += fmt::format(
-            "{}actor {}: the log did not observe these sides of it: {}; they have no surfels, so rays pass "
+            track_id, fmt::join(mirrored, ", ")));
+    const std::string empty_sides = list_unseen_sides(surface->covered_sides());
+    if (!empty_sides.empty())
+        sentences.push_back(fmt::format(
+            "actor {}: the log did not observe these sides of it: {}; they have no surfels, so rays pass "
             "through them",
-            text.empty() ? "" : "; ", track_id, unseen);
-    return text;
+            track_id, empty_sides));
+    return fmt::format("{}", fmt::join(sentences, "; "));
 }
 
 }  // namespace relidar

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/run/edit.hpp>
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -37,6 +36,7 @@ constexpr std::size_t kMinColumns = 5;
 // seconds since 1970 are smaller
 constexpr double kMaxNumber = 1e10;
 constexpr std::string_view kGroundWord = "ground";
+/// [ActorPathField]
 const std::vector<std::string> kColumnNames{
     "time_s",   "x",       "y",         "z",        "yaw_deg",      "pitch_deg",
     "roll_deg", "yaw_rad", "pitch_rad", "roll_rad", "latitude_deg", "longitude_deg",
@@ -45,39 +45,44 @@ const std::vector<std::string> kColumnNames{
 /// Column index of each field, or -1 if the file does not have the field.
 using FieldColumnIndices = std::vector<int>;
 
-/// Reads the header of a file and returns the column index of each field.
-/// @throws DataError for an unknown name, a missing field, or an angle in both units
+/// Reads the line with the column names and returns the column index of each field. A
+/// place has either x, y and z or latitude, longitude and height. Each angle is in
+/// degrees or in radians; only yaw is required.
+/// @throws DataError for an unknown name, a missing field, or a field in both forms
 FieldColumnIndices parse_header(const std::vector<std::string_view>& header, const std::string& where) {
-    FieldColumnIndices at = find_columns(header, kColumnNames, where);
-    // A place has either x, y and z or latitude, longitude and height.
-    const bool is_geodetic = at[kLatitude] >= 0 || at[kLongitude] >= 0 || at[kHeight] >= 0;
-    for (int field = kTime; field < kFieldCount; ++field) {
-        const bool is_metric_place = field >= kX && field <= kZ, is_geodetic_place = field >= kLatitude;
-        if (at[field] < 0 && (field == kTime || (is_geodetic ? is_geodetic_place : is_metric_place)))
-            fail("{}: the column '{}' is missing", where, kColumnNames[field]);
-        if (at[field] >= 0 && is_geodetic && is_metric_place)
+    FieldColumnIndices column_of = find_columns(header, kColumnNames, where);
+    const auto has = [&](int field) { return column_of[std::size_t(field)] >= 0; };
+    const auto require = [&](int field) {
+        if (!has(field)) fail("{}: the column '{}' is missing", where, kColumnNames[std::size_t(field)]);
+    };
+    const bool is_geodetic = has(kLatitude) || has(kLongitude) || has(kHeight);
+    require(kTime);
+    for (const int field : {kX, kY, kZ})
+        if (!is_geodetic) require(field);
+        else if (has(field))
             fail("{}: found the columns '{}' and 'latitude_deg', expected only one kind of place", where,
-                 kColumnNames[field]);
-    }
-    if (at[kYaw] < 0 && at[kYawRad] < 0) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);
-    for (int angle = kYaw; angle <= kRoll; ++angle)
-        if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
+                 kColumnNames[std::size_t(field)]);
+    for (const int field : {kLatitude, kLongitude, kHeight})
+        if (is_geodetic) require(field);
+    if (!has(kYaw) && !has(kYawRad)) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);
+    for (const auto& [degrees, radians] : {std::pair(kYaw, kYawRad), {kPitch, kPitchRad}, {kRoll, kRollRad}})
+        if (has(degrees) && has(radians))
             fail("{}: found both columns '{}' and '{}', expected only one of them", where,
-                 kColumnNames[angle], kColumnNames[other]);
-    return at;
+                 kColumnNames[degrees], kColumnNames[radians]);
+    return column_of;
 }
 
-/// Reads the values of a line. A field without a column is 0. z is NaN for the word
-/// `ground`.
+/// Reads the fields of a line. A field without a column is 0. z is NaN for the word
+/// `ground`, which means that the actor stands on the ground.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& cells,
-                                          const FieldColumnIndices& column_indices,
+                                          const FieldColumnIndices& column_of,
                                           const std::string& error_location) {
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
         // Pitch and roll may be missing at the end of a line.
-        if (column_indices[f] < 0 || std::size_t(column_indices[f]) >= cells.size()) continue;
-        const std::string_view cell = cells[std::size_t(column_indices[f])];
+        if (column_of[f] < 0 || std::size_t(column_of[f]) >= cells.size()) continue;
+        const std::string_view cell = cells[std::size_t(column_of[f])];
         if (f == kZ && cell == kGroundWord) {
             row[f] = std::numeric_limits<double>::quiet_NaN();
             continue;
@@ -106,7 +111,7 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
                           const std::optional<Georeference>& georeference) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
-    FieldColumnIndices at;
+    FieldColumnIndices column_of;
     std::optional<GeoConverter> earth;
     // maximum number of cells in a line, and minimum number because of the lines before
     std::size_t n_cells = 0, n_needed = 0;
@@ -114,20 +119,20 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
         if (trim(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
-        if (at.empty() && !parse_number(cells[0])) {
-            at = parse_header(cells, where);
+        if (column_of.empty() && !parse_number(cells[0])) {
+            column_of = parse_header(cells, where);
             n_cells = n_needed = cells.size();
-            if (at[kLatitude] < 0) continue;
+            if (column_of[kLatitude] < 0) continue;
             if (!georeference)
                 fail<UsageError>("{}: found latitudes, but the run has no georeference; expected x,y,z",
                                  path.string());
             earth.emplace(*georeference);
             continue;
         }
-        if (at.empty()) {
+        if (column_of.empty()) {
             // Without a header, column i contains the field kColumnNames[i].
-            at.resize(kFieldCount, -1);
-            std::iota(at.begin(), at.begin() + kMaxUnnamedColumns, 0);
+            column_of.resize(kFieldCount, -1);
+            std::iota(column_of.begin(), column_of.begin() + kMaxUnnamedColumns, 0);
             n_cells = kMaxUnnamedColumns;
             n_needed = kMinColumns;
         }
@@ -136,7 +141,7 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
                 "{}: found {} columns, expected {} to {}, in the order "
                 "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg or that of a header",
                 where, cells.size(), n_needed, n_cells);
-        const auto row = parse_row(cells, at, where);
+        const auto row = parse_row(cells, column_of, where);
         n_needed = cells.size();
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,

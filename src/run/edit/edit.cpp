@@ -25,9 +25,10 @@ constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a traject
 std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
     for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
-        const std::string& name = scene_and_log.scene.instances[i].track;
-        if (!name.empty() && name == track_id) return i;
-        if (!name.empty()) actor_ids.push_back(name);
+        const std::string& id = scene_and_log.scene.instances[i].track;
+        if (id.empty()) continue;  // the background
+        if (id == track_id) return i;
+        actor_ids.push_back(id);
     }
     if (find_box(scene_and_log.sequence, track_id)) {
         // The error suggests a setting that lists all current actors and this track.
@@ -49,8 +50,8 @@ std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& 
 BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
     find_instance(scene_and_log, track_id);
     std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
-    if (const BoxTrack* box = find_box(scene_and_log.sequence, track_id))
-        return boxes[std::size_t(box - boxes.data())];
+    const auto box = std::ranges::find(boxes, track_id, &BoxTrack::id);
+    if (box != boxes.end()) return *box;
     fail(
         "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
         "id; expected the log that was used for training",
@@ -61,17 +62,18 @@ BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) 
 void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<SurfelModel> models;
-    std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
+    std::vector<std::uint32_t> new_index(scene.models.size(), 0);  // [old models]
     for (std::size_t m = 0; m < scene.models.size(); ++m) {
         const SurfelModel& model = scene.models[m];
-        if (m > 0 && std::ranges::find(scene.instances, m, &ModelInstance::model) == scene.instances.end())
-            continue;
-        moved_to[m] = static_cast<std::uint32_t>(models.size());
+        const bool is_used =
+            std::ranges::find(scene.instances, m, &ModelInstance::model) != scene.instances.end();
+        if (m > 0 && !is_used) continue;
+        new_index[m] = static_cast<std::uint32_t>(models.size());
         models.push_back(model);
         models.back().first = static_cast<std::uint32_t>(surfels.size());
         surfels.append_surfels(scene.surfels.slice(model.first, model.count));
     }
-    for (ModelInstance& instance : scene.instances) instance.model = moved_to[instance.model];
+    for (ModelInstance& instance : scene.instances) instance.model = new_index[instance.model];
     scene.models = std::move(models);
     scene.surfels = std::move(surfels);
 }
@@ -99,11 +101,10 @@ std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& 
 PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
+        const double driven_m = start.speed_mps * (frame.time_s - sequence.frames.front().time_s);
         Pose pose = start.dataset_from_box;
-        pose.translation +=
-            pose.rotation *
-                glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
-            sequence.world_offset_m;
+        // world of the log = world of the dataset - world_offset_m
+        pose.translation += pose.rotation * glm::dvec3(driven_m, 0.0, 0.0) - sequence.world_offset_m;
         track.append(frame.time_s, pose);
     }
     return track;
@@ -114,18 +115,21 @@ PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) 
     fail("cannot use the new trajectory of track \"{}\": found {}, expected {}", id, found, expected);
 }
 
+/// Throws if a time or pose of a track is not finite or far too large.
 void check_finite_poses(const PoseTrack& track, const std::string& track_id) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
-        const auto& [rotation, p] = track.pose[i];
+        const glm::dvec3& p = track.pose[i].translation;
         // The length of a quaternion is finite only if all its components are.
-        for (const double x : {track.time_s[i], p.x, p.y, p.z, glm::length(rotation)})
-            if (!(std::abs(x) <= kLargestNumber))
+        const double rotation_length = glm::length(track.pose[i].rotation);
+        for (const double number : {track.time_s[i], p.x, p.y, p.z, rotation_length})
+            if (!(std::abs(number) <= kLargestNumber))
                 fail_trajectory(
-                    track_id, fmt::format("the number {} in entry {}", x, i + 1),
+                    track_id, fmt::format("the number {} in entry {}", number, i + 1),
                     fmt::format("finite times, positions and rotations of at most {:.0e}", kLargestNumber));
     }
 }
 
+/// Throws unless a new trajectory has at least two finite poses with increasing times.
 void check_trajectory(const PoseTrack& track, const std::string& track_id) {
     if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
         fail_trajectory(track_id,
@@ -135,8 +139,8 @@ void check_trajectory(const PoseTrack& track, const std::string& track_id) {
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         if (!(track.time_s[i] > track.time_s[i - 1]))
             fail_trajectory(track_id,
-                            fmt::format("the time {1} s in entry {0} after {2} s in the previous entry",
-                                        i + 1, track.time_s[i], track.time_s[i - 1]),
+                            fmt::format("the time {} s in entry {} after {} s in the previous entry",
+                                        track.time_s[i], i + 1, track.time_s[i - 1]),
                             "increasing times");
 }
 
@@ -151,54 +155,57 @@ std::optional<std::uint32_t> find_mirrored_model(const Scene& scene, const Surfe
     return static_cast<std::uint32_t>(copy - scene.models.begin());
 }
 
+/// Replaces the surfels of a model. Shifts later models if the number of surfels changes.
+void replace_surfels(Scene& scene, std::uint32_t model_index, const Surfels& new_surfels) {
+    SurfelModel& model = scene.models[model_index];
+    const std::size_t end = std::size_t(model.first) + model.count;
+    Surfels all = scene.surfels.slice(0, model.first);
+    all.append_surfels(new_surfels);
+    all.append_surfels(scene.surfels.slice(end, scene.surfels.size() - end));
+    scene.surfels = std::move(all);
+    const auto new_count = static_cast<std::uint32_t>(new_surfels.size());
+    for (std::size_t m = model_index + 1; m < scene.models.size(); ++m)
+        scene.models[m].first += new_count - model.count;
+    model.count = new_count;
+}
+
 /// Fills the unobserved sides of a vehicle by symmetry, because after an edit they can
 /// face a sensor. Does nothing if the surfels are not in memory.
-/// @param is_shared true if actors that were not moved have the same model; they keep it,
-/// and this actor gets a completed copy
+/// @param is_shared  true if actors that were not moved have the same model; they keep
+/// it, and this actor gets a completed copy
 void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
     Scene& scene = scene_and_log.scene;
     const SurfelModel& shared_model = scene.models[instance.model];
-    if (!shared_model.surface || shared_model.surface->is_completed ||
-        shared_model.surface->mirrorable_fraction() == 0.0 ||
-        !is_vehicle(mutable_box(scene_and_log, instance.track)) ||
-        std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
+    const std::optional<ObservedBoxSurface>& observed = shared_model.surface;
+    const bool can_mirror = observed && !observed->is_completed && observed->mirrorable_fraction() != 0.0;
+    const bool is_in_memory = std::size_t(shared_model.first) + shared_model.count <= scene.surfels.size();
+    if (!can_mirror || !is_vehicle(mutable_box(scene_and_log, instance.track)) || !is_in_memory) return;
+
+    const auto earlier_copy = is_shared ? find_mirrored_model(scene, shared_model) : std::nullopt;
+    if (earlier_copy) {
+        instance.model = *earlier_copy;
         return;
-    if (is_shared) {
-        if (const auto copy = find_mirrored_model(scene, shared_model)) {
-            instance.model = *copy;
-            return;
-        }
     }
-    ObservedBoxSurface surface = *shared_model.surface;
+    ObservedBoxSurface surface = *observed;
     Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);
     if (mirror_unobserved(completed, surface) == 0) return;
     if (is_shared) instance.model = append_model(scene, scene, instance.model);
-    const std::uint32_t number = instance.model;
-    SurfelModel& model = scene.models[number];
-    model.surface = surface;
-    // Inserts the completed surfels in place of the old ones, and shifts all later
-    // models.
-    const std::size_t behind = std::size_t(model.first) + model.count;
-    Surfels all = scene.surfels.slice(0, model.first);
-    all.append_surfels(completed);
-    all.append_surfels(scene.surfels.slice(behind, scene.surfels.size() - behind));
-    scene.surfels = std::move(all);
-    const std::uint32_t before = model.count;
-    model.count = static_cast<std::uint32_t>(completed.size());
-    for (std::size_t m = number + 1; m < scene.models.size(); ++m)
-        scene.models[m].first += model.count - before;
+    scene.models[instance.model].surface = surface;
+    replace_surfels(scene, instance.model, completed);
 }
 
 /// Returns true if two tracks are equal except for rounding errors.
 bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     constexpr double kMaxDifference = 1e-9;  // metres, seconds, and components of quaternions
-    const auto is_same_pose = [](const Pose& p, const Pose& q) {
-        return glm::distance(p.translation, q.translation) <= kMaxDifference &&
-               std::min(glm::length(p.rotation - q.rotation), glm::length(p.rotation + q.rotation)) <=
-                   kMaxDifference;
+    const auto is_same_time = [](double a, double b) { return std::abs(a - b) <= kMaxDifference; };
+    const auto is_same_pose = [](const Pose& a, const Pose& b) {
+        // q and -q are the same rotation.
+        const double rotation_difference =
+            std::min(glm::length(a.rotation - b.rotation), glm::length(a.rotation + b.rotation));
+        return glm::distance(a.translation, b.translation) <= kMaxDifference &&
+               rotation_difference <= kMaxDifference;
     };
-    return std::ranges::equal(first.time_s, second.time_s,
-                              [](double t, double u) { return std::abs(t - u) <= kMaxDifference; }) &&
+    return std::ranges::equal(first.time_s, second.time_s, is_same_time) &&
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
@@ -217,12 +224,12 @@ void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const
 PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
-        const double span = track.time_s[i + 1] - track.time_s[i];
+        const double span_s = track.time_s[i + 1] - track.time_s[i];
         // The small number avoids an extra step because of a rounding error.
-        const int n = std::max(1, static_cast<int>(std::ceil(span / max_step_s - 1e-9)));
-        for (int k = 0; k < n; ++k)
-            fine.append(track.time_s[i] + span * k / n,
-                        interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
+        const int n_steps = std::max(1, static_cast<int>(std::ceil(span_s / max_step_s - 1e-9)));
+        for (int k = 0; k < n_steps; ++k)
+            fine.append(track.time_s[i] + span_s * k / n_steps,
+                        interpolate(track.pose[i], track.pose[i + 1], double(k) / n_steps));
     }
     fine.append(track.time_s.back(), track.pose.back());
     return fine;
@@ -272,6 +279,7 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
+    // Finds the actors whose tracks differ from before the edits.
     std::set<std::string> moved;
     for (const ModelInstance& instance : instances) {
         const auto box = std::ranges::find(scene_and_log.sequence.boxes, instance.track, &BoxTrack::id);
@@ -311,8 +319,8 @@ SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const 
     BoxTrack& box = mutable_box(edited, track);
     check_trajectory(dataset_from_box, track);
     const double step_s = std::max(edited.sequence.lidars[0].sweep_period_s(), 1e-3);
-    if (const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
-        span_s > kMaxTrackSteps * step_s)
+    const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
+    if (span_s > kMaxTrackSteps * step_s)
         fail_trajectory(track, fmt::format("times over {} s", span_s),
                         fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
@@ -335,10 +343,9 @@ SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source
     SceneWithLog source = source_scene;
     BoxTrack box = mutable_box(source, track);
     if (find_box(scene_and_log.sequence, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
-    add_instance(scene_and_log,
-                 append_model(scene_and_log.scene, source_scene.scene,
-                              source_scene.scene.instances[find_instance(source_scene, track)].model),
-                 std::move(box), start);
+    const std::uint32_t source_model = source.scene.instances[find_instance(source, track)].model;
+    const std::uint32_t model = append_model(scene_and_log.scene, source.scene, source_model);
+    add_instance(scene_and_log, model, std::move(box), start);
     return scene_and_log;
 }
 

@@ -34,15 +34,14 @@ constexpr double kMinOpacityLogit = -3.0;
 constexpr double kMaxSightSlope = 0.25;
 // Half the height of a kerb, because surfels above a kerb belong to another surface.
 constexpr double kMaxPlaneDistance_m = 0.1;
-// Distance in the least-squares fit: above the noise of street surfels, but excludes the
-// foot of a wall.
+// In the least-squares fit: above the noise of street surfels, below the foot of a wall.
 constexpr double kMaxFitDistance_m = 0.05;
 // Around the area below the box, tried in this order. Far from the sensor, a small area
 // may contain no surfel, because rings are a metre apart.
 constexpr std::array kSearchMargins_m{0.25, 0.5, 1.0};
 // A slope cannot be measured in the small area below a pedestrian.
 constexpr double kMinHalfWidth_m = 0.75;
-constexpr std::size_t kMinSurfelsOnPlane = 8;  // Minimum number of surfels on a ground plane.
+constexpr std::size_t kMinSurfelsOnPlane = 8;
 // Standard deviation along the narrow side. A narrower strip, for example a single LiDAR
 // ring, does not determine the slope.
 constexpr double kMinSpread_m = 0.15;
@@ -261,43 +260,45 @@ const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log_view, const
     return *find_box(scene_and_log_view.sequence, track_id);
 }
 
-/// Returns the ground plane below the nearest actor whose box covers a position, or
-/// nothing if no box does. Uses the pose of the box, because the actor hides the road
-/// from the sensor.
-/// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
-std::optional<GroundPlane> ground_below_box(
-    const glm::dvec2& position_m, const Log& sequence,
-    const std::function<double(const BoxTrack&)>& get_box_clearance_m) {
-    const BoxTrack* nearest = nullptr;
-    Pose at;
+/// Returns the ground plane below the nearest box that covers a position at any time, or
+/// nothing. Uses the pose of the box, because its actor hides the road from the sensor.
+/// @param get_clearance_m  returns the height of the bottom of a box above the ground
+std::optional<GroundPlane> ground_below_box(const glm::dvec2& position_m, const Log& sequence,
+                                            const std::function<double(const BoxTrack&)>& get_clearance_m) {
+    const BoxTrack* nearest_box = nullptr;
+    Pose nearest_pose;
     double nearest_m = std::numeric_limits<double>::infinity();
     for (const BoxTrack& box : sequence.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
-            const double apart_m = glm::distance(glm::dvec2(pose.translation), position_m);
+            const double distance_m = glm::distance(glm::dvec2(pose.translation), position_m);
             const Footprint footprint{pose.translation, heading_rad(pose), 0.5 * glm::dvec2(box.size_m)};
-            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(position_m, 0.0), 0.0)) {
-                nearest = &box;
-                at = pose;
-                nearest_m = apart_m;
-            }
+            if (distance_m >= nearest_m || !footprint.contains_point(glm::dvec3(position_m, 0.0), 0.0))
+                continue;
+            nearest_box = &box;
+            nearest_pose = pose;
+            nearest_m = distance_m;
         }
-    if (!nearest) return {};
-    const glm::dvec3 up = at.rotation * glm::dvec3(0.0, 0.0, 1.0);
+    if (!nearest_box) return {};
+    const glm::dvec3 up = nearest_pose.rotation * glm::dvec3(0.0, 0.0, 1.0);
     if (up.z < kMinPlaneNormalZ) return {};
-    return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
+    const double centre_height_m = 0.5 * nearest_box->size_m.z + get_clearance_m(*nearest_box);
+    return GroundPlane{nearest_pose.translation - centre_height_m * up, up};
 }
 
-/// Returns the height of a box's bottom above the ground in metres: the median over some
-/// positions of its track.
+/// Returns the height of a box's bottom above the ground in metres: the median over about
+/// kClearanceSamples poses of its track. Returns nothing without ground below the box.
 std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_view, const BoxTrack& box) {
+    const std::vector<Pose>& all = box.world_from_box.pose;
+    std::vector<Pose> poses;
     std::vector<glm::dvec2> positions_xy;
-    const std::vector<Pose>& poses = box.world_from_box.pose;
-    const std::size_t step = std::max<std::size_t>(1, poses.size() / kClearanceSamples);
-    for (std::size_t i = 0; i < poses.size(); i += step) positions_xy.emplace_back(poses[i].translation);
+    const std::size_t step = std::max<std::size_t>(1, all.size() / kClearanceSamples);
+    for (std::size_t i = 0; i < all.size(); i += step) {
+        poses.push_back(all[i]);
+        positions_xy.emplace_back(all[i].translation);
+    }
     const HorizontalSurfels surfels(scene_and_log_view, positions_xy);
     std::vector<double> heights_m;
-    for (std::size_t i = 0; i < poses.size(); i += step) {
-        const Pose& pose = poses[i];
+    for (const Pose& pose : poses) {
         const std::optional<GroundPlane> plane =
             surfels.fit_below(make_footprint(pose.translation, heading_rad(pose), box.size_m));
         if (plane) heights_m.push_back(plane->height_above(pose.translation) - 0.5 * box.size_m.z);
@@ -324,16 +325,16 @@ struct PathGround {
     bool is_observed = false;          ///< false if `plane` continues the ground before it
 };
 
-/// Returns the points that a path visits, at most kGroundStep_m apart, and the index of
-/// each point of the path in them.
+/// Adds points between `start` and the points of a path, so that they are at most
+/// kGroundStep_m apart. Returns all points, and the index of each path point in them.
 std::pair<std::vector<PathPoint>, std::vector<std::size_t>> subdivide_path(
     const PathPoint& start, const std::vector<PathPoint>& path) {
     std::vector<PathPoint> points{start};
     std::vector<std::size_t> index;
     for (const PathPoint& next : path) {
-        const glm::dvec2 from_m = points.back().position_m, way_m = next.position_m - from_m;
-        const int n = int(std::ceil(glm::length(way_m) / kGroundStep_m));
-        for (int k = 1; k <= n; ++k) points.push_back({from_m + way_m * (double(k) / n), next.yaw_rad});
+        const glm::dvec2 from_m = points.back().position_m, offset_m = next.position_m - from_m;
+        const int n = int(std::ceil(glm::length(offset_m) / kGroundStep_m));
+        for (int k = 1; k <= n; ++k) points.push_back({from_m + offset_m * (double(k) / n), next.yaw_rad});
         index.push_back(points.size() - 1);
     }
     return {points, index};
@@ -342,19 +343,18 @@ std::pair<std::vector<PathPoint>, std::vector<std::size_t>> subdivide_path(
 /// Interpolates the ground linearly where it was not observed between two observed
 /// points, so that the path has no step where the ground appears again.
 void join_gaps(std::vector<PathGround>& ground, const std::vector<PathPoint>& points) {
-    std::size_t before = 0;
-    for (std::size_t i = 1; i < ground.size(); ++i) {
-        if (!ground[i].is_observed) continue;
-        const PathGround first = ground[before], last = ground[i];
-        for (std::size_t k = before + 1; k < i && first.is_observed; ++k) {
-            const double share = double(k - before) / double(i - before);
-            const double z = glm::mix(first.plane->height_at(points[before].position_m),
-                                      last.plane->height_at(points[i].position_m), share);
-            ground[k].plane =
-                GroundPlane{{points[k].position_m, z},
-                            glm::normalize(glm::mix(first.plane->normal, last.plane->normal, share))};
+    std::size_t begin = 0;  // last observed point before `end`; point 0 may be unobserved
+    for (std::size_t end = 1; end < ground.size(); ++end) {
+        if (!ground[end].is_observed) continue;
+        for (std::size_t k = begin + 1; k < end && ground[begin].is_observed; ++k) {
+            const GroundPlane &first = *ground[begin].plane, &last = *ground[end].plane;
+            const double share = double(k - begin) / double(end - begin);
+            const double z = glm::mix(first.height_at(points[begin].position_m),
+                                      last.height_at(points[end].position_m), share);
+            ground[k].plane = GroundPlane{{points[k].position_m, z},
+                                          glm::normalize(glm::mix(first.normal, last.normal, share))};
         }
-        before = i;
+        begin = end;
     }
 }
 
@@ -456,7 +456,10 @@ std::vector<PathPoint> list_path_points(const PoseTrack& dataset_path, const glm
     return points;
 }
 
-/// Puts the poses of a path on the ground, as follow_ground() describes.
+/// Returns the motion of an actor whose box follows the height and the slope of the
+/// ground along a path. follow_ground() describes the ground.
+/// @param path  positions (x, y) and headings in the dataset's world
+/// @param clearance_m  height of the box above the ground; default: as in its scene
 NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack& path,
                           std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
                           const std::string& actor_track) {
@@ -465,19 +468,23 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
     const std::vector<PathPoint> points = list_path_points(path, offset_m);
     const GroundFinder finder(target_scene, points);
     const std::vector<PathGround> ground = finder.follow_path(points, box.size_m);
-    if (const glm::dvec2 xy = points.front().position_m; !ground.front().is_observed)
+    const glm::dvec2 start_m = points.front().position_m;
+    if (!ground.front().is_observed)
         fail<UsageError>(
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
             "surface below its box ({}); choose a position on a surface that the log has observed",
-            actor_track, xy.x + offset_m.x, xy.y + offset_m.y, finder.surfels().describe_nearest(xy));
+            actor_track, start_m.x + offset_m.x, start_m.y + offset_m.y,
+            finder.surfels().describe_nearest(start_m));
     if (!clearance_m) clearance_m = median_clearance_m(actor_scene, box);
-    const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
+    // distance of the box centre from the ground plane
+    const double centre_height_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     NewActorMotion motion;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const auto& [position_m, yaw_rad] = points[i];
+        const glm::dvec2& position_m = points[i].position_m;
         const GroundPlane& plane = *ground[i].plane;
-        const glm::dvec3 centre_m(position_m, plane.height_at(position_m) + above_m / plane.normal.z);
-        motion.dataset_path.append(path.time_s[i], {rotate_to_plane(plane, yaw_rad), centre_m + offset_m});
+        const glm::dvec3 centre_m(position_m, plane.height_at(position_m) + centre_height_m / plane.normal.z);
+        motion.dataset_path.append(path.time_s[i],
+                                   {rotate_to_plane(plane, points[i].yaw_rad), centre_m + offset_m});
         if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
     }
     motion.dataset_from_box = motion.dataset_path.pose.front();
@@ -515,27 +522,26 @@ NewActorMotion follow_ground(const SceneWithLogView& target_scene, const PoseTra
                       actor_track);
 }
 
-/// Places an actor on the ground at its start, and at each frame if it moves.
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track) {
     const Log& sequence = target_scene.sequence;
+    const bool is_moving = placement.speed_mps != 0.0;
     const glm::dvec2 xy = placement.dataset_m - glm::dvec2(sequence.world_offset_m);
     const double yaw_rad =
         placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
+    const glm::dquat rotation = make_rotation(yaw_rad, 0.0, 0.0);
     const glm::dvec3 start_m(placement.dataset_m, 0.0), ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
-    PoseTrack path;
+    PoseTrack path;  // straight, with a position at the time of each sweep
     for (const Frame& frame : sequence.frames) {
         // LiDARs that sweep together have the same time.
         if (!path.time_s.empty() && !(frame.time_s > path.time_s.back())) continue;
         const double driven_s = path.time_s.empty() ? 0.0 : frame.time_s - path.time_s.front();
-        path.append(frame.time_s,
-                    {make_rotation(yaw_rad, 0.0, 0.0), start_m + placement.speed_mps * driven_s * ahead});
+        path.append(frame.time_s, {rotation, start_m + placement.speed_mps * driven_s * ahead});
     }
-    if (placement.speed_mps == 0.0 || path.time_s.empty())
-        path = {{0.0}, {{make_rotation(yaw_rad, 0.0, 0.0), start_m}}};
+    if (!is_moving || path.time_s.empty()) path = {{0.0}, {{rotation, start_m}}};
     NewActorMotion start = place_path(target_scene, path, placement.clearance_m, actor_scene, actor_track);
     start.speed_mps = placement.speed_mps;
-    if (placement.speed_mps == 0.0) start.dataset_path = {};
+    if (!is_moving) start.dataset_path = {};  // the start pose is enough
     return start;
 }
 

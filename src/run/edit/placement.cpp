@@ -12,6 +12,7 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxGap_m = 0.3;
+constexpr int kNoLidar = -1;  // for notes that are not about a LiDAR
 // Labels are a few centimetres larger or smaller than their objects.
 constexpr double kMinOverlap_m = 0.1;
 
@@ -22,22 +23,24 @@ std::vector<double> frame_times_s(const Log& log) {
     return times_s;
 }
 
-/// Returns by how much two boxes overlap along the axis of a side on which they overlap
-/// least. Negative if they are apart.
+/// Returns the depth by which two boxes overlap, in metres: the smallest overlap of their
+/// projections onto the six axes of both boxes (separating axes). Negative if the boxes
+/// are apart along one of these axes.
 double overlap_m(const Pose& first, const glm::dvec3& first_size_m, const Pose& second,
                  const glm::dvec3& second_size_m) {
     const glm::dmat3 a = glm::mat3_cast(first.rotation), b = glm::mat3_cast(second.rotation);
     double least_m = INFINITY;
-    for (int k = 0; k < 6; ++k) {
-        const glm::dvec3 axis = k < 3 ? a[k] : b[k - 3];
-        const double half_m =
+    for (const glm::dvec3& axis : {a[0], a[1], a[2], b[0], b[1], b[2]}) {
+        const double half_lengths_m =
             0.5 * (glm::dot(first_size_m, glm::abs(axis * a)) + glm::dot(second_size_m, glm::abs(axis * b)));
-        least_m =
-            std::min(least_m, half_m - std::abs(glm::dot(axis, second.translation - first.translation)));
+        const double distance_m = std::abs(glm::dot(axis, second.translation - first.translation));
+        least_m = std::min(least_m, half_lengths_m - distance_m);
     }
     return least_m;
 }
 
+/// Adds a note if an actor floats: if its box is more than kMaxGap_m above the ground in
+/// a frame. Frames without observed ground below the box do not count.
 void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& box) {
     PoseTrack path;
     for (const double time_s : frame_times_s(edited.sequence))
@@ -45,19 +48,19 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
     // heights_above_ground() expects poses in the world frame of the dataset.
     const std::vector<std::optional<double>> gaps_m =
         heights_above_ground(edited, shift_track(path, edited.sequence.world_offset_m), box.size_m);
+    const auto is_floating = [](const std::optional<double>& gap_m) { return gap_m > kMaxGap_m; };
+    const auto n_floating = std::ranges::count_if(gaps_m, is_floating);
+    if (n_floating == 0) return;
     // A missing height compares below every number.
     const auto largest = std::ranges::max_element(gaps_m);
-    if (largest == gaps_m.end() || largest->value_or(0.0) <= kMaxGap_m) return;
-    notes.emplace_back(
-        "floating", -1,
-        fmt::format(
-            "actor {} is {:.2f} m above the ground at {:.2f} s, and more than {} m in "
-            "{} of {} frames",
-            box.id, **largest, path.time_s[std::size_t(largest - gaps_m.begin())], kMaxGap_m,
-            std::ranges::count_if(gaps_m, [](const auto& gap_m) { return gap_m.value_or(0.0) > kMaxGap_m; }),
-            gaps_m.size()));
+    const double time_s = path.time_s[std::size_t(largest - gaps_m.begin())];
+    notes.emplace_back("floating", kNoLidar,
+                       fmt::format("actor {} is {:.2f} m above the ground at {:.2f} s, and more than {} m in "
+                                   "{} of {} frames",
+                                   box.id, **largest, time_s, kMaxGap_m, n_floating, gaps_m.size()));
 }
 
+/// Adds a note if the boxes of two actors overlap by more than kMinOverlap_m in a frame.
 void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const BoxTrack& other) {
     std::optional<double> first_s, last_s;
     double most_m = 0.0;
@@ -71,9 +74,8 @@ void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const B
         most_m = std::max(most_m, shared_m);
     }
     if (first_s)
-        // -1: the note is not about a single LiDAR
         notes.emplace_back(
-            "overlap", -1,
+            "overlap", kNoLidar,
             fmt::format("the boxes of {} and {} overlap by up to {:.2f} m between {:.2f} and {:.2f} s",
                         box.id, other.id, most_m, *first_s, *last_s));
 }
@@ -90,16 +92,13 @@ Notes check_placement(const SceneWithLogView& edited, const std::vector<std::str
         for (const double time_s : frame_times_s(edited.sequence))
             track.append(time_s, standing.world_from_box.pose.front());
     }
-    const auto position = [&](const std::string& id) {
-        return std::ranges::find(tracks, id) - tracks.begin();
-    };
-    for (const std::string& track : tracks) {
-        const BoxTrack* box = find_box(edited.sequence, track);
+    for (auto track = tracks.begin(); track != tracks.end(); ++track) {
+        const BoxTrack* box = find_box(edited.sequence, *track);
         if (!box) continue;
         add_gap_note(notes, edited, *box);
-        // Two placed actors have one note.
+        // Only once for two placed actors: skips actors up to this one in the list.
         for (const BoxTrack& other : boxes)
-            if (other.id != track && position(other.id) > position(track))
+            if (std::find(tracks.begin(), track + 1, other.id) == track + 1)
                 add_overlap_note(notes, edited.sequence, *box, other);
     }
     return notes;
