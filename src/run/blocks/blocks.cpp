@@ -41,18 +41,22 @@ bool is_near_box(const BoxTrack& box, const Log& sequence, int frame_index, doub
                          sequence.world_from_vehicle.pose_at(time_s).translation) <= max_distance_m;
 }
 
-/// Divides the route into sections of equal length, and returns the sweeps in each
-/// section as a block. Sections without sweeps are left out.
-std::vector<TrajectoryBlock> divide_route(const std::vector<double>& distances_m, double length_m) {
-    const double driven_length_m = distances_m.back();
-    const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
+/// Divides the route into sections of equal length, and returns the frames in each
+/// section as a block. Sections without frames are left out.
+/// @param driven_m  [frames] distance from the start of the log along the route
+/// @param max_length_m  maximum length of a section
+std::vector<TrajectoryBlock> divide_route(const std::vector<double>& driven_m, double max_length_m) {
+    const double route_m = driven_m.back();
+    // The small number avoids an extra section because of a rounding error.
+    const double n_sections = std::max(1.0, std::ceil(route_m / max_length_m - 1e-9));
     std::vector<TrajectoryBlock> blocks;
-    for (std::size_t i = 0; i < distances_m.size(); ++i) {
-        const double k =
-            driven_length_m > 0.0 ? std::min(n - 1.0, std::floor(distances_m[i] / driven_length_m * n)) : 0.0;
-        const double begin_m = driven_length_m * k / n;
+    for (std::size_t i = 0; i < driven_m.size(); ++i) {
+        double section = 0.0;  // index; the end of the route belongs to the last section
+        if (route_m > 0.0)
+            section = std::min(n_sections - 1.0, std::floor(driven_m[i] / route_m * n_sections));
+        const double begin_m = route_m * section / n_sections;
         if (blocks.empty() || blocks.back().begin_m < begin_m)
-            blocks.push_back({begin_m, driven_length_m * (k + 1.0) / n, {}, {}});
+            blocks.push_back({begin_m, route_m * (section + 1.0) / n_sections, {}, {}});
         blocks.back().recorded_frames.push_back(static_cast<int>(i));
     }
     return blocks;
@@ -68,12 +72,13 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, con
     std::vector<TrajectoryBlock> blocks = divide_route(driven_m, options.length_m);
     // A block is trained on all training frames within halo_m of its recorded frames.
     for (TrajectoryBlock& block : blocks) {
-        for (const int frame : split.train)
-            if (std::ranges::any_of(block.recorded_frames, [&](int recorded) {
-                    return glm::distance(places_m[std::size_t(frame)], places_m[std::size_t(recorded)]) <=
-                           options.halo_m;
-                }))
-                block.train.push_back(frame);
+        const auto is_near_block = [&](int frame) {
+            return std::ranges::any_of(block.recorded_frames, [&](int recorded) {
+                return glm::distance(places_m[std::size_t(frame)], places_m[std::size_t(recorded)]) <=
+                       options.halo_m;
+            });
+        };
+        std::ranges::copy_if(split.train, std::back_inserter(block.train), is_near_block);
         if (block.train.empty())
             fail(
                 "cannot divide {} into blocks: within {:g} m of the block that covers metres {:.0f} to "
@@ -84,25 +89,26 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, con
     return blocks;
 }
 
-/// Keeps the background surfels whose nearest sweep belongs to the block, in kd-tree
-/// order. Actors keep all surfels.
+/// Keeps the background surfels whose nearest sweep belongs to the block `index`, in
+/// kd-tree order (neighbours in space are near in memory). Actors keep all surfels.
 void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
                         std::size_t index) {
     std::vector<bool> is_block_frame(log.frames.size(), false);
-    for (const int position : blocks[index].recorded_frames) is_block_frame[std::size_t(position)] = true;
-    const NearestPointFinder<double> nearest(list_positions(log));
-    const std::uint32_t n = scene.models.front().count;
-    std::vector<glm::vec3> means;
-    std::vector<std::uint32_t> remaining_surfels, order;
-    for (std::uint32_t i = 0; i < n; ++i) {
-        if (!is_block_frame[nearest.nearest_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
-        remaining_surfels.push_back(i);
-        means.push_back(scene.surfels.mean[i]);
+    for (const int frame : blocks[index].recorded_frames) is_block_frame[std::size_t(frame)] = true;
+    const NearestPointFinder<double> frame_finder(list_positions(log));
+    const std::uint32_t n_background = scene.models.front().count;
+    std::vector<glm::vec3> kept_means;
+    std::vector<std::uint32_t> kept_surfels, order;
+    for (std::uint32_t i = 0; i < n_background; ++i) {
+        const glm::vec3& mean = scene.surfels.mean[i];
+        if (!is_block_frame[frame_finder.nearest_index(glm::dvec3(mean))]) continue;
+        kept_surfels.push_back(i);
+        kept_means.push_back(mean);
     }
-    for (const std::uint32_t i : kd_tree_order(means)) order.push_back(remaining_surfels[i]);
-    for (std::uint32_t i = n; i < scene.surfels.size(); ++i) order.push_back(i);
+    for (const std::uint32_t i : kd_tree_order(kept_means)) order.push_back(kept_surfels[i]);
+    for (std::uint32_t i = n_background; i < scene.surfels.size(); ++i) order.push_back(i);
     scene.surfels = scene.surfels.reorder(order);
-    const auto n_removed = static_cast<std::uint32_t>(n - remaining_surfels.size());
+    const auto n_removed = static_cast<std::uint32_t>(n_background - kept_surfels.size());
     scene.models.front().count -= n_removed;
     for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= n_removed;
 }
@@ -114,12 +120,11 @@ namespace {
 PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
-    for (const int position : frame_indices) {
-        const double time_s = sequence.frames[std::size_t(position)].time_s;
-        const auto at =
-            std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
-        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, is_used.size() - 1); ++i)
-            is_used[i] = true;
+    for (const int frame : frame_indices) {
+        const double time_s = sequence.frames[std::size_t(frame)].time_s;
+        const auto pose = std::size_t(std::ranges::lower_bound(all.time_s, time_s) - all.time_s.begin());
+        const std::size_t first = pose > 0 ? pose - 1 : 0, last = std::min(pose + 1, is_used.size() - 1);
+        for (std::size_t i = first; i <= last; ++i) is_used[i] = true;
     }
     PoseTrack track;
     for (std::size_t i = 0; i < is_used.size(); ++i)
@@ -141,31 +146,31 @@ void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxe
 
 }  // namespace
 
-/// Returns the part of the log that a block needs: its training frames, its held-out
-/// frames, and the poses and boxes near them.
+/// Returns the part of the log that a block needs: its training frames, the held-out
+/// frames recorded in it, and the poses and boxes near these frames.
+/// @param config  settings of the complete training
 BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
                          const Config& config) {
-    // in the order of the log
-    std::vector<int> frames = block.train;
-    for (const int position : block.recorded_frames)
-        if (std::ranges::find(split.test, position) != split.test.end()) frames.push_back(position);
+    std::vector<int> frames = block.train;  // indices in the log
+    for (const int frame : block.recorded_frames)
+        if (std::ranges::find(split.test, frame) != split.test.end()) frames.push_back(frame);
     std::ranges::sort(frames);
     BlockTrainingLog log{strip_frames(sequence), {}, config};
     Log& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
     part.world_from_vehicle = cut_track(sequence, frames);
     part.boxes.clear();
-    for (const int position : frames) {
-        const bool trains = std::ranges::binary_search(block.train, position);
-        (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));
-        part.frames.push_back(sequence.frames[std::size_t(position)]);
+    for (const int frame : frames) {
+        const bool is_trained = std::ranges::binary_search(block.train, frame);
+        std::vector<int>& part_split = is_trained ? log.split.train : log.split.test;
+        part_split.push_back(static_cast<int>(part.frames.size()));
+        part.frames.push_back(sequence.frames[std::size_t(frame)]);
     }
     for (const BoxTrack& box : sequence.boxes)
-        if (std::ranges::any_of(frames, [&](int position) {
-                return is_near_box(box, sequence, position, kMaxBoxDistance_m);
-            }))
+        if (std::ranges::any_of(
+                frames, [&](int frame) { return is_near_box(box, sequence, frame, kMaxBoxDistance_m); }))
             part.boxes.push_back(box);
-    log.config.blocks.length_m = 0.0;
+    log.config.blocks.length_m = 0.0;  // the part is not divided again
     drop_missing_tracks(log.config.init, part.boxes);
     return log;
 }
@@ -178,8 +183,8 @@ SceneBlock make_block(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
         const glm::vec2 log_scale = scene.surfels.log_scale[i];
-        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y))),
-            mean = scene.surfels.mean[i];
+        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y)));
+        const glm::vec3 mean = scene.surfels.mean[i];
         block.low_m = i == 0 ? mean - reach : glm::min(block.low_m, mean - reach);
         block.high_m = i == 0 ? mean + reach : glm::max(block.high_m, mean + reach);
     }
@@ -224,18 +229,19 @@ void keep_best_models(const Run& block_run, const Log& full_sequence, const Traj
     }
 }
 
-/// Copies the vehicle poses at the sweeps of a block to the track of the full log.
+/// Copies the vehicle poses at the sweeps of a block to the track of the full log,
+/// because training has refined them.
 void copy_poses(const Run& part, const Log& log, const TrajectoryBlock& block, PoseTrack& track) {
-    for (const int position : block.recorded_frames) {
-        const double time_s = log.frames[std::size_t(position)].time_s;
-        const PoseTrack& part_track = part.sequence.world_from_vehicle;
-        const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
-        const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        // Skips frames without a pose at exactly this time.
-        if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
-            continue;
-        track.pose[std::size_t(to - track.time_s.begin())] =
-            part_track.pose[std::size_t(from - part_track.time_s.begin())];
+    const auto find_pose = [](auto& poses, double time_s) {
+        const auto time = std::ranges::lower_bound(poses.time_s, time_s);
+        const bool is_found = time != poses.time_s.end() && *time == time_s;
+        return is_found ? &poses.pose[std::size_t(time - poses.time_s.begin())] : nullptr;
+    };
+    for (const int frame : block.recorded_frames) {
+        const double time_s = log.frames[std::size_t(frame)].time_s;
+        const Pose* trained = find_pose(part.sequence.world_from_vehicle, time_s);
+        Pose* pose = find_pose(track, time_s);
+        if (trained && pose) *pose = *trained;
     }
 }
 

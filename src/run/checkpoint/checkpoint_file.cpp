@@ -21,7 +21,7 @@ constexpr const char* kCheckpointFormat = "relidar checkpoint";
 constexpr const char* kCheckpointVersion = "1";
 constexpr const char* kChecksumKey = "crc32";
 
-/// Returns the CRC-32 of all metadata and arrays, in hexadecimal digits.
+/// Returns the CRC-32 of all metadata, except the checksum, and arrays in hexadecimal.
 std::string checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
     uLong crc = ::crc32_z(0, nullptr, 0);
     const auto add_bytes = [&](const void* bytes, std::size_t n_bytes) {
@@ -127,7 +127,6 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     return paths;
 }
 
-/// Writes the checkpoint first, and removes others only after it is on disk.
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints) {
     std::error_code failed;
     // If this call fails, the write below also fails and reports the error.
@@ -135,14 +134,16 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
     write_checkpoint(path, checkpoint);
+    // The new checkpoint is on disk before others are removed.
     std::vector<std::filesystem::path> older;
     for (const std::filesystem::path& other : list_checkpoints(folder)) {
         const int iteration = *iteration_of_file(other);
         if (iteration < checkpoint.iteration) older.push_back(other);
         if (iteration > checkpoint.iteration) std::filesystem::remove(other, failed);
     }
-    const std::size_t n_older = static_cast<std::size_t>(std::max(max_checkpoints, 1) - 1);
-    for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
+    // `older` is sorted by iteration.
+    const std::size_t n_kept = static_cast<std::size_t>(std::max(max_checkpoints, 1) - 1);
+    for (std::size_t i = 0; i + n_kept < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
 std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,

@@ -13,17 +13,16 @@
 namespace relidar {
 namespace {
 
+/// Throws if an array of float or double (type T) contains infinity or NaN.
 template <class T>
 void check_finite_values(const NamedArray& array) {
-    const std::size_t n = array.bytes.size() / sizeof(T);
-    for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t n_values = array.bytes.size() / sizeof(T);
+    for (std::size_t i = 0; i < n_values; ++i) {
         T value;
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
         if (std::isfinite(value)) continue;
-        // i / (values per row) is the row of the value.
-        const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
-        fail("row {1} of array \"{0}\" contains {2}, expected finite numbers", array.name, i / (n / rows),
-             value);
+        const std::size_t n_rows = array.shape.empty() ? 1 : array.shape[0], row = i / (n_values / n_rows);
+        fail("row {} of array \"{}\" contains {}, expected finite numbers", row, array.name, value);
     }
 }
 
@@ -84,6 +83,7 @@ Surfels CheckpointReader::read_surfels(const std::string& name) const {
     return read_surfels(name, mean.shape.empty() ? 0 : mean.shape[0]);
 }
 
+/// Returns the stored surfels as host arrays. Throws unless they are n_surfels.
 Surfels CheckpointReader::read_surfels(const std::string& name, std::size_t n_surfels) const {
     const SurfelParameterSet parameters = read_parameter_set(
         fmt::format("checkpoint of iteration {}", checkpoint_.iteration), checkpoint_.texts,

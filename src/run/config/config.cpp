@@ -35,25 +35,23 @@ std::string format_setting(const T& value, const SettingValueRange& accepted_val
     else return fmt::format("{}", value);
 }
 
-/// For example "a number >= 0", "an integer in 1..64", "one of ray, surfel".
+/// Describes the values that a setting of type T accepts, for help and error messages.
+/// For example "a number of at least 0", "an integer from 1 to 64", "one of ray, surfel".
 template <class T>
-std::string describe_range(const SettingValueRange& accepted_values) {
+std::string describe_range(const SettingValueRange& accepted) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
-    if (accepted_values.several)
-        return fmt::format("some of {}, separated by commas", fmt::join(accepted_values.choices, ", "));
-    if (!accepted_values.choices.empty())
-        return fmt::format("one of {}", fmt::join(accepted_values.choices, ", "));
+    const std::string choices = fmt::format("{}", fmt::join(accepted.choices, ", "));
+    if (accepted.several) return fmt::format("some of {}, separated by commas", choices);
+    if (!choices.empty()) return fmt::format("one of {}", choices);
     if constexpr (is_text<T>) return "text";
+
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
-    // Without an upper limit, the text states only the lower limit.
-    const bool open_end =
-        accepted_values.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
-    const char* above = accepted_values.above_low ? "above" : "of at least";
-    if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepted_values.low);
-    if (accepted_values.above_low)
-        return fmt::format("{} above {:.15g} and at most {:.15g}", kind, accepted_values.low,
-                           accepted_values.high);
-    return fmt::format("{} from {:.15g} to {:.15g}", kind, accepted_values.low, accepted_values.high);
+    const double unlimited = std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max();
+    if (accepted.high >= unlimited)
+        return fmt::format("{} {} {:.15g}", kind, accepted.above_low ? "above" : "of at least", accepted.low);
+    if (accepted.above_low)
+        return fmt::format("{} above {:.15g} and at most {:.15g}", kind, accepted.low, accepted.high);
+    return fmt::format("{} from {:.15g} to {:.15g}", kind, accepted.low, accepted.high);
 }
 
 /// Parses a finite number within the accepted range. Returns nothing for other text.
@@ -65,7 +63,8 @@ std::optional<T> parse_in_range(const std::string& text, const SettingValueRange
     // std::from_chars() does not accept a plus sign.
     if (begin != end && *begin == '+') ++begin;
     const auto [stop, error] = std::from_chars(begin, end, parsed);
-    if (begin == end || error != std::errc() || stop != end) return std::nullopt;
+    const bool is_number = begin != end && error == std::errc() && stop == end;
+    if (!is_number) return std::nullopt;
     if constexpr (std::is_floating_point_v<T>) {
         if (!std::isfinite(parsed)) return std::nullopt;
     }
@@ -76,18 +75,20 @@ std::optional<T> parse_in_range(const std::string& text, const SettingValueRange
     return parsed;
 }
 
-/// Parses the text of a setting. Returns nothing if the value is not accepted.
+/// Parses the text of a setting of type T. Returns nothing if the value is not accepted.
 template <class T>
 std::optional<T> parse_setting(const std::string& text, const SettingValueRange& accepted_values) {
     const std::vector<std::string>& choices = accepted_values.choices;
     const auto is_choice = [&](const std::string& word) {
         return std::ranges::find(choices, word) != choices.end();
     };
-    if (accepted_values.several ? !std::ranges::all_of(split_list(text), is_choice)
-                                : !choices.empty() && !is_choice(text))
-        return std::nullopt;
-    // The choices are in the order of the enumerators.
+    bool is_accepted = true;  // settings without choices are checked below
+    if (accepted_values.several) is_accepted = std::ranges::all_of(split_list(text), is_choice);
+    else if (!choices.empty()) is_accepted = is_choice(text);
+    if (!is_accepted) return std::nullopt;
+
     if constexpr (std::is_enum_v<T>) {
+        // The choices are in the order of the enumerators.
         return static_cast<T>(std::ranges::find(choices, text) - choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {
         if (text.find_first_of("\n\r") != std::string::npos) return std::nullopt;
@@ -123,6 +124,7 @@ std::string unknown_key(const std::string& key) {
 template <class T>
 void assign_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
                   const ParsedValue& parsed_value) {
+    // Not known on the command line; is_quoted then has no value and equals neither.
     const bool wrong_kind = parsed_value.is_quoted == !is_text<T>;
     const std::optional<T> parsed = parse_setting<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
@@ -134,16 +136,17 @@ void assign_value(T& field, const std::string& key, const SettingValueRange& acc
     field = *parsed;
 }
 
-/// Applies one setting. The setting `preset` replaces all other settings.
+/// Sets the field of a key. The setting `preset` also replaces all other settings.
 void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
-    bool is_valid_key = false;
+    bool is_known_key = false;
+    // Visits all settings, because each field has another type.
     visit_settings(config,
                    [&](const char* name, auto& field, const SettingValueRange& accepts, const SettingHelp&) {
-                       if (is_valid_key || key != name) return;
-                       is_valid_key = true;
+                       if (key != name) return;
+                       is_known_key = true;
                        assign_value(field, key, accepts, value);
                    });
-    if (!is_valid_key) throw UsageError(unknown_key(key));
+    if (!is_known_key) throw UsageError(unknown_key(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 
@@ -228,17 +231,19 @@ std::string format_toml(const Config& config, const std::set<std::string>& left_
         // The part of a key before the dot is its TOML table.
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
+        const std::string name = key.substr(dot + 1);  // npos + 1 is 0
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
         const std::string value = format_setting(field, accepts);
-        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_range<T>(accepts),
-                            key.substr(dot + 1), is_text<T> ? quote_toml(value) : value);
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_range<T>(accepts), name,
+                            is_text<T> ? quote_toml(value) : value);
     });
     return text;
 }
 
 }  // namespace
 
+/// Returns key, value and help of each setting, in the order of the TOML file.
 std::vector<ConfigKey> list_config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
     visit_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
@@ -256,6 +261,8 @@ void set_value(Config& config, const std::string& key, const std::string& value)
 
 void apply_file(Config& config, const std::filesystem::path& path) { read_config_file(config, path, false); }
 
+/// Loads a file that must contain all settings. Errors are DataErrors, because the file
+/// belongs to a run and was not written by the user.
 Config load_settings(const std::filesystem::path& path) {
     Config config;
     try {
@@ -271,6 +278,7 @@ std::string to_toml(const Config& config) {
            format_toml(config, {});
 }
 
+/// Returns the settings as TOML text. Leaves out expert settings that equal the preset.
 std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
     // Both lists contain all settings in the same order.
