@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/geometry/circular_gap.hpp"
 #include "base/median.hpp"
 
 namespace relidar::bag {
@@ -21,8 +22,8 @@ constexpr double kWidestPart_rad = 300.0 * kPi / 180.0;
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
 // exp(i step)| >= kMinStepAgreement, and about as wide as a cloud, |mean step - w| <=
-// kMaxStepError * mean step. w is the median width of a cloud, or 2 pi minus this width if
-// that is smaller.
+// kMaxStepError * mean step. w is the median width of a cloud, or 2 pi minus this width
+// if that is smaller.
 constexpr double kMinStepAgreement = 0.8, kMaxStepError = 0.4;
 // A part of a revolution is missing if a time step exceeds this multiple of the usual
 // step.
@@ -37,19 +38,12 @@ std::size_t find_azimuth_bin(double azimuth_rad) {
 /// Returns the azimuth range that contains all points: the full circle except its widest
 /// gap. Returns nothing if no bin has a point.
 std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_occupied) {
-    std::size_t widest_gap = 0, end_of_widest = 0, gap = 0;
-    // Loops over the circle twice, because its widest gap may contain the azimuth pi.
-    for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
-        gap = is_bin_occupied[b % kAzimuthBins] ? 0 : gap + 1;
-        if (gap > widest_gap) {
-            widest_gap = gap;
-            end_of_widest = b + 1;
-        }
-    }
-    if (widest_gap >= kAzimuthBins) return std::nullopt;
+    const CircularGap gap =
+        find_widest_gap(kAzimuthBins, [&](std::size_t bin) { return is_bin_occupied[bin]; });
+    if (gap.length >= kAzimuthBins) return std::nullopt;
     const double bin_rad = 2.0 * kPi / kAzimuthBins;
-    const double extent_rad = 2.0 * kPi - bin_rad * double(widest_gap);
-    const double middle_rad = bin_rad * double(end_of_widest) - kPi + 0.5 * extent_rad;
+    const double extent_rad = 2.0 * kPi - bin_rad * double(gap.length);
+    const double middle_rad = bin_rad * double(gap.end) - kPi + 0.5 * extent_rad;
     return AzimuthArc{.middle_rad = float(std::remainder(middle_rad, 2.0 * kPi)),
                       .extent_rad = float(extent_rad)};
 }
@@ -151,7 +145,8 @@ JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
         const double angle_rad = direction * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle_rad - 2.0 * kPi * std::floor(angle_rad / (2.0 * kPi));
     };
-    // A revolution also ends if a cloud is missing, because its time step is then too long.
+    // A revolution also ends if a cloud is missing, because its time step is then too
+    // long.
     const auto begins_revolution = [&](const RevolutionPart& part, const RevolutionPart& before) {
         const double step_s = 1e-9 * double(part.stamp_ns - before.stamp_ns);
         return rotation_rad(part) <= rotation_rad(before) || step_s >= kMinPauseSteps * parts->step_s;

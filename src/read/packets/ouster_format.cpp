@@ -13,6 +13,7 @@
 
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
+#include "base/geometry/circular_gap.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_format.hpp"
 
@@ -30,18 +31,13 @@ constexpr std::uint32_t kEncoderTicks = 90112;
 /// in which the sensor fires. The window may cross the end of the range image.
 std::array<int, 2> find_window(const std::vector<bool>& column_has_fired) {
     const int n = int(column_has_fired.size());
-    // Finds the longest gap without firings. The window is the rest of the circle, and
-    // `begin` is the first column after the gap.
-    int begin = 0, longest = 0;
-    for (int start = 0; start < n; ++start) {
-        int length = 0;
-        while (length < n && !column_has_fired[std::size_t((start + length) % n)]) ++length;
-        if (length > longest) {
-            longest = length;
-            begin = (start + length) % n;
-        }
-    }
-    return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
+    // The window is the circle without its widest gap.
+    const CircularGap gap =
+        find_widest_gap(std::size_t(n), [&](std::size_t c) { return column_has_fired[c]; });
+    const int n_empty = int(gap.length);
+    if (n_empty >= n) return {0, n - 1};
+    const int begin = int(gap.end) % n;
+    return {begin, (begin + n - n_empty - 1) % n};
 }
 
 /// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR

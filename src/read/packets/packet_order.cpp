@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 
+#include "base/geometry/circular_gap.hpp"
+
 namespace relidar::packets {
 namespace {
 
@@ -26,13 +28,25 @@ double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     for (std::size_t p = 1; p < packets.size(); ++p) {
         const PacketIndexEntry &before = packets[p - 1], &entry = packets[p];
         const std::int64_t passed_ns = entry.clock_ns - before.clock_ns;
-        if (entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f || passed_ns <= 0 ||
-            passed_ns > kMinPause_ns)
-            continue;
+        const bool is_next_to_sector = entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f;
+        if (is_next_to_sector || passed_ns <= 0 || passed_ns > kMinPause_ns) continue;
         turned_deg += entry.azimuth_deg - before.azimuth_deg;
         passed_us += 1e-3 * double(passed_ns);
     }
     return passed_us > 0.0 ? turned_deg / passed_us : 0.0;
+}
+
+/// Returns true if one of the packets before index `end` has the same time and the same
+/// bytes, of which the index has the hash.
+bool is_repeated(const std::vector<PacketIndexEntry>& packets, std::size_t end,
+                 const PacketIndexEntry& entry) {
+    // Limits the comparison, because many packets have the same time if the sensor's
+    // clock stands still.
+    constexpr std::size_t kMostCompared = 64;
+    const std::size_t begin = end - std::min(end, kMostCompared);
+    for (std::size_t k = end; k > begin && packets[k - 1].clock_ns == entry.clock_ns; --k)
+        if (packets[k - 1].hash == entry.hash && packets[k - 1].first_slot == entry.first_slot) return true;
+    return false;
 }
 
 }  // namespace
@@ -53,19 +67,12 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
         std::size_t at = n;  // where the packet belongs
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kMaxDelay_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
-        // A repeated packet has the same time and the same bytes, of which the index has
-        // the hash.
-        bool is_repeated = false;
-        // Limits the comparison, because many packets have the same time if the sensor's
-        // clock stands still.
-        constexpr std::size_t kMostCompared = 64;
-        for (std::size_t k = at, n_compared = 0;
-             k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
-             --k, ++n_compared)
-            is_repeated = packets[k - 1].hash == entry.hash && packets[k - 1].first_slot == entry.first_slot;
+
         const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
-        faults.n_repeated += is_repeated && counts;
-        if (is_repeated) continue;
+        if (is_repeated(packets, at, entry)) {
+            if (counts) ++faults.n_repeated;
+            continue;
+        }
         if (at < n) {
             // The receive time of a late packet is wrong. Replaces it with clock_ns +
             // offset, where the offset is stamp_ns - clock_ns of a neighbour. Raises the
@@ -76,7 +83,7 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
             for (std::size_t k = at; at > 0 && k < n; ++k)
                 packets[k].stamp_ns =
                     std::max(packets[k].stamp_ns, packets[k].clock_ns + stamp_less_clock_ns);
-            faults.n_late += counts;
+            if (counts) ++faults.n_late;
         }
         std::move_backward(packets.begin() + std::ptrdiff_t(at), packets.begin() + std::ptrdiff_t(n),
                            packets.begin() + std::ptrdiff_t(n) + 1);
@@ -88,6 +95,7 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
 }
 
 double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
+    // rotation rate in degrees per microsecond: fixed, or that of the current packet
     double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
     // Time in which the head passes the sectors of PacketIndexEntry::skipped_deg.
     const auto skipped_us = [&](const PacketIndexEntry& entry) {
@@ -110,7 +118,8 @@ double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTimin
             azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
     }
     // The mean over the recording is more exact than the rate within the last packet.
-    if (const double mean = rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
+    const double mean_deg_us = rotation_deg_per_us(packets);
+    if (mean_deg_us > 0.0) deg_us = mean_deg_us;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
@@ -139,41 +148,38 @@ double SkippedSector::overlap_deg(double from_deg, double to_deg) const {
 }
 
 SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg) {
-    std::array<bool, kSectorBins> fires{};
-    for (const PacketIndexEntry& entry : packets)
-        for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
-            fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kSectorBins) % kSectorBins] =
-                true;
-    std::size_t widest = 0, end = 0, run = 0;
-    // Loops over the circle twice, because the widest gap between firings may contain
-    // azimuth 0.
-    for (std::size_t b = 0; b < 2 * kSectorBins; ++b) {
-        run = fires[b % kSectorBins] ? 0 : run + 1;
-        if (run > widest) {
-            widest = run;
-            end = b + 1;
+    constexpr double kBin_deg = 360.0 / kSectorBins, kTestStep_deg = 0.4;  // below a bin
+    std::array<bool, kSectorBins> has_firings{};
+    for (const PacketIndexEntry& entry : packets) {
+        const double covered_deg = std::min(double(entry.turned_deg), 360.0) + firing_step_deg;
+        for (double offset_deg = 0.0; offset_deg <= covered_deg; offset_deg += kTestStep_deg) {
+            const double azimuth_deg = std::max(entry.azimuth_deg + offset_deg, 0.0);
+            has_firings[std::size_t(azimuth_deg / 360.0 * kSectorBins) % kSectorBins] = true;
         }
     }
-    const double bin_deg = 360.0 / kSectorBins;
-    if (double(widest) * bin_deg < kLeastSector_deg || widest >= kSectorBins) return {};
-    const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
+    const CircularGap gap = find_widest_gap(kSectorBins, [&](std::size_t bin) { return has_firings[bin]; });
+    if (double(gap.length) * kBin_deg < kLeastSector_deg || gap.length >= kSectorBins) return {};
+
     // Angles relative to the middle of the sector without firings. before_deg: from the
     // last firing before the sector. behind_deg: to the first firing after the sector.
+    const double middle_deg = (double(gap.end) - 0.5 * double(gap.length)) * kBin_deg;
     double before_deg = 360.0, behind_deg = 360.0;
     // Number of revolutions in which the head passes the middle of the sector.
     std::size_t n_skips = 0;
+    const auto turn_of = [&](const PacketIndexEntry& entry) {
+        return std::floor((entry.azimuth_deg - middle_deg) / 360.0);
+    };
+    const auto wrap = [](double angle_deg) { return angle_deg - 360.0 * std::floor(angle_deg / 360.0); };
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const PacketIndexEntry& entry = packets[p];
-        const auto on = [](double degrees) { return degrees - 360.0 * std::floor(degrees / 360.0); };
         const double last_deg = entry.azimuth_deg + double(entry.turned_deg);
-        before_deg = std::min(before_deg, on(inside_deg - last_deg));
-        behind_deg = std::min(behind_deg, on(entry.azimuth_deg - inside_deg));
-        n_skips += p > 0 && std::floor((entry.azimuth_deg - inside_deg) / 360.0) >
-                                std::floor((packets[p - 1].azimuth_deg - inside_deg) / 360.0);
+        before_deg = std::min(before_deg, wrap(middle_deg - last_deg));
+        behind_deg = std::min(behind_deg, wrap(entry.azimuth_deg - middle_deg));
+        if (p > 0 && turn_of(entry) > turn_of(packets[p - 1])) ++n_skips;
     }
     const double width_deg = before_deg + behind_deg - firing_step_deg;
     if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
-    return {inside_deg - before_deg + firing_step_deg, width_deg};
+    return {middle_deg - before_deg + firing_step_deg, width_deg};
 }
 
 }  // namespace relidar::packets

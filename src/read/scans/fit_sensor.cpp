@@ -17,6 +17,7 @@
 #include <span>
 
 #include "base/fail.hpp"
+#include "base/geometry/circular_gap.hpp"
 #include "base/median.hpp"
 #include "read/scans/scan_plan.hpp"
 
@@ -43,15 +44,17 @@ constexpr double kLeastGap_rad = kPi / 3.0;
 constexpr double kOtherPeriod = 0.2;
 constexpr std::size_t kMinFarPoints = 25;  // of a ring
 
+/// Returns a quantile. Reorders the values.
 double find_quantile(std::vector<double>& values, double fraction) {
     const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return *at;
 }
 
+/// First returns of a ring in a scan.
 struct RingPoints {
-    std::vector<std::size_t> point;
-    std::vector<double> azimuth_rad;
+    std::vector<std::size_t> point;   ///< index in the scan
+    std::vector<double> azimuth_rad;  ///< [points]
 };
 using RingPointLists = std::vector<RingPoints>;
 
@@ -107,17 +110,14 @@ double widest_gap_rad(const std::vector<LidarPoints>& scans) {
     constexpr std::size_t kAzimuthBins = 360;
     std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const LidarPoints& scan : scans)
-        for (const glm::vec3& p : scan.position_m)
-            is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) *
-                                        kAzimuthBins) %
-                            kAzimuthBins] = true;
-    std::size_t widest = 0, run = 0;
-    // Counts every bin twice, because a gap may contain the start of the circle.
-    for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
-        run = is_bin_occupied[b % kAzimuthBins] ? 0 : run + 1;
-        widest = std::max(widest, std::min(run, kAzimuthBins));
-    }
-    return 2.0 * kPi * double(widest) / double(kAzimuthBins);
+        for (const glm::vec3& p : scan.position_m) {
+            const double azimuth_rad = std::atan2(double(p.y), double(p.x));
+            const auto bin = std::size_t((azimuth_rad / (2.0 * kPi) + 0.5) * kAzimuthBins);
+            is_bin_occupied[bin % kAzimuthBins] = true;
+        }
+    const CircularGap gap =
+        find_widest_gap(kAzimuthBins, [&](std::size_t bin) { return is_bin_occupied[bin]; });
+    return 2.0 * kPi * double(std::min(gap.length, kAzimuthBins)) / double(kAzimuthBins);
 }
 
 /// Estimates the number of columns per revolution from the lower quartile of the azimuth
@@ -126,11 +126,11 @@ int estimate_columns(const LidarPoints& scan, const RingPointLists& rings) {
     std::vector<double> steps;
     for (const RingPoints& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
-        std::sort(azimuths.begin(), azimuths.end());
-        for (std::size_t i = 1; i < azimuths.size(); ++i)
-            if (const double step = azimuths[i] - azimuths[i - 1];
-                step > kLeastStep_rad && step < kLargestStep_rad)
-                steps.push_back(step);
+        std::ranges::sort(azimuths);
+        for (std::size_t i = 1; i < azimuths.size(); ++i) {
+            const double step_rad = azimuths[i] - azimuths[i - 1];
+            if (step_rad > kLeastStep_rad && step_rad < kLargestStep_rad) steps.push_back(step_rad);
+        }
     }
     if (steps.size() < kFewestSteps)
         fail(
@@ -153,22 +153,23 @@ std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_
     return sums;
 }
 
-/// Tests consecutive numbers of columns, starting with `first_column_count`. Returns for
-/// each how well the azimuths in each ring fit a grid of so many columns. For a perfect
-/// fit, the value is the number of points.
+/// Tests consecutive numbers N of columns, starting with `first_column_count`. Returns
+/// for each the sum of |S_r(N)| over the rings, which is the number of points for a
+/// perfect fit. The factor exp(i N azimuth) of a point is multiplied by exp(i azimuth)
+/// for the next N.
 std::vector<double> score_columns(const RingPointLists& rings, int first_column_count, std::size_t n_counts) {
     std::vector<double> lengths(n_counts, 0.0);
     for (const RingPoints& ring : rings) {
-        std::vector<std::complex<double>> turned, step;
+        std::vector<std::complex<double>> factors, steps;  // [points]
         for (const double azimuth : ring.azimuth_rad) {
-            turned.push_back(std::polar(1.0, first_column_count * azimuth));
-            step.push_back(std::polar(1.0, azimuth));
+            factors.push_back(std::polar(1.0, first_column_count * azimuth));
+            steps.push_back(std::polar(1.0, azimuth));
         }
         for (double& length : lengths) {
             std::complex<double> sum = 0.0;
-            for (std::size_t k = 0; k < turned.size(); ++k) {
-                sum += turned[k];
-                turned[k] *= step[k];
+            for (std::size_t k = 0; k < factors.size(); ++k) {
+                sum += factors[k];
+                factors[k] *= steps[k];
             }
             length += std::abs(sum);
         }
@@ -176,60 +177,61 @@ std::vector<double> score_columns(const RingPointLists& rings, int first_column_
     return lengths;
 }
 
+/// Azimuths at which a LiDAR fires: equal steps, with an offset for each ring.
 struct FiringColumnGrid {
     int columns = 0;
-    std::vector<double> offset_rad;
+    std::vector<double> offset_rad;  ///< [rings]
 };
 
 /// Estimates the number of columns and the azimuth offset of each ring. Searches around
 /// the first estimate for the grid that all rings fit best. If none fits, the offsets
 /// stay 0.
 FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& rings) {
-    FiringColumnGrid lattice{estimate_columns(scan, rings), std::vector<double>(rings.size(), 0.0)};
-    const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
-              first = std::max(1, lattice.columns - reach);
-    const std::vector<double> lengths =
-        score_columns(rings, first, std::size_t(lattice.columns + reach + 1 - first));
-    const auto best = std::ranges::max_element(lengths);
+    FiringColumnGrid grid{.columns = estimate_columns(scan, rings),
+                          .offset_rad = std::vector<double>(rings.size(), 0.0)};
+    const int margin = std::max(1, int(kColumnSearchMargin * grid.columns));
+    const int first = std::max(1, grid.columns - margin), last = grid.columns + margin;
+    const std::vector<double> scores = score_columns(rings, first, std::size_t(last + 1 - first));
+    const auto best = std::ranges::max_element(scores);
     if (*best <= kMinCoherence * double(scan.size())) {
         // A ring has at most one first return per column, so there are at least as many
         // columns as points in the fullest ring.
         std::size_t most = 0;
         for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
-        lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
-                                     int(kMostColumns * lattice.columns));
-        return lattice;
+        grid.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), grid.columns,
+                                  int(kMostColumns * grid.columns));
+        return grid;
     }
-    lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = sum_phases(rings, lattice.columns);
+    grid.columns = first + int(best - scores.begin());
+    // The phase of a ring, relative to the common phase of all rings, is its offset.
+    const std::vector<std::complex<double>> sums = sum_phases(rings, grid.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
-        lattice.offset_rad[r] =
-            sums[r] == 0.0 ? 0.0 : std::arg(sums[r] * std::conj(common)) / lattice.columns;
-    return lattice;
+        if (sums[r] != 0.0) grid.offset_rad[r] = std::arg(sums[r] * std::conj(common)) / grid.columns;
+    return grid;
 }
 
 /// Returns the rotation rate of the LiDAR's head in radians per second, positive if
 /// counterclockwise. Returns nothing if the points have no times.
 std::optional<double> fit_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
-    double turned = 0.0, passed_s = 0.0;
+    // sums over pairs of consecutive points of a ring
+    double turned_rad = 0.0, passed_s = 0.0;
     for (const RingPoints& ring : rings) {
         const auto time_of = [&](std::size_t index) { return scan.time_offset_s[ring.point[index]]; };
         std::vector<std::size_t> order(ring.point.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
-        std::sort(order.begin(), order.end(),
-                  [&](std::size_t first, std::size_t second) { return time_of(first) < time_of(second); });
+        std::ranges::sort(order, {}, time_of);
         for (std::size_t k = 1; k < order.size(); ++k) {
-            const double step =
+            const double step_rad =
                 std::remainder(ring.azimuth_rad[order[k]] - ring.azimuth_rad[order[k - 1]], 2.0 * kPi);
-            if (std::abs(step) > kLargestStep_rad) continue;
-            turned += step;
+            if (std::abs(step_rad) > kLargestStep_rad) continue;
+            turned_rad += step_rad;
             passed_s += double(time_of(order[k])) - double(time_of(order[k - 1]));
         }
     }
-    if (!(passed_s > 0.0) || turned == 0.0) return std::nullopt;
-    return turned / passed_s;
+    if (!(passed_s > 0.0) || turned_rad == 0.0) return std::nullopt;
+    return turned_rad / passed_s;
 }
 
 }  // namespace
@@ -250,7 +252,7 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
              kMostRings);
     // Columns are fitted to the scan with the most points, elevations to all scans.
     const RingPointLists rings = group_rings(*fullest, n_rings);
-    const FiringColumnGrid lattice = fit_firing_grid(*fullest, rings);
+    const FiringColumnGrid grid = fit_firing_grid(*fullest, rings);
     std::vector<std::vector<double>> far = far_elevations(scans, n_rings);
     std::vector<double> elevations(n_rings);
     std::vector<std::size_t> order;  // rings with points, sorted from the highest to the lowest
@@ -264,12 +266,12 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     SpinningSensor& sensor = fitted.sensor;
     for (const std::size_t r : order) {
         fitted.beam_of_ring[r] = std::uint16_t(sensor.beams.size());
-        sensor.beams.push_back({.elevation_rad = elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
+        sensor.beams.push_back({.elevation_rad = elevations[r], .azimuth_offset_rad = grid.offset_rad[r]});
     }
     const std::optional<double> rate = fit_rotation_rate(*fullest, rings);
-    sensor.columns = lattice.columns;
+    sensor.columns = grid.columns;
     // The first column is centred half a column beside the backward direction.
-    sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
+    sensor.first_azimuth_rad = kPi - kPi / grid.columns;
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;
     sensor.clockwise = !rate || *rate < 0.0;
     return fitted;
@@ -279,21 +281,22 @@ std::string why_not_spinning(const std::vector<LidarPoints>& scans, const Spinni
                              double frame_interval_s) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
-    if (const double spread = ring_spread(*fullest); spread > kMostSpread_rad)
+    const double spread_rad = ring_spread(*fullest);
+    if (spread_rad > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
             "clouds of several LiDARs, wrong rings, or another frame",
-            spread * 180.0 / kPi);
-    const double gap = widest_gap_rad(scans);
+            spread_rad * 180.0 / kPi);
+    const double gap_rad = widest_gap_rad(scans);
     // A gap alone can be a limited field of view. It is an error only if the point
     // times also show another period than one revolution per scan.
-    if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||
-        std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s)
-        return "";
+    const bool has_same_period =
+        std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s;
+    if (gap_rad < kLeastGap_rad || fullest->time_offset_s.empty() || has_same_period) return "";
     return fmt::format(
         "all points are within a sector of {:.0f} degrees of azimuth, and the times of the points show a "
         "revolution of {:.3f} s, but a revolution should take {:.3f} s",
-        360.0 - gap * 180.0 / kPi, fitted_sensor.period_s, frame_interval_s);
+        360.0 - gap_rad * 180.0 / kPi, fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar
