@@ -17,8 +17,8 @@ namespace {
 
 constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
 constexpr double kSameFiring_us = 1.0;
-constexpr double kProbeRange_m =
-    1e4;  // distance at which the direction of a ray without a return is computed
+// distance at which the direction of a ray without a return is computed
+constexpr double kProbeRange_m = 1e4;
 
 /// Finds the ray of each ring in a firing of a scan.
 class FiringRays {
@@ -79,7 +79,6 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
                        const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
     FiringColumn column{.returns = {}};
     column.returns.resize(firing_rays.n_rings());
-    std::size_t n_returned = 0, n_used = 0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
         const std::optional<std::size_t> ray = firing_rays.ray_at(ring, firing_index);
         if (!ray) continue;
@@ -88,43 +87,46 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
         first = {scan.range_m[*ray], scan.intensity[*ray]};
         if (!scan.second_returns.empty())
             second = {scan.second_returns[0].range_m[*ray], scan.second_returns[0].intensity[*ray]};
-        n_returned += first.range_m > 0.0f;
+        if (first.range_m > 0.0f) column.has_returns = true;
     }
-    double east = 0.0, north = 0.0;
+    // The mean azimuth is the direction of the sum of unit vectors.
+    double sum_x = 0.0, sum_y = 0.0;
+    std::size_t n_used = 0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
         const std::optional<std::size_t> ray = firing_rays.ray_at(ring, firing_index);
         if (!ray) continue;
-        const double range_m = n_returned > 0 ? double(scan.range_m[*ray]) : kProbeRange_m;
+        const double range_m = column.has_returns ? double(scan.range_m[*ray]) : kProbeRange_m;
         if (range_m <= 0.0) continue;
-        const double head = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[*ray]) +
-                                                       glm::dvec3(scan.rays.direction[*ray]) * range_m);
-        east += std::cos(head);
-        north += std::sin(head);
+        const double head_rad = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[*ray]) +
+                                                           glm::dvec3(scan.rays.direction[*ray]) * range_m);
+        sum_x += std::cos(head_rad);
+        sum_y += std::sin(head_rad);
         column.time_s += double(scan.rays.time_offset_s[*ray]) - 1e-6 * beam_delays_us[ring];
         ++n_used;
     }
-    column.has_returns = n_returned > 0;
     column.time_s /= double(std::max<std::size_t>(n_used, 1));
-    column.azimuth_deg = std::fmod(360.0 - std::atan2(north, east) * 180.0 / kPi, 360.0);
+    column.azimuth_deg = std::fmod(360.0 - std::atan2(sum_y, sum_x) * 180.0 / kPi, 360.0);
     return column;
 }
 
-/// A log has no measured times of firings without returns. Uses the nearest firing with a
-/// return, and the rotation of the head between the two.
+/// Sets the times of firings without returns, because a log has no measured times of
+/// them. Uses the nearest firing with a return, and the rotation of the head between the
+/// two.
 void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
-    std::vector<std::ptrdiff_t> lit;  // firings with returns
+    std::vector<std::ptrdiff_t> timed;  // firings with returns
     for (std::size_t i = 0; i < firings.size(); ++i)
-        if (firings[i].has_returns) lit.push_back(std::ptrdiff_t(i));
-    if (lit.empty()) return;
+        if (firings[i].has_returns) timed.push_back(std::ptrdiff_t(i));
+    if (timed.empty()) return;
     for (std::ptrdiff_t i = 0; i < std::ssize(firings); ++i) {
         FiringColumn& column = firings[std::size_t(i)];
         if (column.has_returns) continue;
-        const auto right = std::ranges::upper_bound(lit, i);
-        const bool is_right = right == lit.begin() || (right != lit.end() && *right - i < i - *(right - 1));
-        const FiringColumn& nearest_column = firings[std::size_t(is_right ? *right : *(right - 1))];
-        double turned_deg = std::fmod(column.azimuth_deg - nearest_column.azimuth_deg + 720.0, 360.0);
-        if (is_right) turned_deg -= 360.0;
-        column.time_s = nearest_column.time_s + turned_deg / 360.0 * rotation_period_s;
+        const auto after = std::ranges::upper_bound(timed, i);
+        const bool is_after_nearer =
+            after == timed.begin() || (after != timed.end() && *after - i < i - *(after - 1));
+        const FiringColumn& nearest = firings[std::size_t(is_after_nearer ? *after : *(after - 1))];
+        double turned_deg = std::fmod(column.azimuth_deg - nearest.azimuth_deg + 720.0, 360.0);
+        if (is_after_nearer) turned_deg -= 360.0;
+        column.time_s = nearest.time_s + turned_deg / 360.0 * rotation_period_s;
     }
 }
 
@@ -155,8 +157,9 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     // they only decide in which turn a firing is.
     const FiringColumn middle = columns[columns.size() / 2];
     const auto turns_since_middle = [&](const FiringColumn& column) {
-        const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
-        return turned + std::round((column.time_s - middle.time_s) / sensor.period_s - turned);
+        const double by_angle = (column.azimuth_deg - middle.azimuth_deg) / 360.0;  // without full turns
+        const double by_time = (column.time_s - middle.time_s) / sensor.period_s;
+        return by_angle + std::round(by_time - by_angle);
     };
     std::ranges::stable_sort(columns, {}, turns_since_middle);
     // A log may contain the same firing in two columns. Removes the second copy.

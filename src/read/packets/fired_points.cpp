@@ -13,7 +13,8 @@
 #include "read/scans/sweep_firings.hpp"
 
 namespace relidar::packets {
-struct TurnPoints {
+/// Points of a revolution, and the firings that measured them.
+struct RevolutionPoints {
     LidarPoints points;
     std::vector<int> numbers;        ///< [points] number of the firing that measured the point
     std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
@@ -38,21 +39,26 @@ constexpr std::size_t kMostUnmeasured = 8;
 /// rays become rays without a return. Skips columns whose packets were lost.
 void fill_long_gaps(std::vector<bool>& column_has_fired, const std::vector<bool>& column_is_enabled,
                     const std::vector<bool>& column_is_lost) {
-    std::size_t run = 0;
-    for (std::size_t c = 0; c <= column_is_enabled.size(); ++c) {
-        if (c < column_is_enabled.size() && column_is_enabled[c] && !column_has_fired[c] &&
-            !column_is_lost[c]) {
-            ++run;
+    const std::size_t n = column_is_enabled.size();
+    std::size_t gap = 0;  // number of columns before c without a measurement
+    for (std::size_t c = 0; c <= n; ++c) {
+        const bool is_in_gap = c < n && column_is_enabled[c] && !column_has_fired[c] && !column_is_lost[c];
+        if (is_in_gap) {
+            ++gap;
             continue;
         }
-        for (std::size_t k = 1; run > kMostUnmeasured && k <= run; ++k) column_has_fired[c - k] = true;
-        run = 0;
+        if (gap > kMostUnmeasured)
+            for (std::size_t k = 1; k <= gap; ++k) column_has_fired[c - k] = true;
+        gap = 0;
     }
 }
 
 /// Converts the returns of a firing to points. If a ray has two returns, the brighter one
 /// is the first return.
-void add_points(TurnPoints& revolution_points, const FiringInstant& firing,
+/// @param returns_of_each_ring  [rings] first and second return in the order of the
+/// packet
+/// @param beam_offsets_us  [rings] time after the first beam of the firing
+void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing,
                 const std::array<DecodedReturn, 2>* returns_of_each_ring, const std::vector<BeamRays>& beams,
                 const std::vector<double>& beam_offsets_us) {
     LidarPoints& points = revolution_points.points;
@@ -61,21 +67,22 @@ void add_points(TurnPoints& revolution_points, const FiringInstant& firing,
     for (std::size_t ring = 0; ring < beams.size(); ++ring) {
         const double head_deg = firing.azimuth_deg + firing.ahead_deg_us * beam_offsets_us[ring];
         const BeamRay ray = beams[ring].compute_ray(-head_deg * kPi / 180.0);
-        const auto add = [&](const DecodedReturn& echo, std::uint8_t number) {
+        const auto add = [&](const DecodedReturn& echo, std::uint8_t return_number) {
+            if (echo.range_m == 0.0f) return;
             points.position_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
             points.intensity.push_back(float(double(echo.intensity) / firing.brightness));
             points.ring.push_back(std::uint16_t(ring));
             points.time_offset_s.push_back(float(firing.time_s + 1e-6 * beam_offsets_us[ring]));
-            points.return_number.push_back(number);
+            points.return_number.push_back(return_number);
             revolution_points.numbers.push_back(firing.number);
         };
-        DecodedReturn first = returns_of_each_ring[ring][0],
-                      other = returns_of_each_ring[ring][1];  // two returns may be identical
-        if (other.range_m == first.range_m) other.range_m = 0.0f;
-        if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
-            std::swap(first, other);
-        if (first.range_m != 0.0f) add(first, 1);
-        if (other.range_m != 0.0f) add(other, 2);
+        auto [first, second] = returns_of_each_ring[ring];
+        // A sensor repeats the only return of a ray.
+        if (second.range_m == first.range_m) second.range_m = 0.0f;
+        const bool is_second_brighter = second.range_m != 0.0f && second.intensity > first.intensity;
+        if (first.range_m == 0.0f || is_second_brighter) std::swap(first, second);
+        add(first, 1);
+        add(second, 2);
     }
 }
 
@@ -84,7 +91,7 @@ void add_points(TurnPoints& revolution_points, const FiringInstant& firing,
 /// column
 /// @param column_is_lost  [columns per revolution] true if the packet with the column
 /// was lost. Its rays are unknown, so the scan does not contain them.
-Scan make_fixed_scan(TurnPoints& revolution_points, const std::vector<bool>& column_is_enabled,
+Scan make_fixed_scan(RevolutionPoints& revolution_points, const std::vector<bool>& column_is_enabled,
                      const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
@@ -145,73 +152,81 @@ std::vector<bool> PacketIndex::find_lost(const PacketRevolution& revolution) con
     return is_lost;
 }
 
+/// Returns true if a firing belongs to a revolution.
+/// @param number  column of the firing, for a sensor that fires at fixed azimuths
+bool PacketIndex::is_inside(const PacketRevolution& revolution, int number, double azimuth_deg) const {
+    const auto n_columns = int(decoder_->timing().fires.size());
+    if (n_columns > 0) return number >= 0 && number < n_columns;
+    return azimuth_deg >= revolution.begin_deg && azimuth_deg < revolution.begin_deg + 360.0;
+}
+
 Scan PacketIndex::decode(const PacketRevolution& revolution,
                          const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
                          const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
-    TurnPoints fired;
+    RevolutionPoints fired;
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     const FiringTiming& timing = decoder_->timing();
+    const bool has_columns = !timing.fires.empty();  // the sensor fires at fixed azimuths
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = full_scale();
-    const int n_columns = int(timing.fires.size());
     const std::uint32_t first_message = message_range(revolution).first;
     // Number of firings of the revolution before this packet, including lost firings.
-    std::size_t before = 0;
+    std::size_t n_before = 0;
     int previous_number = -1;
-    bool is_inside = false;
+    bool is_firing_inside = false;
     for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
         const Entry& entry = packets_[p];
-        if (p > revolution.first && n_columns == 0)
-            before += std::size_t(packets_[p - 1].n_slots) + count_lost_packets(p) * std::size_t(n_slots_);
+        if (p > revolution.first && !has_columns)
+            n_before += std::size_t(packets_[p - 1].n_slots) + count_lost_packets(p) * std::size_t(n_slots_);
         DecodedPacket packet = decode_entry(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
         // Sensors with fixed azimuths are timed by their clock, others by the time of
         // receipt.
         const std::int64_t begin_ns =
-            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + revolution.stamp_less_clock_ns;
-        const double begin_s = 1e-9 * double(begin_ns - time_origin_ns),
-                     first_us = packet.firings[begin].after_us;
-        double azimuth = entry.azimuth_deg, step = 0.0;
+            has_columns ? entry.clock_ns + revolution.stamp_less_clock_ns : entry.stamp_ns;
+        const double begin_s = 1e-9 * double(begin_ns - time_origin_ns);
+        const double begin_us = packet.firings[begin].after_us;
+        double azimuth_deg = entry.azimuth_deg, step_deg = 0.0;  // continuous, unlike those of the packet
         for (std::size_t f = begin; f < end; ++f) {
             const LaserFiring& firing = packet.firings[f];
-            azimuth += f > begin ? step : 0.0;
-            if (f + 1 < end) step = rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            if (f > begin) azimuth_deg += step_deg;
+            if (f + 1 < end) step_deg = rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // Time since the first firing of the column. It is subtracted, because
             // `timing.offset_us` counts from the first firing.
             const double late_us = timing.cycle_us * double(firing.part);
-            const double start_deg = azimuth - late_us * mean_deg_us;
-            const int slot = int(before) + firing.slot - entry.first_slot;
-            const int number = n_columns > 0 ? column_of(revolution, azimuth)
-                                             : (slot - firing.part + timing.parts) / timing.parts;
+            const double column_deg = azimuth_deg - late_us * mean_deg_us;
+            const int slot = int(n_before) + firing.slot - entry.first_slot;
+            const int number = has_columns ? column_of(revolution, azimuth_deg)
+                                           : (slot - firing.part + timing.parts) / timing.parts;
             // Tests only the first firing of a column, because all its firings belong to
             // the same revolution. `number` is the number of the column.
-            if (number != previous_number)
-                is_inside = n_columns > 0 ? number >= 0 && number < n_columns
-                                          : start_deg >= revolution.begin_deg &&
-                                                start_deg < revolution.begin_deg + 360.0;
+            if (number != previous_number) is_firing_inside = is_inside(revolution, number, column_deg);
             previous_number = number;
-            if (!is_inside) continue;
-            const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
-            const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
-            std::array<DecodedReturn, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_points(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
-                       timing.offset_us);
+            if (!is_firing_inside) continue;
+            const FiringInstant instant{
+                .azimuth_deg = column_deg,
+                .time_s = begin_s + 1e-6 * (firing.after_us - begin_us - late_us),
+                .number = number,
+                .ahead_deg_us = timing.interpolates ? step_deg / timing.cycle_us - mean_deg_us : 0.0,
+                .brightness = brightness};
+            add_points(fired, instant, &packet.echoes[f * sensor.beams.size()], beams, timing.offset_us);
         }
     }
     return make_scan(revolution, fired, sensor);
 }
 
-Scan PacketIndex::make_scan(const PacketRevolution& turn, TurnPoints& points,
+/// Assigns the points of a revolution to rays.
+Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& points,
                             const SpinningSensor& sensor) const {
     if (points.points.size() == 0) return scan_of_points(points.points);
     if (!decoder_->timing().fires.empty())
-        return make_fixed_scan(points, decoder_->timing().fires, find_lost(turn), sensor);
+        return make_fixed_scan(points, decoder_->timing().fires, find_lost(revolution), sensor);
     const SweepFirings sweep = sort_firings(points.points, points.numbers, points.head_rad);
     // A revolution has no columns in the sector `skipped_`. If packets were lost, the
     // scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
-    if (turn.has_gaps) scan_sensor.columns = int(sweep.firings.size());
+    if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
     return spinning_scan(points.points, scan_sensor, sweep);
 }
 

@@ -44,12 +44,12 @@ void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::i
     messages_.push_back({message_position, recording_time_ns});
     // The packets of an RS-LiDAR-16 do not state their number of returns, so the first
     // message decides.
-    DecoderCalibration of_first = calibration;
-    of_first.has_two_returns = !product_ && is_dual_rs16(packets);
+    DecoderCalibration first_calibration = calibration;
+    first_calibration.has_two_returns = !product_ && is_dual_rs16(packets);
     if (packets.size() > kMostInMessage)
         fail("a message has {} packets, expected at most {}", packets.size(), kMostInMessage);
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        set_product(packets[i], of_first);
+        set_product(packets[i], first_calibration);
         index_packet(packets[i], std::uint16_t(i));
     }
 }
@@ -81,51 +81,55 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
         return;
     }
     n_slots_ = packet.n_slots;
-    const auto message = std::uint32_t(messages_.size() - 1);
-    const auto hash = std::uint32_t(std::hash<std::string_view>()(packet_view.bytes));
     const std::size_t n = packet.firings.size();
-    // True if the time stamp of the packet refers to its last firing.
-    const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
+    const bool may_skip = decoder_->timing().fires.empty();
     // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
         return rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
-    const bool may_skip = decoder_->timing().fires.empty();
+    const auto skips_after = [&](std::size_t f) {
+        return may_skip && f + 1 < n && step_deg(f) > kMinAzimuthJump_deg;
+    };
     // Width of the sectors between the time stamp and the current entry. It is negative
-    // if the sectors follow the entry.
+    // if the sectors follow the entry, because the time stamp refers to the last firing.
     double skipped_deg = 0.0;
-    for (std::size_t f = 0; is_at_end && may_skip && f + 1 < n; ++f)
-        skipped_deg -= step_deg(f) > kMinAzimuthJump_deg ? step_deg(f) : 0.0;
-    for (std::size_t first = 0, f = 0; f < n; ++f) {
-        const bool is_last = f + 1 == n, jumps = !is_last && may_skip && step_deg(f) > kMinAzimuthJump_deg;
-        if (!is_last && !jumps) continue;
+    const bool is_stamp_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
+    for (std::size_t f = 0; is_stamp_at_end && f < n; ++f)
+        if (skips_after(f)) skipped_deg -= step_deg(f);
+
+    std::size_t first = 0;  // firing of the current entry
+    for (std::size_t f = 0; f < n; ++f) {
+        const bool is_last = f + 1 == n;
+        if (!is_last && !skips_after(f)) continue;
         const LaserFiring& begin = packet.firings[first];
         const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
-        const int begin_slot = first == 0 && may_skip ? 0 : begin.slot,
-                  end_slot = is_last ? n_slots_ : packet.firings[f + 1].slot;
-        Entry entry{packet_view.stamp_ns + after_ns,
-                    packet.clock_ns + after_ns,
-                    begin.azimuth_deg,
-                    0.0f,
-                    float(skipped_deg),
-                    message,
-                    index_in_message,
-                    std::uint16_t(first),
-                    std::uint16_t(f + 1 - first),
-                    std::int16_t(begin.slot),
-                    std::int16_t(end_slot - begin_slot),
-                    hash,
-                    std::exchange(n_empty_, std::uint16_t(0))};
+        const int begin_slot = first == 0 && may_skip ? 0 : begin.slot;
+        const int end_slot = is_last ? n_slots_ : packet.firings[f + 1].slot;
+        Entry entry{.stamp_ns = packet_view.stamp_ns + after_ns,
+                    .clock_ns = packet.clock_ns + after_ns,
+                    .azimuth_deg = begin.azimuth_deg,
+                    .turned_deg = 0.0f,
+                    .skipped_deg = float(skipped_deg),
+                    .message = std::uint32_t(messages_.size() - 1),
+                    .in_message = index_in_message,
+                    .first_firing = std::uint16_t(first),
+                    .n_firings = std::uint16_t(f + 1 - first),
+                    .first_slot = std::int16_t(begin.slot),
+                    .n_slots = std::int16_t(end_slot - begin_slot),
+                    .hash = std::uint32_t(std::hash<std::string_view>()(packet_view.bytes)),
+                    .n_empty_before = n_empty_};
+        n_empty_ = 0;
         for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
         unwrap_clock(entry);
         packets_.push_back(entry);
-        if (jumps) skipped_deg += step_deg(f);
+        if (skips_after(f)) skipped_deg += step_deg(f);
         first = f + 1;
     }
     if (decoder_->timing().is_wide) count_intensities(packet);
 }
 
-/// The time stamps of the packets show how often the sensor's clock has restarted.
+/// Makes the sensor's clock continue the clock of the previous entry. The time stamps of
+/// the packets show how often the clock has restarted.
 void PacketIndex::unwrap_clock(Entry& entry) const {
     const double wrap_us = decoder_->timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
@@ -164,53 +168,58 @@ void PacketIndex::finish() {
 /// Returns the number of packets that were lost before this packet. Does not count
 /// packets without a firing, because the sensor may not send them.
 std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
-    const std::vector<bool>& fires = decoder_->timing().fires;
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
-    if (fires.empty()) {
-        // The elapsed time, without the time in which the head passes the skipped sector,
-        // shows how many firings were lost.
-        const double cycle_us = decoder_->timing().cycle_us,
-                     slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
-                     skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
-        const double n_firings =
-            slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
-        return std::size_t(std::clamp(std::round(n_firings / double(n_slots_)), 0.0, 1e9));
-    }
-    // The azimuths show how many packets the sensor has sent.
+    if (!decoder_->timing().fires.empty()) return count_lost_columns(before, entry);
+    // The elapsed time, without the time in which the head passes the skipped sector,
+    // shows how many firings were lost.
+    const double cycle_us = decoder_->timing().cycle_us;
+    const double skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
+    const double skipped_slots = skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0;
+    const double elapsed_slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us;
+    const double lost_slots = elapsed_slots - skipped_slots - before.n_slots;
+    return std::size_t(std::clamp(std::round(lost_slots / double(n_slots_)), 0.0, 1e9));
+}
+
+/// Returns the number of packets with a firing that were lost between two packets, for a
+/// sensor that fires at fixed azimuths. The azimuths show how many packets it has sent.
+std::size_t PacketIndex::count_lost_columns(const Entry& before, const Entry& entry) const {
+    const std::vector<bool>& fires = decoder_->timing().fires;
     const double n_sent = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
                            before.first_slot) /
                           double(n_slots_);
-    const std::size_t n = std::size_t(std::clamp(std::round(n_sent), 1.0, 1e9)) - 1;
+    const std::size_t n_between = std::size_t(std::clamp(std::round(n_sent), 1.0, 1e9)) - 1;
     // After more than two revolutions, counts all packets, because the loop below would
     // be slow.
-    if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
-    // A received packet without a firing is not lost.
-    const std::size_t n_lost = n - std::min<std::size_t>(n, entry.n_empty_before);
+    if (n_between * std::size_t(n_slots_) > 2 * fires.size()) return n_between;
     std::int64_t column =
         std::llround((before.azimuth_deg - kRear_deg) / column_step_deg()) - before.first_slot;
-    std::size_t missing = 0;  // number of lost packets with at least one firing
-    for (std::size_t k = 0; k < n; ++k) {
+    std::size_t n_with_firing = 0;
+    for (std::size_t k = 0; k < n_between; ++k) {
         column += n_slots_;
-        bool any = false;
-        for (int slot = 0; slot < n_slots_; ++slot) any = any || is_enabled(fires, column + slot);
-        missing += any;
+        bool has_firing = false;
+        for (int slot = 0; slot < n_slots_; ++slot)
+            has_firing = has_firing || is_enabled(fires, column + slot);
+        if (has_firing) ++n_with_firing;
     }
-    return std::min(missing, n_lost);
+    // A received packet without a firing is not lost.
+    const std::size_t n_lost = n_between - std::min<std::size_t>(n_between, entry.n_empty_before);
+    return std::min(n_with_firing, n_lost);
 }
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
 /// counts only the part that belongs to this revolution.
 void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
     double n_missing = 0.0;
-    const double compute_slot_deg = deg_us_ * decoder_->timing().cycle_us;
+    const double slot_deg = deg_us_ * decoder_->timing().cycle_us;
     const std::size_t end = std::min(revolution.last + 2, packets_.size());
     for (std::size_t i = revolution.first + 1; i < end; ++i) {
         const Entry& before = packets_[i - 1];
-        const double from_deg = before.azimuth_deg + double(before.turned_deg) + compute_slot_deg,
-                     to_deg = packets_[i].azimuth_deg, width_deg = std::max(to_deg - from_deg, 1e-6);
+        // The lost packets are evenly spread over the gap between the two packets.
+        const double from_deg = before.azimuth_deg + double(before.turned_deg) + slot_deg;
+        const double to_deg = packets_[i].azimuth_deg, gap_deg = std::max(to_deg - from_deg, 1e-6);
         const double within_deg =
             std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
-        n_missing += double(count_lost_packets(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
+        n_missing += double(count_lost_packets(i)) * std::clamp(within_deg / gap_deg, 0.0, 1.0);
     }
     revolution.n_missing = std::size_t(std::llround(n_missing));
     revolution.has_gaps = n_missing > 0.0;
@@ -220,23 +229,22 @@ void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
 /// azimuths just before and after it at which the sensor never fires, because no packets
 /// are missing there.
 std::pair<double, double> PacketIndex::azimuth_range_deg() const {
-    const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
+    const double first_deg = packets_.front().azimuth_deg, begin_of_last_deg = packets_.back().azimuth_deg;
+    const double last_deg = begin_of_last_deg + double(packets_.back().turned_deg);
     if (fires.empty()) {
-        if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // The range includes the sector `skipped_` if the recording starts or ends within
-        // `slack_deg`, the rotation during one firing cycle, of it. The sector begins one
-        // cycle after the last firing before it.
-        const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
-        const double last_deg = last.azimuth_deg + double(last.turned_deg);
-        const double before_deg = skipped_.overlap_deg(first.azimuth_deg - slack_deg, first.azimuth_deg),
-                     behind_deg = skipped_.overlap_deg(last_deg, last_deg + 2.0 * slack_deg);
-        return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
-                behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
+        if (!(skipped_.width_deg > 0.0)) return {first_deg, begin_of_last_deg};
+        // Includes the sector `skipped_` if the recording starts or ends within the
+        // rotation of one firing cycle of it. The sector begins one cycle after the last
+        // firing before it.
+        const double cycle_deg = deg_us_ * decoder_->timing().cycle_us;
+        const bool starts_behind = skipped_.overlap_deg(first_deg - cycle_deg, first_deg) > 0.0;
+        const bool ends_before = skipped_.overlap_deg(last_deg, last_deg + 2.0 * cycle_deg) > 0.0;
+        return {first_deg - (starts_behind ? skipped_.width_deg : 0.0),
+                ends_before ? last_deg + skipped_.width_deg : begin_of_last_deg};
     }
-    std::int64_t begin = std::llround((first.azimuth_deg - kRear_deg) / column_step_deg());
-    std::int64_t end =
-        std::llround((last.azimuth_deg + double(last.turned_deg) - kRear_deg) / column_step_deg()) + 1;
+    std::int64_t begin = std::llround((first_deg - kRear_deg) / column_step_deg());
+    std::int64_t end = std::llround((last_deg - kRear_deg) / column_step_deg()) + 1;
     for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, begin - 1); ++k) --begin;
     for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, end); ++k) ++end;
     return {kRear_deg + column_step_deg() * double(begin), kRear_deg + column_step_deg() * double(end)};
@@ -245,30 +253,32 @@ std::pair<double, double> PacketIndex::azimuth_range_deg() const {
 /// Divides the recording into revolutions that begin when the head faces backward, and
 /// keeps the usable ones. Counts the others by reason for the notes.
 void PacketIndex::find_revolutions() {
-    const auto [first_deg, end] = azimuth_range_deg();
-    double begin = kRear_deg + 360.0 * std::ceil((first_deg - kRear_deg) / 360.0);
+    const auto [first_deg, end_deg] = azimuth_range_deg();
+    double begin_deg = kRear_deg + 360.0 * std::ceil((first_deg - kRear_deg) / 360.0);
     const auto is_cut_off = [&](double from_deg, double to_deg) {
         return to_deg - from_deg - skipped_.overlap_deg(from_deg, to_deg) > 360.0 * kCutOff;
     };
-    if (is_cut_off(first_deg, begin)) ++left_out_.n_cut_off;
-    for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
-        PacketRevolution revolution{0, 0, 0, 0, begin, 0};
-        // returns the first packet that begins after an azimuth
-        const auto first_behind = [&](double azimuth) {
-            return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) -
-                               packets_.begin());
-        };
-        revolution.first = std::max(first_behind(begin), std::size_t(1)) - 1;
-        revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
-        p = revolution.last;
+    // returns the first packet that begins after an azimuth
+    const auto first_behind = [&](double azimuth_deg) {
+        return std::size_t(std::ranges::upper_bound(packets_, azimuth_deg, {}, &Entry::azimuth_deg) -
+                           packets_.begin());
+    };
+    if (is_cut_off(first_deg, begin_deg)) ++left_out_.n_cut_off;
+    std::size_t last = 0;  // last packet of the revolution
+    for (; last < packets_.size() && begin_deg + 360.0 <= end_deg; begin_deg += 360.0) {
+        last = std::min(first_behind(begin_deg + 360.0), packets_.size()) - 1;
+        PacketRevolution revolution{.first = std::max(first_behind(begin_deg), std::size_t(1)) - 1,
+                                    .last = last,
+                                    .begin_deg = begin_deg};
         // The second firing sequence of the last column can be in the next packet.
-        if (decoder_->timing().parts > 1)
-            revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
+        if (decoder_->timing().parts > 1) revolution.last = std::min(last + 1, packets_.size() - 1);
         // All packets of this revolution were lost. Continues at the next packet.
         if (revolution.first == revolution.last) {
-            const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
-            begin = std::max(begin, kRear_deg + 360.0 * (std::floor((next - kRear_deg) / 360.0) - 1.0));
-            left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
+            const double next_deg = packets_[std::min(last + 1, packets_.size() - 1)].azimuth_deg;
+            const double lost_deg = begin_deg;
+            begin_deg =
+                std::max(begin_deg, kRear_deg + 360.0 * (std::floor((next_deg - kRear_deg) / 360.0) - 1.0));
+            left_out_.n_lost += std::size_t(std::llround((begin_deg - lost_deg) / 360.0)) + 1;
             continue;
         }
         store_lost_packets(revolution);
@@ -279,7 +289,7 @@ void PacketIndex::find_revolutions() {
         else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
         else revolutions_.push_back(revolution);
     }
-    if (is_cut_off(begin, end)) ++left_out_.n_cut_off;
+    if (is_cut_off(begin_deg, end_deg)) ++left_out_.n_cut_off;
 }
 
 std::string PacketIndex::describe_faults() const {
@@ -312,13 +322,15 @@ std::string PacketIndex::describe_faults() const {
 /// sensor fires at fixed azimuths, `forward_ns` is the time on the sensor's clock plus
 /// this offset. For a clock that wraps, the offset is at most half of the interval.
 void PacketIndex::set_times(PacketRevolution& revolution) const {
-    const double forward = revolution.begin_deg + 180.0;
+    // Interpolates between the packets before and after this moment.
+    const double forward_deg = revolution.begin_deg + 180.0;
     const auto behind =
-        std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
+        std::ranges::upper_bound(packets_, forward_deg, {}, &Entry::azimuth_deg) - packets_.begin();
     const std::size_t k = std::clamp(std::size_t(behind), std::size_t(1), packets_.size() - 1);
     const Entry &before = packets_[k - 1], &after = packets_[k];
-    const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
-    revolution.forward_ns = before.stamp_ns + std::int64_t(s * double(after.clock_ns - before.clock_ns));
+    const double share =
+        (forward_deg - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
+    revolution.forward_ns = before.stamp_ns + std::int64_t(share * double(after.clock_ns - before.clock_ns));
     revolution.log_ns = messages_[before.message].log_ns;
     const FiringTiming& timing = decoder_->timing();
     if (timing.fires.empty() && timing.wrap_us > 0.0)
@@ -389,12 +401,13 @@ SpinningSensor PacketIndex::make_sensor() const {
 /// otherwise their 99.5th percentile.
 double PacketIndex::full_scale() const {
     if (most_bright_ <= 255.0) return 1.0;
-    std::uint64_t n = 0, left = 0;
-    for (const std::uint32_t count : n_bright_) n += count;
-    left = std::uint64_t(0.995 * double(n - 1));
-    std::size_t at = 0;
-    while (n_bright_[at] <= left) left -= n_bright_[at++];
-    return std::max(double(at), 1.0) / 255.0;
+    std::uint64_t n_returns = 0;
+    for (const std::uint32_t count : n_bright_) n_returns += count;
+    // Skips so many returns in the histogram, from the darkest.
+    auto n_skipped = std::uint64_t(0.995 * double(n_returns - 1));
+    std::size_t bin = 0;
+    for (; n_bright_[bin] <= n_skipped; ++bin) n_skipped -= n_bright_[bin];
+    return std::max(double(bin), 1.0) / 255.0;
 }
 
 std::string PacketIndex::describe_product() const {

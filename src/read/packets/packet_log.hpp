@@ -60,6 +60,7 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets);
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
+/// Azimuth sector in which the sensor never fires.
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
@@ -72,7 +73,7 @@ struct SkippedSector {
 /// @param firing_step_deg  azimuth step between two firings
 SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg);
 
-struct TurnPoints;
+struct RevolutionPoints;
 
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketRevolution {
@@ -161,10 +162,13 @@ private:
     double column_step_deg() const;
     std::pair<double, double> azimuth_range_deg() const;
     std::vector<bool> find_lost(const PacketRevolution& revolution) const;
-    Scan make_scan(const PacketRevolution& turn, TurnPoints& points, const SpinningSensor& sensor) const;
+    bool is_inside(const PacketRevolution& revolution, int number, double azimuth_deg) const;
+    Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& points,
+                   const SpinningSensor& sensor) const;
     int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
     void find_revolutions();
     std::size_t count_lost_packets(std::size_t packet_index) const;
+    std::size_t count_lost_columns(const Entry& before, const Entry& entry) const;
     void store_lost_packets(PacketRevolution& revolution) const;
     bool has_steady_clock(const PacketRevolution& revolution) const;
     void set_times(PacketRevolution& revolution) const;
