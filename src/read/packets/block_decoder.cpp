@@ -54,13 +54,13 @@ void keep_brightest(std::array<DecodedReturn, 2>& returns, std::size_t index, co
         return;
     }
     if (added.range_m == returns[0].range_m || added.range_m == returns[1].range_m) return;
-    DecodedReturn& other = returns[0].range_m == 0.0f ||
-                                   (returns[1].range_m != 0.0f && returns[0].intensity < returns[1].intensity)
-                               ? returns[0]
-                               : returns[1];
-    if (other.range_m == 0.0f || other.intensity < added.intensity) other = added;
+    const bool is_first_empty = returns[0].range_m == 0.0f, is_second_empty = returns[1].range_m == 0.0f;
+    const bool is_first_darker = !is_second_empty && returns[0].intensity < returns[1].intensity;
+    DecodedReturn& replaced = is_first_empty || is_first_darker ? returns[0] : returns[1];
+    if (replaced.range_m == 0.0f || replaced.intensity < added.intensity) replaced = added;
 }
 
+/// Decodes the packets of a product in the table kLayouts.
 class BlockDecoder : public PacketDecoder {
 public:
     BlockDecoder(const PacketLayout& layout, const std::vector<AngleCorrection>& corrections)
@@ -87,7 +87,7 @@ public:
     const FiringTiming& timing() const override { return timing_; }
 
     std::string describe_product() const override {
-        return fmt::format("{}, {}", layout_.name, angles_about_);
+        return fmt::format("{}, {}", layout_.name, angles_note_);
     }
 
     SpinningSensor make_sensor(int columns_per_revolution, double rotation_rate_hz) const override {
@@ -112,9 +112,7 @@ public:
     DecodedPacket decode_packet(std::string_view packet_bytes) const override {
         DecodedPacket packet;
         packet.clock_ns = read_clock_ns(packet_bytes);
-        const auto mode = layout_.mode_at > 0 ? std::uint8_t(packet_bytes[layout_.mode_at]) : std::uint8_t(0);
-        std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;  // per firing
-        if (mode == kTriple) n_returns = 3;
+        const std::size_t n_returns = count_returns(packet_bytes);  // per firing
         const double unit_m = layout_.range_unit_m > 0.0 ? layout_.range_unit_m
                                                          : 1e-3 * std::uint8_t(packet_bytes[layout_.unit_at]);
         const std::size_t n_joined = layout_.banks * n_returns;  // blocks of the same firing
@@ -122,17 +120,18 @@ public:
         packet.firings.resize(std::size_t(packet.n_slots));
         packet.echoes.resize(packet.firings.size() * beams_.size());
         codecs::ByteReader reader(packet_bytes.substr(layout_.blocks_at));
+        // The order of the blocks: groups of joined blocks, banks of lasers, returns.
         for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
-            const std::size_t bank = b % n_joined / n_returns;
+            const std::size_t group = b / n_joined, bank = b % n_joined / n_returns;
             const double azimuth_deg = read_azimuth_deg(reader, bank);
             for (std::size_t f = 0; f < layout_.firings * layout_.block_returns; ++f) {
-                const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
+                const std::size_t slot = group * layout_.firings + f / layout_.block_returns;
+                const std::size_t return_index = b % n_returns + f % layout_.block_returns;
                 LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = read_sequence(packet_bytes, b / n_joined, n_returns);
+                firing.part = read_sequence(packet_bytes, group, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
-                read_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
-                            &packet.echoes[slot * beams_.size()]);
+                read_echoes(reader, unit_m, return_index, rings, &packet.echoes[slot * beams_.size()]);
             }
         }
         set_firings(packet);
@@ -144,7 +143,7 @@ private:
     FiringTiming timing_;
     std::vector<BeamFiring> table_;
     std::vector<LaserAngles> angles_;  ///< [lasers] from the angle correction file; may be empty
-    std::string angles_about_ = "beam angles from the data sheet";
+    std::string angles_note_ = "beam angles from the data sheet";
     std::vector<PacketBeam> beams_;  ///< [rings]
     /// [firing sequences, lasers] row in the range image, or kNoRing if the laser does
     /// not fire in this sequence
@@ -164,17 +163,24 @@ private:
             else problems.push_back(correction.problem.empty() ? mismatch : correction.problem);
         }
         if (matches.size() > 1) {
-            angles_about_ += fmt::format(
+            angles_note_ += fmt::format(
                 ", because {} and {} both have angles of {} lasers; the file of this sensor needs the name "
                 "of "
                 "the recording",
                 matches[0]->where, matches[1]->where, n);
         } else if (matches.size() == 1) {
             angles_ = matches[0]->lasers;
-            angles_about_ = "beam angles from " + matches[0]->where;
+            angles_note_ = "beam angles from " + matches[0]->where;
         } else if (!problems.empty()) {
-            angles_about_ += fmt::format(", because {}", fmt::join(problems, "; "));
+            angles_note_ += fmt::format(", because {}", fmt::join(problems, "; "));
         }
+    }
+
+    /// Returns the number of returns per firing. Packets without a return mode have one.
+    std::size_t count_returns(std::string_view packet_bytes) const {
+        const auto mode = layout_.mode_at > 0 ? std::uint8_t(packet_bytes[layout_.mode_at]) : std::uint8_t(0);
+        if (mode == kTriple) return 3;
+        return mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
     }
 
     /// Returns which of two alternating sets of lasers fires, 0 or 1.
@@ -182,8 +188,13 @@ private:
     int read_sequence(std::string_view packet_bytes, std::size_t firing_index, std::size_t n_returns) const {
         if (layout_.part_rule == FiringSequenceRule::none) return 0;
         codecs::ByteReader reader(packet_bytes.substr(layout_.part_at));
-        if (layout_.part_rule == FiringSequenceRule::azimuth_state)
-            return reader.read_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) & 1;
+        if (layout_.part_rule == FiringSequenceRule::azimuth_state) {
+            // two bits for each block, starting with the highest
+            const std::size_t shift = 14 - 2 * firing_index * n_returns;
+            return reader.read_number<std::uint16_t>() >> shift & 1;
+        }
+        // With one return, a packet has both sequences. With two, a bit is 1 for the
+        // first.
         return n_returns == 1 ? int(firing_index) : 1 - (reader.read_number<std::uint8_t>() & 1);
     }
 
@@ -265,9 +276,9 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     const std::vector<BeamFiring> table = read_firings(layout.sensor);
     std::vector<PacketBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
-        // laser, firing sequence, row of the table, elevation, delay
-        PacketBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
-                        table[line].offset_us};
+        PacketBeam beam{.laser = std::size_t(table[line].channel - layout.first_channel),
+                        .line = line,
+                        .offset_us = table[line].offset_us};
         if (layout.loops.empty()) beams.push_back(beam);
         for (; beam.part < layout.loops.size(); ++beam.part) {
             // A negative time means that the laser does not fire in this sequence.

@@ -1,14 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes packets that consist of blocks:
-//   Velodyne VLP-16, VLP-32C, HDL-32E and VLS-128 (manuals 63-9243, 63-9325, 63-9113 and
-//     63-9483): 12 blocks, the microseconds since the full hour (4 bytes), the return mode
-//     and the product number.
-//   Hesai Pandar40P, Pandar64, PandarXT-16, PandarXT-32, XT32M2X, PandarQT, QT128C2X and
-//     OT128 (user manuals, "Point cloud data packet"). Also writes the beam angles as a file
-//     for the drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
-// With two returns per ray, a pair of blocks holds the same firings. The first block
-// holds the last return. The second block holds the strongest return, or the second
-// strongest if the last return is the strongest.
+// Writes the packets of Velodyne and Hesai, which consist of blocks. block_decoder.cpp
+// describes them and lists the manuals. Also writes the beam angles of a Hesai as a file
+// for the drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -123,7 +116,7 @@ public:
             firing.returns.clear();
             for (const PacketBeam& beam : beams_) firing.returns.push_back(of_part[beam.part][beam.line]);
             if (!has_next) continue;
-            firing.has_returns |= scan_columns[c + 1].has_returns;
+            if (scan_columns[c + 1].has_returns) firing.has_returns = true;
             ++c;
         }
         return firings;
@@ -181,7 +174,9 @@ private:
     };
 
     const PacketLayout& layout_;
-    int returns_, columns_per_firing_, unit_;
+    int returns_;             ///< returns per ray, 1 or 2
+    int columns_per_firing_;  ///< see PacketFormat
+    int unit_;                ///< number of the sensor in its rig, which selects the UDP port
     std::int64_t start_ns_;
     double sequence_deg_;            ///< rotation of the head between two firing sequences
     std::vector<PacketBeam> beams_;  ///< beams of a firing
@@ -217,9 +212,10 @@ private:
                 const auto& [first, second] = firing.returns[ring];
                 // With two returns, block 0 of a pair holds the last (farther) return,
                 // block 1 the other.
-                const bool is_far = second.range_m > first.range_m;
-                echo = is_dual() && second.range_m > 0.0f && is_far == (block_position.number == 0) ? second
-                                                                                                    : first;
+                const bool is_second_far = second.range_m > first.range_m,
+                           wants_far = block_position.number == 0;
+                const bool has_second = is_dual() && second.range_m > 0.0f;
+                echo = has_second && is_second_far == wants_far ? second : first;
             }
             const double range = std::round(double(echo.range_m) / range_unit_m);
             // Range numbers up to last_marker mean that the laser has no return.
@@ -231,6 +227,7 @@ private:
     }
 };
 
+/// Packets of Velodyne: the blocks, time, return mode and product number.
 class VelodyneFormat : public BlockWriter {
 public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
@@ -260,6 +257,7 @@ void append_crc32(std::string& bytes, std::size_t first_byte) {
     append_raw(bytes, sum);
 }
 
+/// Packets of Hesai: a header, the blocks, and fields of the product.
 class HesaiFormat : public BlockWriter {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
@@ -380,14 +378,15 @@ std::vector<std::string> hesai_names() {
     return names;
 }
 
+/// Several products can have the same sensor, for example in two modes. Chooses the one
+/// with the nearest time between two scan columns.
 std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options) {
     const HesaiProduct* best = nullptr;
     double least_error = 0.0;
     for (const HesaiProduct& product : kHesaiProducts) {
         const PacketLayout& layout = find_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        // Chooses the product with the nearest time between two scan columns. The error
-        // is relative, plus 1 if the numbers of beams differ.
+        // The error is relative, plus 1 if the numbers of beams differ.
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us =
             layout.cycle_us * double(layout.n_sequences()) / count_columns(layout, sensor);

@@ -28,7 +28,8 @@ using codecs::number_at;
 constexpr std::size_t kLivoxHeader = 36, kDurationAt = 3, kCountAt = 5, kKindAt = 10, kLivoxTimeAt = 28;
 constexpr std::int64_t kLargestDrift_ns = 50'000'000;
 
-/// Point types of Livox: 1 in millimetres, 2 in centimetres, 3 in spherical coordinates.
+/// Reads the position of a point of type 1 (millimetres), 2 (centimetres) or 3 (spherical
+/// coordinates).
 glm::vec3 read_position_m(codecs::ByteReader& reader, int point_type) {
     if (point_type == 1) {
         const auto x = reader.read_number<std::int32_t>(), y = reader.read_number<std::int32_t>();
@@ -58,13 +59,13 @@ std::int64_t clamped_step_ns(std::int64_t first_ns, std::int64_t second_ns) {
 /// @param offset_ns  time of the first point minus the time of the cloud
 /// @return number of points
 std::uint32_t append_points(std::string& point_bytes, std::string_view packet, std::int64_t offset_ns) {
-    const int kind = std::uint8_t(packet[kKindAt]);
-    const auto n = number_at<std::uint16_t>(packet, kCountAt);
-    const double step_ns = 100.0 * number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n), 1);
+    const int point_type = std::uint8_t(packet[kKindAt]);
+    const auto n_stored = number_at<std::uint16_t>(packet, kCountAt);
+    const double step_ns = 100.0 * number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n_stored), 1);
     codecs::ByteReader reader(packet.substr(kLivoxHeader));
     std::uint32_t n_points = 0;
-    for (int i = 0; i < int(n); ++i) {
-        const glm::vec3 p = read_position_m(reader, kind);
+    for (int i = 0; i < int(n_stored); ++i) {
+        const glm::vec3 p = read_position_m(reader, point_type);
         const std::string_view reflectivity_and_tag = reader.read_bytes(2);
         // A ray without a return is stored as a point at the origin.
         if (p == glm::vec3(0.0f)) continue;
@@ -112,15 +113,18 @@ std::string join_livox_packets(std::string_view packed_packets, std::string_view
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
         n_points += append_points(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }
+    // The header: sequence number, seconds, nanoseconds, and the frame with its length.
+    constexpr std::int64_t kNsPerSecond = 1'000'000'000;
     std::string message;
-    for (const std::int64_t value : {std::int64_t(0), first_stamp_ns / 1'000'000'000,
-                                     first_stamp_ns % 1'000'000'000, std::int64_t(frame_id.size())})
-        append_raw(message, std::uint32_t(value));
+    append_raw(message, std::uint32_t(0));
+    append_raw(message, std::uint32_t(first_stamp_ns / kNsPerSecond));
+    append_raw(message, std::uint32_t(first_stamp_ns % kNsPerSecond));
+    append_raw(message, std::uint32_t(frame_id.size()));
     message.append(frame_id);
     append_raw(message, std::uint64_t(first_stamp_ns));
     append_raw(message, n_points);
     append_raw(message, std::uint32_t(0));  // number of the LiDAR and reserved bytes, all 0
-    append_raw(message, n_points);
+    append_raw(message, n_points);          // length of the list
     return message.append(points);
 }
 

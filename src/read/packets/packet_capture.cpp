@@ -28,27 +28,36 @@ void append_u16(std::string& bytes, unsigned value) {
     bytes += char(value & 0xFF);
 }
 
+/// Returns the checksum of an IPv4 header, whose checksum field is 0: the complement of
+/// the one's complement sum of its 16-bit numbers (RFC 791).
+unsigned compute_checksum(const std::string& header) {
+    unsigned sum = 0;
+    for (std::size_t i = 0; i + 1 < header.size(); i += 2)
+        sum += static_cast<unsigned char>(header[i]) * 256u + static_cast<unsigned char>(header[i + 1]);
+    while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
+    return ~sum & 0xFFFF;
+}
+
 /// Wraps a UDP datagram in IPv4 and Ethernet headers.
 /// @param ip_identification  identification number of the datagram in the IPv4 header
 std::string wrap_ethernet(const std::string& payload, int udp_port, unsigned ip_identification) {
+    const unsigned udp_length = unsigned(kUdpBytes + payload.size());
+    constexpr unsigned kVersionAndLength = 0x4500, kNotFragmented = 0x4000, kTtlAndUdp = 0x4011;
     std::string ip;
-    for (const unsigned value :
-         {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), ip_identification, 0x4000u, 0x4011u, 0u})
+    for (const unsigned value : {kVersionAndLength, unsigned(kIpBytes) + udp_length, ip_identification,
+                                 kNotFragmented, kTtlAndUdp, 0u})
         append_u16(ip, value);
     ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
-    // checksum of the IPv4 header (RFC 791)
-    unsigned sum = 0;
-    for (std::size_t i = 0; i + 1 < ip.size(); i += 2)
-        sum += static_cast<unsigned char>(ip[i]) * 256u + static_cast<unsigned char>(ip[i + 1]);
-    while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
-    const unsigned checksum = ~sum & 0xFFFF;
-    ip[10] = char(checksum >> 8);
-    ip[11] = char(checksum & 0xFF);
+    constexpr std::size_t kChecksumAt = 10;
+    std::string checksum;
+    append_u16(checksum, compute_checksum(ip));
+    ip.replace(kChecksumAt, checksum.size(), checksum);
+    // receiver (all), sender and the type of IPv4
     std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
-    append_u16(frame, unsigned(udp_port));
-    append_u16(frame, unsigned(udp_port));
-    append_u16(frame, unsigned(kUdpBytes + payload.size()));
-    append_u16(frame, 0);
+    append_u16(frame, unsigned(udp_port));  // of the sender
+    append_u16(frame, unsigned(udp_port));  // of the receiver
+    append_u16(frame, udp_length);
+    append_u16(frame, 0);  // no UDP checksum
     return frame + payload;
 }
 
@@ -121,7 +130,8 @@ std::size_t save_packets(const Log& log, const fs::path& file, const Progress& p
         add(encoder.flush());
         capture.close_file();
     });
-    if (const PacketCalibrationFile calibration = encoder.calibration_file(); !calibration.ending.empty())
+    const PacketCalibrationFile calibration = encoder.calibration_file();
+    if (!calibration.ending.empty())
         write_text_file(fs::path(file).replace_extension(calibration.ending), calibration.text);
     return n_packets;
 }

@@ -48,9 +48,10 @@ struct PacketEncoder::Impl {
     SpinningSensor sensor;
     PacketOptions options;
     std::unique_ptr<PacketFormat> format;
-    std::vector<double> offsets_us;
+    std::vector<double> offsets_us;  ///< [rings] delay of each beam, see PacketFormat
 
-    /// A firing whose time and azimuth are known. Others are computed from it.
+    /// A firing whose time and azimuth are known. Those of other firings are computed
+    /// from it.
     struct FiringClockAnchor {
         std::int64_t position;
         double time_s, azimuth_deg;

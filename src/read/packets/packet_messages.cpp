@@ -44,6 +44,7 @@ const PacketMessageType* find_type(std::string_view type_name) {
     return matching_type == std::end(kPacketTypes) ? nullptr : matching_type;
 }
 
+/// Returns the bytes of a packet that follow its time stamp.
 std::string_view read_packet(MessageReader& reader, const PacketMessageType& message_type) {
     if (message_type.form == PacketMessageLayout::list) return reader.read_bytes(reader.read_length(1));
     const std::string_view bytes = reader.read_bytes(message_type.n);

@@ -13,9 +13,8 @@
 namespace relidar::packets {
 
 /// Types of the topics that are made from a network capture. A message of type
-/// kLidarDatagrams
-/// contains several LiDAR packets, each with a time stamp (64 bits), a length (32 bits)
-/// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
+/// kLidarDatagrams contains several LiDAR packets, each with a time stamp (64 bits), a
+/// length (32 bits) and its bytes. Messages of type kOtherDatagrams contain other UDP data.
 inline constexpr const char *kLidarDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
 /// Returns true if the message type of a topic contains LiDAR packets of any product.
@@ -27,6 +26,7 @@ bool is_ouster_topic(const bag::BagTopic& topic);
 bool can_have_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
 std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes);
+/// Returns views of the LiDAR packets in a message, in their order.
 /// @param recording_time_ns  used for packets without a time stamp
 /// @param header  output: header of the message. A message without a header gets the
 /// topic's name as its frame.
