@@ -23,11 +23,13 @@ constexpr double kMostCorrectedLasers = 1024.0;
 /// Returns true if a file is a small CSV table with the columns of an angle correction.
 bool is_angle_file(const fs::path& file) {
     std::error_code failed;
-    if (!find_name(file.extension().string(), {".csv"}) || !fs::is_regular_file(file, failed) ||
-        fs::file_size(file, failed) > kMostCorrectionBytes)
-        return false;
+    const bool is_small_csv = find_name(file.extension().string(), {".csv"}) &&
+                              fs::is_regular_file(file, failed) &&
+                              fs::file_size(file, failed) <= kMostCorrectionBytes;
+    if (!is_small_csv) return false;
     const std::vector<std::string> lines = split_lines(read_file(file));
     if (lines.empty()) return false;
+    // "Laser id,Elevation,Azimuth" or "Channel,Elevation,Azimuth"
     const std::vector<std::string_view> header = split_csv_cells(lines.front());
     return header.size() >= 3 && find_name(header[1], {"elevation"}) && find_name(header[2], {"azimuth"});
 }
@@ -45,7 +47,7 @@ void add_angle_files(const fs::path& folder, std::vector<AngleCorrection>& corre
             if (corrections.size() < kMostCorrections && is_angle_file(file))
                 corrections.push_back(parse_angles(read_text_file(file), file.filename().string()));
         } catch (const DataError& error) {
-            corrections.push_back({file.filename().string(), false, {}, error.what()});
+            corrections.push_back({.where = file.filename().string(), .lasers = {}, .problem = error.what()});
         }
     }
 }
@@ -53,26 +55,28 @@ void add_angle_files(const fs::path& folder, std::vector<AngleCorrection>& corre
 }  // namespace
 
 AngleCorrection parse_angles(const std::string& csv_text, const std::string& where) {
-    std::map<std::size_t, LaserAngles> angles;
+    std::map<std::size_t, LaserAngles> angles_of_laser;  // laser numbers begin with 1
     for (const std::string& line : split_lines(csv_text)) {
         const std::vector<std::string_view> cells = split_csv_cells(line);
-        const auto laser = parse_number(cells[0]);
+        const std::optional<double> laser = parse_number(cells[0]);
         if (!laser || cells.size() < 3) continue;  // skips the header and the checksum line
-        const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
-        if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
-            !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
+        const std::optional<double> elevation_deg = parse_number(cells[1]);
+        const std::optional<double> azimuth_deg = parse_number(cells[2]);
+        const bool is_laser = *laser >= 1.0 && *laser <= kMostCorrectedLasers;
+        const bool are_angles = elevation_deg && azimuth_deg && std::abs(*elevation_deg) <= 90.0 &&
+                                std::abs(*azimuth_deg) <= 180.0;
+        if (!is_laser || !are_angles)
             fail("{}: found the line '{}', expected the number of a laser, its elevation and its azimuth",
                  where, quote(line));
-        angles[std::size_t(*laser)] = {*elevation, *azimuth};
+        angles_of_laser[std::size_t(*laser)] = {*elevation_deg, *azimuth_deg};
     }
-    AngleCorrection correction{where, false, {}};
-    for (const auto& [laser, laser_angles] : angles) {
-        correction.lasers.push_back(laser_angles);
-        // The map is sorted by laser number, from 1. After a missing laser, the number
-        // exceeds the size of the list.
-        if (laser != correction.lasers.size())
+    AngleCorrection correction{.where = where, .lasers = {}};
+    for (const auto& [laser, angles] : angles_of_laser) {
+        const std::size_t expected_laser = correction.lasers.size() + 1;
+        if (laser != expected_laser)
             fail("{}: the angles of laser {} are missing, expected the angles of all lasers up to {}", where,
-                 correction.lasers.size(), angles.rbegin()->first);
+                 expected_laser, angles_of_laser.rbegin()->first);
+        correction.lasers.push_back(angles);
     }
     return correction;
 }

@@ -47,9 +47,9 @@ constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 /// after the pixels. Other packets have a header and a footer of 32 bytes, and 12 bytes
 /// before the pixels of each column.
 std::size_t count_bytes(const OusterProfile& profile, int pixels_per_column, int columns_per_packet) {
-    const std::size_t column = std::size_t(pixels_per_column) * profile.pixel_bytes;
-    return profile.is_legacy ? std::size_t(columns_per_packet) * (16 + column + 4)
-                             : 32 + std::size_t(columns_per_packet) * (12 + column) + 32;
+    const std::size_t pixels = std::size_t(pixels_per_column) * profile.pixel_bytes;
+    const auto n_columns = std::size_t(columns_per_packet);
+    return profile.is_legacy ? n_columns * (16 + pixels + 4) : 32 + n_columns * (12 + pixels) + 32;
 }
 
 /// Returns the value of a key, which is in the root object or in one of its direct
@@ -111,11 +111,14 @@ std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
 /// packet size.
 void set_size(OusterMetadata& metadata, const JsonField& root) {
     const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
-    for (const auto& [key, expected] :
-         {std::pair("columns_per_frame", columns), {"pixels_per_column", beams}})
-        if (const int n = read_integer(root, key, expected, 65536); n != expected)
+    const auto check_equal = [&](const char* key, int expected) {
+        const int n = read_integer(root, key, expected, 65536);
+        if (n != expected)
             fail("{}: {} is {}, expected {} like in lidar_mode and beam_altitude_angles", metadata.where, key,
                  n, expected);
+    };
+    check_equal("columns_per_frame", columns);
+    check_equal("pixels_per_column", beams);
     if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
         fail("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
              metadata.where, metadata.columns_per_packet, columns);
@@ -129,19 +132,21 @@ void set_size(OusterMetadata& metadata, const JsonField& root) {
 /// topic of a bag.
 int parse_port(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
-    const auto port = colon == std::string_view::npos || topic.starts_with('/')
-                          ? std::nullopt
-                          : parse_number(topic.substr(colon + 1));
+    if (colon == std::string_view::npos || topic.starts_with('/')) return 0;
+    const std::optional<double> port = parse_number(topic.substr(colon + 1));
     return port && *port >= 0.0 && *port <= 65535.0 ? int(*port) : 0;
 }
+/// Returns "/os1" for the topic "/os1/lidar_packets" of a bag.
 std::string_view find_namespace(std::string_view topic) {
     return topic.starts_with('/') ? topic.substr(0, topic.rfind('/')) : std::string_view();
 }
 
+/// Returns true if a packet contains the serial number of the sensor. Legacy packets have
+/// none.
 bool has_serial(std::string_view packet, const OusterMetadata& metadata) {
     if (metadata.serial == 0 || metadata.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
-        std::uint64_t serial = 0;
+        std::uint64_t serial = 0;  // stored with the lowest byte first
         for (std::size_t k = kSerialBytes; k-- > 0;)
             serial = serial << 8 | static_cast<unsigned char>(packet[at + k]);
         return serial == metadata.serial;
@@ -155,7 +160,11 @@ bool is_metadata_file(const fs::path& file) {
            is_metadata(read_text_file(file));
 }
 
-using codecs::ByteReader;
+bool is_recording(const fs::path& file) {
+    const std::string ending = bag::strip_packed(file).extension().string();
+    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
+           ending == ".db3";
+}
 
 // A packet has columns. All beams of a column fire simultaneously, at fixed azimuths:
 //   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32],
@@ -174,6 +183,7 @@ struct ColumnHeader {
     bool was_measured = false;
 };
 
+/// Decodes the packets of the sensor that sent the metadata.
 class OusterDecoder : public PacketDecoder {
 public:
     explicit OusterDecoder(std::shared_ptr<const OusterMetadata> format) : format_(std::move(format)) {
@@ -202,11 +212,11 @@ public:
         const OusterProfile& profile = *format_->profile;
         const std::size_t rings = format_->ring_of.size();
         codecs::ByteReader reader(packet_bytes);
-        if (!profile.is_legacy)
-            if (const auto kind =
-                    codecs::ByteReader(reader.read_bytes(kHeadBytes)).read_number<std::uint8_t>();
-                kind != kLidarData)
-                fail("found a packet of type {}, expected {} (LiDAR data of an Ouster)", kind, kLidarData);
+        if (!profile.is_legacy) {
+            const auto type = codecs::ByteReader(reader.read_bytes(kHeadBytes)).read_number<std::uint8_t>();
+            if (type != kLidarData)
+                fail("found a packet of type {}, expected {} (LiDAR data of an Ouster)", type, kLidarData);
+        }
         DecodedPacket packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
@@ -255,12 +265,13 @@ private:
         if (column.number >= columns)
             fail("a packet has column {}, expected a number below {} (lidar_mode in {})", column.number,
                  columns, format_->where);
-        const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0),
-                     step_deg = 360.0 / columns;
-        if (!previous_firings.empty() &&
-            std::abs(std::remainder(azimuth_deg - previous_firings.back().azimuth_deg -
-                                        step_deg * (slot_in_packet - previous_firings.back().slot),
-                                    360.0)) > 0.1 * step_deg)
+        const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0);
+        if (previous_firings.empty()) return azimuth_deg;
+        const LaserFiring& previous = previous_firings.back();
+        const double step_deg = 360.0 / columns;
+        const double error_deg = std::remainder(
+            azimuth_deg - previous.azimuth_deg - step_deg * (slot_in_packet - previous.slot), 360.0);
+        if (std::abs(error_deg) > 0.1 * step_deg)
             fail("column {} at position {} of a packet does not follow the previous column", column.number,
                  slot_in_packet);
         return azimuth_deg;
@@ -327,28 +338,24 @@ std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_tex
 }
 
 MetadataList read_metadata_files(const fs::path& recording, std::vector<std::string>& errors) {
-    const std::string recording_stem = recording.stem().string();
-    const bool has_metadata_of_same_name = is_metadata_file(fs::path(recording).replace_extension(".json"));
     const fs::path folder = recording.has_parent_path() ? recording.parent_path() : ".";
     std::vector<fs::path> files;  // empty if the folder cannot be read
     std::error_code failed;
     for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
         files.push_back(at->path());
     std::ranges::sort(files);
-    std::set<std::string> recorded;  // names of the recordings in the folder
-    for (const fs::path& file : files) {
-        const fs::path unpacked = bag::strip_packed(file);
-        const std::string ending = unpacked.extension().string();
-        if (ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
-            ending == ".db3")
-            recorded.insert(unpacked.stem().string());
-    }
+    std::set<std::string> recording_stems;  // of all recordings in the folder
+    for (const fs::path& file : files)
+        if (is_recording(file)) recording_stems.insert(bag::strip_packed(file).stem().string());
+
+    const std::string own_stem = recording.stem().string();
+    const bool has_metadata_of_same_name = is_metadata_file(fs::path(recording).replace_extension(".json"));
     MetadataList formats;
     for (const fs::path& file : files) {
         const std::string stem = file.stem().string();
-        if (stem != recording_stem &&
-            (recorded.contains(stem) || (has_metadata_of_same_name && !stem.starts_with(recording_stem))))
-            continue;
+        const bool is_of_other_recording = stem != own_stem && recording_stems.contains(stem);
+        const bool has_other_name = has_metadata_of_same_name && !stem.starts_with(own_stem);
+        if (is_of_other_recording || has_other_name) continue;
         if (formats.size() >= kMostFiles || !is_metadata_file(file)) continue;
         try {
             const fs::path shown = recording.has_parent_path() ? file : file.filename();
@@ -362,32 +369,31 @@ MetadataList read_metadata_files(const fs::path& recording, std::vector<std::str
 
 std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata_list, std::string_view topic,
                                                     std::string_view packet) {
-    MetadataList left;
     const int port = parse_port(topic);
     // If only one sensor has metadata, accepts its LEGACY packets on any UDP port,
     // because they have no serial number and users may change the port.
     const bool is_alone = std::ranges::all_of(
         metadata_list, [&](const auto& format) { return format->text == metadata_list.front()->text; });
+    MetadataList candidates;
     for (const auto& format : metadata_list) {
         const bool is_duplicate =
-            std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
-        const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
-        if (format->packet_bytes != packet.size() || is_duplicate ||
-            (is_of_other_port && !has_serial(packet, *format) && !(is_alone && format->profile->is_legacy)))
-            continue;
-        left.push_back(format);
+            std::ranges::any_of(candidates, [&](const auto& other) { return other->text == format->text; });
+        if (format->packet_bytes != packet.size() || is_duplicate) continue;
+        const bool has_other_port = port > 0 && format->port > 0 && port != format->port;
+        const bool may_change_port = has_serial(packet, *format) || (is_alone && format->profile->is_legacy);
+        if (!has_other_port || may_change_port) candidates.push_back(format);
     }
     // Keeps only the candidates that meet a condition, if any candidate meets it.
-    const auto narrow = [&](auto is_its) {
-        if (left.size() > 1 && std::ranges::any_of(left, is_its))
-            std::erase_if(left, [&](const auto& format) { return !is_its(format); });
+    const auto prefer = [&](auto meets_condition) {
+        if (candidates.size() > 1 && std::ranges::any_of(candidates, meets_condition))
+            std::erase_if(candidates, [&](const auto& format) { return !meets_condition(format); });
     };
-    narrow([&](const auto& format) {
+    prefer([&](const auto& format) {
         return !find_namespace(topic).empty() && find_namespace(format->where) == find_namespace(topic);
     });
-    narrow([&](const auto& format) { return format->port > 0 && format->port == port; });
-    narrow([&](const auto& format) { return has_serial(packet, *format); });
-    return left.size() == 1 ? left.front() : nullptr;
+    prefer([&](const auto& format) { return format->port > 0 && format->port == port; });
+    prefer([&](const auto& format) { return has_serial(packet, *format); });
+    return candidates.size() == 1 ? candidates.front() : nullptr;
 }
 
 bool is_ouster_size(std::size_t n_bytes) {
@@ -416,10 +422,10 @@ std::string ouster_error(const MetadataList& metadata_list, const fs::path& reco
         formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
     const bool fits = std::ranges::any_of(
         metadata_list, [&](const auto& format) { return format->packet_bytes == packet_size; });
-    return fmt::format("{}, but the metadata describes {}; expected {}", found, formats,
-                       !fits      ? "metadata of the same sensor and configuration"
-                       : port > 0 ? fmt::format("exactly one file with \"udp_port_lidar\": {}", port)
-                                  : "exactly one metadata topic in the namespace of the packet topic");
+    std::string expected = "metadata of the same sensor and configuration";
+    if (fits && port > 0) expected = fmt::format("exactly one file with \"udp_port_lidar\": {}", port);
+    else if (fits) expected = "exactly one metadata topic in the namespace of the packet topic";
+    return fmt::format("{}, but the metadata describes {}; expected {}", found, formats, expected);
 }
 
 std::unique_ptr<PacketDecoder> make_ouster_decoder(const char*, const DecoderCalibration& calibration) {

@@ -68,14 +68,16 @@ constexpr LidarProduct kProducts[] = {
 constexpr LidarProduct kOusterProduct{"Ouster", {}, make_ouster_decoder},
     kLivoxProduct{"Livox", {}, nullptr, "livox_ros_driver2"};
 
+/// Returns true if a packet has the size, the first bytes and two other bytes that
+/// identify a product.
 bool has_signature(string_view packet, const PacketSignature& signature) {
     const auto has_byte = [&](const PacketSignature::Byte& byte) {
-        return byte.value < 0 ||
-               (byte.at < packet.size() && static_cast<unsigned char>(packet[byte.at]) == byte.value);
+        if (byte.value < 0) return true;  // the signature has no such byte
+        return byte.at < packet.size() && static_cast<unsigned char>(packet[byte.at]) == byte.value;
     };
-    const bool has_size = signature.size == 0 ? packet.size() > kMinAnySize
-                                              : packet.size() == signature.size ||
-                                                    packet.size() == signature.size + signature.n_optional;
+    const bool has_fixed_size =
+        packet.size() == signature.size || packet.size() == signature.size + signature.n_optional;
+    const bool has_size = signature.size == 0 ? packet.size() > kMinAnySize : has_fixed_size;
     return has_size && packet.starts_with(signature.head) && has_byte(signature.first) &&
            has_byte(signature.second);
 }
@@ -85,7 +87,8 @@ bool is_rs16(string_view packet) {
     return product && product->name == string_view("RS-LiDAR-16");
 }
 
-/// Returns the time in microseconds within the current second.
+/// Returns the time of a packet of an RS-LiDAR-16 in microseconds within the current
+/// second. Byte 26 begins two big-endian numbers: milliseconds and microseconds.
 double read_clock_us(string_view packet) {
     const auto byte = [&](std::size_t at) { return double(static_cast<unsigned char>(packet[at])); };
     return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
@@ -105,15 +108,16 @@ std::string unsupported_text(const LidarProduct* product, string_view packet_byt
     for (const LidarProduct& row : kProducts)
         if (row.make && (supported.empty() || supported.back() != row.name)) supported.push_back(row.name);
     const std::string supported_products = fmt::format("{}", fmt::join(supported, ", "));
+    constexpr std::size_t kShownBytes = 4;
     const auto* begin = reinterpret_cast<const unsigned char*>(packet_bytes.data());
-    const std::vector<unsigned> first(begin, begin + std::min(packet_bytes.size(), std::size_t(4)));
+    const std::vector<unsigned> first_bytes(begin, begin + std::min(packet_bytes.size(), kShownBytes));
     if (!product)
         return fmt::format("found unknown packets of {} bytes, expected {}, or an Ouster with its metadata",
                            packet_bytes.size(), supported_products);
     return fmt::format(
         "found packets of a {} ({} bytes that begin with {:02X}), expected {}; convert the packets to point "
         "clouds with {} and record these",
-        product->name, packet_bytes.size(), fmt::join(first, " "), supported_products, product->driver);
+        product->name, packet_bytes.size(), fmt::join(first_bytes, " "), supported_products, product->driver);
 }
 
 bool is_dual_rs16(const std::vector<ReceivedPacket>& packets) {
