@@ -38,8 +38,8 @@ std::optional<double> rotation_sign_of(const LidarPoints& points) {
     for (std::size_t i = 1; i < points.size(); ++i) {
         const double step = std::remainder(
             azimuth_of_rad(points.position_m[i]) - azimuth_of_rad(points.position_m[i - 1]), 2.0 * kPi);
-        n_up += step > 0.0;
-        n_down += step < 0.0;
+        if (step > 0.0) ++n_up;
+        if (step < 0.0) ++n_down;
     }
     const double least = kMinSameSignFraction * double(points.size());
     if (double(n_up) > least) return 1.0;
@@ -52,21 +52,21 @@ std::optional<double> rotation_sign_of(const LidarPoints& points) {
 /// @param rotation_sign  1 if azimuths increase, -1 if they decrease; the result
 /// increases
 std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_sign) {
-    std::vector<double> turned;
-    turned.reserve(points.size());
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        const double azimuth = rotation_sign * azimuth_of_rad(points.position_m[i]);
-        if (i == 0) {
-            turned.push_back(azimuth);
+    std::vector<double> unwrapped_rad;
+    unwrapped_rad.reserve(points.size());
+    for (const glm::vec3& point : points.position_m) {
+        const double azimuth_rad = rotation_sign * azimuth_of_rad(point);
+        if (unwrapped_rad.empty()) {
+            unwrapped_rad.push_back(azimuth_rad);
             continue;
         }
-        double step = std::remainder(azimuth - turned.back(), 2.0 * kPi);
+        double step_rad = std::remainder(azimuth_rad - unwrapped_rad.back(), 2.0 * kPi);
         // Small steps back are noise. A larger step back means that the file continues
         // with the next turn.
-        if (step < -kRingStepBack_rad) step += 2.0 * kPi;
-        turned.push_back(turned.back() + step);
+        if (step_rad < -kRingStepBack_rad) step_rad += 2.0 * kPi;
+        unwrapped_rad.push_back(unwrapped_rad.back() + step_rad);
     }
-    return turned;
+    return unwrapped_rad;
 }
 
 /// Returns the revolution number of each point, from 0: how often the azimuth has passed
@@ -75,14 +75,17 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
 std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
     revolution_numbers.reserve(azimuths_rad.size());
+    const auto revolution_of = [&](double azimuth_rad) {
+        return std::floor((azimuth_rad - start_azimuth_rad) / (2.0 * kPi));
+    };
     double first_revolution = INFINITY;
-    for (const double t : azimuths_rad)
-        first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
+    for (const double azimuth_rad : azimuths_rad)
+        first_revolution = std::min(first_revolution, revolution_of(azimuth_rad));
     int last = 0;
-    for (const double t : azimuths_rad) {
+    for (const double azimuth_rad : azimuths_rad) {
         // Ring numbers never decrease. Otherwise rounding errors could put the first
         // point of a ring into the previous ring.
-        last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
+        last = std::max(last, int(revolution_of(azimuth_rad) - first_revolution));
         revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
     return revolution_numbers;
@@ -126,33 +129,32 @@ std::vector<double> ring_errors(const LidarPoints& points, const std::vector<std
 /// Returns the azimuth at which the rings of a file begin. At a wrong azimuth, rings
 /// contain points of two beams, so points deviate more from the elevation of their ring.
 double find_ring_start_rad(const LidarPoints& points, const std::vector<double>& unwrapped_azimuths_rad) {
-    LidarPoints some;
-    std::vector<double> some_turned;
+    LidarPoints sample;
+    std::vector<double> sample_azimuths_rad;
     for (std::size_t i = 0; i < points.size(); i += kSearchStride) {
-        some.position_m.push_back(points.position_m[i]);
-        some_turned.push_back(unwrapped_azimuths_rad[i]);
+        sample.position_m.push_back(points.position_m[i]);
+        sample_azimuths_rad.push_back(unwrapped_azimuths_rad[i]);
     }
-    const auto spread = [&](double first_rad) {
-        const std::vector<std::uint16_t> ring = count_turns(some_turned, first_rad);
-        const std::vector<double> errors = ring_errors(some, ring, ring_elevations(some, ring));
+    const auto mean_error = [&](double start_rad) {
+        const std::vector<std::uint16_t> ring = count_turns(sample_azimuths_rad, start_rad);
+        const std::vector<double> errors = ring_errors(sample, ring, ring_elevations(sample, ring));
         // Unlike the median, the mean increases even if only a few points are in a wrong
         // ring.
         return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
     };
-    double least = INFINITY, best_rad = 0.0;
-    // Searches the full turn in steps of 10 degrees, and then around the best azimuth in
-    // steps of 1 degree.
-    for (const int step_deg : {10, 1}) {
-        const double middle_rad = step_deg == 10 ? 0.0 : best_rad;
-        const int reach = step_deg == 10 ? 18 : 9;
-        for (int k = -reach; k <= reach; ++k) {
-            const double candidate_rad = middle_rad + k * step_deg * kPi / 180.0, off = spread(candidate_rad);
-            if (off < least) {
-                least = off;
+    double least_error = INFINITY, best_rad = 0.0;
+    const auto search_around = [&](double middle_rad, int step_deg, int n_steps) {
+        for (int k = -n_steps; k <= n_steps; ++k) {
+            const double candidate_rad = middle_rad + k * step_deg * kPi / 180.0;
+            const double error = mean_error(candidate_rad);
+            if (error < least_error) {
+                least_error = error;
                 best_rad = candidate_rad;
             }
         }
-    }
+    };
+    search_around(0.0, 10, 18);     // the full turn in steps of 10 degrees
+    search_around(best_rad, 1, 9);  // then steps of 1 degree
     return best_rad;
 }
 
@@ -166,13 +168,13 @@ bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t r = 1; r < ring_elevations_rad.size(); ++r) {
         const double step = ring_elevations_rad[r] - ring_elevations_rad[r - 1];
-        n_up += step > 0.0;
-        n_down += step < 0.0;
+        if (step > 0.0) ++n_up;
+        if (step < 0.0) ++n_down;
         if (std::isfinite(step)) steps.push_back(std::abs(step));
     }
-    if (steps.empty() ||
-        double(std::max(n_up, n_down)) < kMinSortedShare * double(ring_elevations_rad.size() - 1))
-        return false;
+    const bool are_sorted =
+        double(std::max(n_up, n_down)) >= kMinSortedShare * double(ring_elevations_rad.size() - 1);
+    if (steps.empty() || !are_sorted) return false;
     return compute_median(ring_errors(points, ring_of_point, ring_elevations_rad)) <
            kInRing * compute_median(steps);
 }
@@ -182,16 +184,17 @@ bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>
 RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
-    const std::optional<double> turning = rotation_sign_of(*fullest);
-    if (!turning) return;
-    turning_ = *turning;
-    const std::vector<double> turned = unwrap_azimuths(*fullest, turning_);
-    if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
-    first_azimuth_rad_ = find_ring_start_rad(*fullest, turned);
+    const std::optional<double> rotation_sign = rotation_sign_of(*fullest);
+    if (!rotation_sign) return;
+    rotation_sign_ = *rotation_sign;
+    const std::vector<double> azimuths_rad = unwrap_azimuths(*fullest, rotation_sign_);
+    const double all_rings_rad = azimuths_rad.back() - azimuths_rad.front();  // one turn per ring
+    if (all_rings_rad < 2.0 * kPi * double(kFewestRings - 1)) return;
+    first_azimuth_rad_ = find_ring_start_rad(*fullest, azimuths_rad);
     for (const LidarPoints& scan : scans) {
-        if (rotation_sign_of(scan) != turning) continue;
+        if (rotation_sign_of(scan) != rotation_sign) continue;
         const std::vector<std::uint16_t> ring =
-            count_turns(unwrap_azimuths(scan, turning_), first_azimuth_rad_);
+            count_turns(unwrap_azimuths(scan, rotation_sign_), first_azimuth_rad_);
         std::vector<double> elevations = ring_elevations(scan, ring);
         // Keeps the scan with the most rings, because it is most likely to have returns
         // of every beam.
@@ -204,7 +207,7 @@ void RingOrderDetector::number_rings(LidarPoints& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
     // A ring begins when the azimuth passes the start that the constructor found.
-    points.ring = count_turns(unwrap_azimuths(points, turning_), first_azimuth_rad_);
+    points.ring = count_turns(unwrap_azimuths(points, rotation_sign_), first_azimuth_rad_);
     const std::vector<double> elevations = ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
     // Rings are missing in this scan, so their elevations decide which rings they are.

@@ -25,7 +25,7 @@ public:
 
 private:
     double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins
-    double turning_ = 1.0;               ///< 1 if the azimuth increases along a ring, -1 if it decreases
+    double rotation_sign_ = 1.0;         ///< 1 if the azimuth increases along a ring, -1 if it decreases
     std::vector<double> elevation_rad_;  ///< [rings] median elevation of the farther points of each ring
 };
 

@@ -58,8 +58,8 @@ std::string find_unsupported(const std::filesystem::path& folder) {
     std::error_code failed;
     if (!std::filesystem::is_directory(folder, failed)) return "";
     for (const std::filesystem::path& file : list_folder(folder))
-        if (const std::string about = describe_format(file); !about.empty())
-            return fmt::format("{} is {}", file.filename().string(), about);
+        if (const std::string text = describe_format(file); !text.empty())
+            return fmt::format("{} is {}", file.filename().string(), text);
     return "";
 }
 

@@ -19,6 +19,8 @@ constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordA
                       kScaleAt = 131, kOffsetAt = 155, kHeaderBytes = 227, kLongCountAt = 247,
                       kLongHeader = 255;
 constexpr int kMostFormat = 10, kFirstLongFormat = 6;
+// byte offsets in a point of every format
+constexpr std::size_t kIntensityAt = 12, kReturnAt = 14;
 constexpr double kMostAway_m = 100.0;  // a scan has points closer to the origin than this along x and y
 constexpr int kPackedFlag = 128;       // added to the point format if the points are compressed
 
@@ -33,7 +35,8 @@ struct LasHeader {
     std::size_t gps_time_offset() const { return is_extended() ? 22 : 20; }
 };
 
-/// Compares the sizes with the file, so that no later read is beyond its end.
+/// Parses the header of a LAS file. Compares the sizes with the file, so that no later
+/// read is beyond its end.
 LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
         fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());
@@ -47,7 +50,9 @@ LasHeader parse_header(std::string_view bytes, const std::string& where) {
     header.begin = number_at<std::uint32_t>(bytes, kPointsAt);
     header.record = number_at<std::uint16_t>(bytes, kRecordAt);
     header.n = number_at<std::uint32_t>(bytes, kCountAt);
-    if (number_at<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
+    // Since version 1.4, files also have a number of points with 64 bits.
+    const int minor_version = number_at<std::uint8_t>(bytes, kVersionAt + 1);
+    if (minor_version >= 4 && bytes.size() >= kLongHeader)
         header.n = std::max(header.n, number_at<std::uint64_t>(bytes, kLongCountAt));
     for (std::size_t axis = 0; axis < 3; ++axis) {
         header.scale[axis] = number_at<double>(bytes, kScaleAt + 8 * axis);
@@ -82,25 +87,25 @@ PointTable parse_las(const SharedBytes& file, const std::string& where) {
     const auto n = std::size_t(header.n);
     check_point_count(n, where);
     const char* points = file.bytes.data() + header.begin;
-    std::array<std::vector<double>, 3> p;
+    std::array<std::vector<double>, 3> coordinates_m;
     std::vector<std::uint8_t> return_numbers(n);
-    for (std::size_t axis = 0; axis < 3; ++axis) p[axis].resize(n);
+    for (std::size_t axis = 0; axis < 3; ++axis) coordinates_m[axis].resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const std::string_view point(points + i * header.record, header.record);
         for (std::size_t axis = 0; axis < 3; ++axis)
-            p[axis][i] =
+            coordinates_m[axis][i] =
                 header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // The return number has 4 bits in new point formats and 3 bits in old ones. A ray
         // keeps at most 8 returns.
-        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_extended() ? 15 : 7), 8));
+        return_numbers[i] = std::uint8_t(std::min(point[kReturnAt] & (header.is_extended() ? 15 : 7), 8));
     }
-    check_near_origin(p, where);
+    check_near_origin(coordinates_m, where);
     PointTable table(n);
     table.keep_alive(file.memory);
     const char* names[] = {"x", "y", "z"};
     for (std::size_t axis = 0; axis < 3; ++axis)
-        table.add_value_field(names[axis], ScalarType::f8, std::move(p[axis]), where);
-    table.add_value_field("intensity", {ScalarType::u2, points + 12, header.record}, where);
+        table.add_value_field(names[axis], ScalarType::f8, std::move(coordinates_m[axis]), where);
+    table.add_value_field("intensity", {ScalarType::u2, points + kIntensityAt, header.record}, where);
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
         table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), where);

@@ -25,7 +25,8 @@ struct PcdHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-/// Limits the numbers to 1e9, so that their conversion to integers is always defined.
+/// Parses the numbers of a line of the header. Limits them to 1e9, so that their
+/// conversion to integers is always defined.
 std::vector<double> parse_counts(const std::vector<std::string>& words, const std::string& where) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
@@ -38,7 +39,8 @@ std::vector<double> parse_counts(const std::vector<std::string>& words, const st
     return numbers;
 }
 
-/// POINTS and COUNT may be missing. Their defaults are WIDTH x HEIGHT and 1.
+/// Parses the text header of a PCD file. POINTS and COUNT may be missing. Their defaults
+/// are WIDTH x HEIGHT and 1.
 PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     PcdHeader header;
     while (header.data.empty()) {
@@ -66,50 +68,59 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     return header;
 }
 
-/// A COUNT of 0 is allowed for fields that relidar ignores.
+/// Returns the fields of a point. Rejects fields whose numbers do not fit together. A
+/// COUNT of 0 is allowed for fields that relidar ignores.
 std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& where) {
     const std::size_t n = header.names.size();
-    if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
-        header.counts.size() != n)
+    const bool are_equal = header.sizes.size() == n && header.types.size() == n && header.counts.size() == n;
+    if (n == 0 || n > kMostPcdFields || !are_equal)
         fail("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same number of each, 1 to {}",
              where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
     std::vector<PointField> fields;
-    double record = 0.0;
+    double point_bytes = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0 && is_known_field(header.names[i]))
             fail("{}: COUNT of the field '{}' is 0, expected at least 1", where, quote(header.names[i]));
-        record += header.sizes[i] * header.counts[i];
+        point_bytes += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
-    if (record > double(kMostBytes))
-        fail("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", where, record, kMostBytes);
+    if (point_bytes > double(kMostBytes))
+        fail("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", where, point_bytes,
+             kMostBytes);
     return fields;
 }
 
+/// Unit in which the size of a point is measured: numbers of a text file, or bytes.
+enum class PointUnit { values, bytes };
+
 /// Decides which fields with COUNT 0 exist: some programs write COUNT 0 for padding that
 /// the file does not have, others for padding that it has.
-/// @param record  values per point (text) or bytes per point that the file has
-void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool text, const std::string& where) {
-    std::size_t known = 0, of_empty = 0, n_empty = 0;
+/// @param point_size  size of a point in the file
+void resolve_empty(std::vector<PointField>& fields, std::size_t point_size, PointUnit unit,
+                   const std::string& where) {
+    std::size_t known_size = 0, empty_size = 0, n_empty = 0;  // empty: fields with COUNT 0
     for (const PointField& field : fields) {
-        known += (text ? 1 : field.size) * field.count;
-        n_empty += field.count == 0;
-        of_empty += field.count == 0 ? (text ? 1 : field.size) : 0;
+        const std::size_t value_size = unit == PointUnit::values ? 1 : field.size;
+        known_size += value_size * field.count;
+        if (field.count > 0) continue;
+        empty_size += value_size;
+        ++n_empty;
     }
-    const std::size_t more = record - std::min(known, record), missing = more > kMostPadding ? 0 : more;
-    const bool has_one_value_each = missing == of_empty;
-    if (n_empty > 1 && missing > 0 && !has_one_value_each)
+    std::size_t extra_size = point_size - std::min(known_size, point_size);
+    if (extra_size > kMostPadding) extra_size = 0;  // other data follows the points
+    const bool have_one_value_each = extra_size == empty_size;
+    if (n_empty > 1 && extra_size > 0 && !have_one_value_each)
         fail(
             "{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, expected 0 or {} "
             "more",
-            where, n_empty, missing, text ? "values" : "bytes", of_empty);
-    std::erase_if(fields, [&](PointField& field) {
-        if (field.count > 0) return false;
-        if (has_one_value_each) field.count = 1;
-        else field = {std::string(kPaddingName), 'U', 1, missing};
-        return missing == 0;
-    });
+            where, n_empty, extra_size, unit == PointUnit::values ? "values" : "bytes", empty_size);
+    if (extra_size == 0) std::erase_if(fields, [](const PointField& field) { return field.count == 0; });
+    for (PointField& field : fields) {
+        if (field.count > 0) continue;
+        if (have_one_value_each) field.count = 1;
+        else field = {std::string(kPaddingName), 'U', 1, extra_size};
+    }
 }
 
 [[noreturn]] void fail_lzf(const std::string& where) {
@@ -123,29 +134,30 @@ void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool tex
 std::string decompress_lzf(std::string_view compressed_data, std::size_t size, const std::string& where) {
     std::string out;
     out.reserve(size);
-    std::size_t at = 0;
-    const auto next = [&] {
-        return at < compressed_data.size() ? std::size_t(static_cast<unsigned char>(compressed_data[at++]))
-                                           : (fail_lzf(where), 0);
+    std::size_t at = 0;  // next byte of the input
+    const auto read_byte = [&]() -> std::size_t {
+        if (at >= compressed_data.size()) fail_lzf(where);
+        return static_cast<unsigned char>(compressed_data[at++]);
     };
     while (at < compressed_data.size()) {
-        const std::size_t control = next();
+        const std::size_t control = read_byte();
         if (control < 32) {
-            if (control + 1 > compressed_data.size() - at || control + 1 > size - out.size()) fail_lzf(where);
-            out.append(compressed_data.substr(at, control + 1));
-            at += control + 1;
+            const std::size_t n_copied = control + 1;
+            if (n_copied > compressed_data.size() - at || n_copied > size - out.size()) fail_lzf(where);
+            out.append(compressed_data.substr(at, n_copied));
+            at += n_copied;
             continue;
         }
         // The upper 3 bits are the length minus 2, continued in the next byte if they are
         // 7. The lower 5 bits and one more byte are the distance minus 1.
         std::size_t length = control >> 5;
-        if (length == 7) length += next();
+        if (length == 7) length += read_byte();
         length += 2;
-        const std::size_t back = ((control & 31) << 8) + next() + 1;
-        if (back > out.size() || length > size - out.size()) fail_lzf(where);
+        const std::size_t distance = ((control & 31) << 8) + read_byte() + 1;
+        if (distance > out.size() || length > size - out.size()) fail_lzf(where);
         // Copies byte by byte, because the copied bytes may overlap the bytes that this
         // loop appends.
-        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
+        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - distance];
     }
     if (out.size() != size) fail_lzf(where);
     return out;
@@ -154,9 +166,10 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t size, c
 /// Decompresses the points of a file. The data consist of the compressed size, the
 /// decompressed size, and LZF data. The result stores one field after another.
 std::string decompress_points(std::string_view compressed_data, const std::string& where) {
-    if (compressed_data.size() < 8)
-        fail("{}: the file is truncated: found {} bytes after the header, expected at least 8", where,
-             compressed_data.size());
+    constexpr std::size_t kSizesBytes = 8;
+    if (compressed_data.size() < kSizesBytes)
+        fail("{}: the file is truncated: found {} bytes after the header, expected at least {}", where,
+             compressed_data.size(), kSizesBytes);
     codecs::ByteReader reader(compressed_data);
     const auto packed = reader.read_number<std::uint32_t>(), size = reader.read_number<std::uint32_t>();
     compressed_data = reader.read_rest();
@@ -174,19 +187,18 @@ PointTable parse_pcd(const SharedBytes& file, const std::string& where) {
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
     check_point_count(n, where);
-    // resolve_empty() gets the values per point of a text file (true), or the bytes per
-    // point of a binary file (false).
     if (header.data == "ascii") {
-        resolve_empty(fields, split_words(data.substr(0, data.find('\n'))).size(), true, where);
+        const std::string_view first_line = data.substr(0, data.find('\n'));
+        resolve_empty(fields, split_words(first_line).size(), PointUnit::values, where);
         return parse_lines(data, fields, n, where);
     }
     if (header.data == "binary") {
-        resolve_empty(fields, data.size() / n, false, where);
+        resolve_empty(fields, data.size() / n, PointUnit::bytes, where);
         return table_of_records(file.share_part(data), fields, n, PointMemoryLayout::by_point, where);
     }
     if (header.data == "binary_compressed") {
         const SharedBytes points = share_bytes(decompress_points(data, where));
-        resolve_empty(fields, points.bytes.size() / n, false, where);
+        resolve_empty(fields, points.bytes.size() / n, PointUnit::bytes, where);
         return table_of_records(points, fields, n, PointMemoryLayout::by_field, where);
     }
     fail("{}: found DATA '{}', expected ascii, binary or binary_compressed", where, quote(header.data));

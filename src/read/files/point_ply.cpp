@@ -37,36 +37,43 @@ struct PlyHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-/// Ignores all elements except the first, because their data follow the points.
+/// Parses a line of the header. Ignores all elements except the first, because their data
+/// follow the points.
+/// @param n_elements  number of elements so far; updated
 void parse_ply_line(const std::string& line, PlyHeader& header, int& n_elements, const std::string& where) {
     std::istringstream words(line);
-    std::string keyword, a, b;
-    words >> keyword >> a >> b;
+    // "format NAME VERSION", "element NAME COUNT" or "property TYPE NAME"
+    std::string keyword, second, third;
+    words >> keyword >> second >> third;
     if (keyword == "format") {
-        header.format = a;
+        header.format = second;
     } else if (keyword == "element") {
-        const auto n = parse_number(b);
-        if (++n_elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
+        ++n_elements;
+        const std::optional<double> n = parse_number(third);
+        const bool is_vertex_list = second == "vertex" && n && *n >= 0.0 && *n <= 1e9;
+        if (n_elements == 1 && !is_vertex_list)
             fail("{}: found '{}', expected 'element vertex N' as the first element", where, quote(line));
         if (n_elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && n_elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
             fail("{}: found too many properties of a vertex, expected at most {}", where, kMostPlyFields);
-        header.fields.push_back(make_ply_field(a, b, where));
+        header.fields.push_back(make_ply_field(second, third, where));
     }
 }
 
+/// Parses the text header of a PLY file.
 PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
-    PlyHeader header;
-    int elements = 0;
     if (!bytes.starts_with("ply")) fail("{}: the file does not begin with 'ply', expected a PLY file", where);
-    for (std::string_view line; line != "end_header";) {
+    PlyHeader header;
+    int n_elements = 0;
+    std::string_view line;
+    while (line != "end_header") {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             fail("{}: the line end_header is missing, expected the header of a PLY file", where);
         line = trim(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
-        parse_ply_line(std::string(line), header, elements, where);
+        parse_ply_line(std::string(line), header, n_elements, where);
     }
     return header;
 }

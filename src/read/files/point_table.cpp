@@ -45,14 +45,15 @@ constexpr std::string_view kNamePrefixes[] = {"scalar_",     "points_", "point_"
                                               "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
 std::optional<FieldMeaning> find_exact_field(std::string_view field_name) {
-    for (const auto& [attribute, names] : kFieldNames)
-        if (const auto at = std::ranges::find(names, field_name); at != names.end())
-            return FieldMeaning{attribute, std::size_t(at - names.begin())};
-    return {};
+    for (const auto& [attribute, names] : kFieldNames) {
+        const auto name = std::ranges::find(names, field_name);
+        if (name != names.end()) return FieldMeaning{attribute, std::size_t(name - names.begin())};
+    }
+    return std::nullopt;
 }
 
-/// Returns nothing for unknown fields. Ignores upper case, and prefixes from
-/// kNamePrefixes.
+/// Returns the meaning of a field by its name, or nothing for unknown fields. Ignores
+/// upper case, and prefixes from kNamePrefixes.
 std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     std::string name(trim(field_name));
     std::ranges::transform(name, name.begin(),
@@ -62,6 +63,8 @@ std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
             return FieldMeaning{PointAttribute(axis - '0'), 0};
+    // Removes a path such as "cloud/" and the prefixes, unless the complete name is
+    // known.
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kNamePrefixes)
@@ -92,13 +95,13 @@ ScalarType field_scalar_type(const PointField& field, const std::string& where) 
 /// of a point is the laser number of an HDL-32E. In float32 points, it is the highest
 /// byte of a number.
 bool is_nclt_file(std::string_view bytes) {
-    constexpr std::size_t kRecordBytes = 8, kMaxLasers = 32, kMaxTestedRecords = 1000;
+    constexpr std::size_t kRecordBytes = 8, kLaserAt = 7, kMaxLasers = 32, kMaxTestedRecords = 1000;
     const std::size_t n = std::min(bytes.size() / kRecordBytes, kMaxTestedRecords);
     std::size_t n_not_zero = 0;
     for (std::size_t i = 0; i < n; ++i) {
-        const auto laser = static_cast<unsigned char>(bytes[i * kRecordBytes + 7]);
+        const auto laser = static_cast<unsigned char>(bytes[i * kRecordBytes + kLaserAt]);
         if (laser >= kMaxLasers) return false;
-        n_not_zero += laser > 0;
+        if (laser > 0) ++n_not_zero;
     }
     return bytes.size() % kRecordBytes == 0 && 2 * n_not_zero > n;
 }
@@ -115,14 +118,14 @@ PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>&
             "y, z to metres (value * 0.005 - 100), negate y and z, and set \"columns\": [\"x\", \"y\", "
             "\"z\", \"intensity\", \"ring\"]",
             bin_file.string());
-    const std::size_t record = fields.size() * sizeof(float);
-    if (n_bytes % record != 0)
+    const std::size_t point_bytes = fields.size() * sizeof(float);
+    if (n_bytes % point_bytes != 0)
         fail(
             "{}: found {} bytes, expected a multiple of {} bytes: {} float32 values (\"columns\" in "
             "sequence.json)",
-            bin_file.string(), n_bytes, record, fields.size());
+            bin_file.string(), n_bytes, point_bytes, fields.size());
     PointTable table =
-        table_of_records(data, fields, n_bytes / record, PointMemoryLayout::by_point, bin_file.string());
+        table_of_records(data, fields, n_bytes / point_bytes, PointMemoryLayout::by_point, bin_file.string());
     // The user already got a note about unread columns when sequence.json was read.
     table.unread.clear();
     return table;
@@ -132,6 +135,7 @@ PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>&
 /// points. Adds only columns that relidar reads.
 void add_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
                  const std::string& where) {
+    // Arrays of other types, such as 16-bit floats, are converted to doubles.
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
     if (type_row == std::end(kNumberTypes) || array.bytes.size() != array.element_count() * type_row->size) {
         const std::vector<double> values = array.to_doubles();
@@ -141,11 +145,12 @@ void add_columns(PointTable& table, NamedArray array, const std::vector<std::str
     const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
     table.keep_alive(memory);
     const auto* first = reinterpret_cast<const char*>(memory->data());
-    for (std::size_t c = 0; c < column_names.size(); ++c)
-        if (is_known_field(column_names[c]))
-            table.add_value_field(
-                column_names[c],
-                {type_row->type, first + c * type_row->size, column_names.size() * type_row->size}, where);
+    const std::size_t row_bytes = column_names.size() * type_row->size;
+    for (std::size_t c = 0; c < column_names.size(); ++c) {
+        if (!is_known_field(column_names[c])) continue;
+        const PointFieldView column(type_row->type, first + c * type_row->size, row_bytes);
+        table.add_value_field(column_names[c], column, where);
+    }
 }
 
 /// Makes a table from a 2D array with one row per point and one column per name.
@@ -164,6 +169,7 @@ PointTable table_of_array(NamedArray array, const std::vector<std::string>& colu
     return table;
 }
 
+/// Reads a .npy file: a 2D array, or an array whose elements have named fields.
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
     const SharedBytes bytes = share_bytes(read_file(file));
     codecs::NpyHeader header;
@@ -176,6 +182,7 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
     return table_of_array(read_npy(file), column_names, file.string());
 }
 
+/// Returns the array of points by its usual names, or null.
 const NamedArray* find_points(const std::vector<NamedArray>& arrays) {
     for (const char* name : {"points", "xyz", "point_cloud", "pointcloud", "arr_0"})
         if (const NamedArray* array = find_array(arrays, name); array && array->shape.size() >= 2)
@@ -187,19 +194,21 @@ const NamedArray* find_points(const std::vector<NamedArray>& arrays) {
 /// value per point.
 PointTable read_npz_points(const fs::path& file, const std::vector<std::string>& column_names) {
     const std::vector<NamedArray> arrays = read_npz(file);
-    const NamedArray* found = find_points(arrays);
-    if (!found) fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
-    NamedArray points = *found;
+    const NamedArray* points_array = find_points(arrays);
+    if (!points_array)
+        fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
+    NamedArray points = *points_array;
     const std::size_t width = points.shape.back();
     points.shape = {width == 0 ? 0 : points.element_count() / width, width};
     std::vector<std::string> columns = column_names;
     if (columns.empty()) columns = {"x", "y", "z", "intensity"};
     if (column_names.empty() && width == 3) columns.pop_back();
     PointTable table = table_of_array(std::move(points), columns, file.string());
-    for (const NamedArray& array : arrays)
-        if (&array != found && is_known_field(array.name) && !table.find_field(array.name) &&
-            array.element_count() == table.n)
+    for (const NamedArray& array : arrays) {
+        const bool is_new = &array != points_array && !table.find_field(array.name);
+        if (is_new && is_known_field(array.name) && array.element_count() == table.n)
             add_columns(table, array, {array.name}, file.string());
+    }
     return table;
 }
 
@@ -251,34 +260,31 @@ void PointTable::remove_fields(PointAttribute attribute) {
 PointTable table_of_records(const SharedBytes& data, const std::vector<PointField>& fields,
                             std::size_t n_points, PointMemoryLayout memory_layout, const std::string& where) {
     check_point_count(n_points, where);
-    // bytes per point
-    std::size_t record = 0;
+    std::size_t point_bytes = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
             fail("{}: field '{}' has no values, expected at least one per point", where, quote(field.name));
-        record += field.size * field.count;
+        point_bytes += field.size * field.count;
     }
-    if (data.bytes.size() / n_points < record)
+    if (data.bytes.size() / n_points < point_bytes)
         fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes", where,
-             data.bytes.size(), n_points, record);
+             data.bytes.size(), n_points, point_bytes);
     PointTable table(n_points);
     table.keep_alive(data.memory);
-    std::size_t before = 0;  // number of bytes of the previous fields in a point
+    // By point, the values of a field are `point_bytes` apart. By field, they are
+    // contiguous and start after all values of the previous fields.
+    const bool is_by_point = memory_layout == PointMemoryLayout::by_point;
+    std::size_t n_before = 0;  // number of bytes of the previous fields in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_known_field(field.name)) {
-            // By point, the values of a field are `record` bytes apart. By field, they
-            // are contiguous and start after all values of the previous fields.
-            const char* first = data.bytes.data() +
-                                (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
-            table.add_value_field(field.name,
-                                  {field_scalar_type(field, where), first,
-                                   memory_layout == PointMemoryLayout::by_point ? record : width},
-                                  where);
+            const char* first = data.bytes.data() + (is_by_point ? n_before : n_before * n_points);
+            const std::size_t step = is_by_point ? point_bytes : width;
+            table.add_value_field(field.name, {field_scalar_type(field, where), first, step}, where);
         } else if (field.name != kPaddingName) {
             table.unread.push_back(field.name);
         }
-        before += width;
+        n_before += width;
     }
     return table;
 }
@@ -301,30 +307,29 @@ PointTable parse_lines(std::string_view text, const std::vector<PointField>& fie
         fail("{}: the file is truncated: found {} bytes of text, expected {} points", where, text.size(),
              n_points);
     struct Column {
-        std::size_t index_in_line;  ///< index in the line
+        std::size_t index_in_line;
         const std::string& name;
         std::vector<double> values;
     };
-    std::vector<Column> point_columns;
-    // number of values of the previous fields in a line
-    std::size_t width = 0;
+    std::vector<Column> columns;
+    std::size_t n_values = 0;  // in a line
     for (const PointField& field : fields) {
         if (is_known_field(field.name))
-            point_columns.push_back({width, field.name, std::vector<double>(n_points)});
-        width += field.count;
+            columns.push_back({n_values, field.name, std::vector<double>(n_points)});
+        n_values += field.count;
     }
     for (std::size_t i = 0; i < n_points; ++i) {
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
-        if (!numbers || numbers->size() != width)
-            fail("{}: point {} is '{}', expected {} numbers", where, i, quote(text.substr(0, end)), width);
-        for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
+        if (!numbers || numbers->size() != n_values)
+            fail("{}: point {} is '{}', expected {} numbers", where, i, quote(text.substr(0, end)), n_values);
+        for (Column& column : columns) column.values[i] = (*numbers)[column.index_in_line];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
     PointTable table(n_points);
     for (const PointField& field : fields)
         if (!is_known_field(field.name) && field.name != kPaddingName) table.unread.push_back(field.name);
-    for (Column& column : point_columns)
+    for (Column& column : columns)
         table.add_value_field(column.name, ScalarType::f8, std::move(column.values), where);
     return table;
 }
@@ -339,6 +344,7 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
+/// Reads a file whose header may say that its points are not in the sensor frame.
 PointTable read_with_header(const fs::path& file,
                             PointTable (*parse_points)(const SharedBytes& bytes, const std::string& where)) {
     const SharedBytes bytes = share_bytes(read_text_file(file));

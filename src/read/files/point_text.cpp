@@ -20,7 +20,8 @@ std::vector<PointField> named_fields(const std::vector<std::string>& names) {
     return fields;
 }
 
-/// @param n_values_per_line  number of values of a file that has no header
+/// Returns the fields of a file without a header: the columns that the user names, or x y
+/// z and intensity.
 std::vector<PointField> default_fields(std::size_t n_values_per_line,
                                        const std::vector<std::string>& column_names,
                                        const std::string& where) {
@@ -37,6 +38,7 @@ std::vector<PointField> default_fields(std::size_t n_values_per_line,
 /// contain no data.
 PointField convert_field(const codecs::NpyField& field, const std::string& where) {
     const std::string_view type = field.type;
+    // The type is byte order, kind and size, for example "<f4".
     const auto size = parse_number(type.substr(std::min<std::size_t>(2, type.size())));
     const auto count = codecs::array_bytes(field.shape, 1);
     if (!size || !(*size >= 1.0 && *size <= 65536.0) || !count || *count > kMostValues)
@@ -45,7 +47,9 @@ PointField convert_field(const codecs::NpyField& field, const std::string& where
         fail("{}: the field '{}' is big-endian, expected little-endian", where, quote(field.name));
     if (type[1] == 'V' || field.name.empty())
         return {std::string(kPaddingName), 'U', 1, std::size_t(*size) * *count};
-    const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
+    char kind = 'U';
+    if (type[1] == 'f') kind = 'F';
+    if (type[1] == 'i') kind = 'I';
     return {field.name, kind, std::size_t(*size), *count};
 }
 
@@ -54,23 +58,22 @@ PointField convert_field(const codecs::NpyField& field, const std::string& where
 PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& column_names,
                       const std::string& where) {
     std::string text(file.bytes);
-    std::ranges::replace_if(
-        text,
-        [](char character) {
-            return character == ',' || character == ';' || character == '\r' || character == '\t';
-        },
-        ' ');
+    const auto is_separator = [](char c) { return c == ',' || c == ';' || c == '\r' || c == '\t'; };
+    std::ranges::replace_if(text, is_separator, ' ');
     std::string_view rest = trim(text);
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
-    std::vector<PointField> fields;
+
     // A first line with a single number is the number of points, not a point.
     double n_announced = 0.0;
-    if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) {
+    std::optional<std::vector<double>> numbers = parse_numbers(first_line());
+    if (numbers && numbers->size() == 1) {
         n_announced = numbers->front();
         skip_line();
+        numbers = parse_numbers(first_line());
     }
-    if (const auto numbers = parse_numbers(first_line()); numbers) {
+    std::vector<PointField> fields;
+    if (numbers) {
         fields = default_fields(numbers->size(), column_names, where);
     } else {
         // The header may be marked as a comment.
@@ -84,10 +87,10 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
     }
     if (fields.size() > kMostTextFields)
         fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields);
-    const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
-    if (double(n) < n_announced)
-        fail("{}: found {} points, expected {} (its first line)", where, n, n_announced);
-    return parse_lines(rest, fields, n, where);
+    const auto n_points = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
+    if (double(n_points) < n_announced)
+        fail("{}: found {} points, expected {} (its first line)", where, n_points, n_announced);
+    return parse_lines(rest, fields, n_points, where);
 }
 
 PointTable parse_npy_fields(const SharedBytes& file, const codecs::NpyHeader& header,

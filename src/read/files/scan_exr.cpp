@@ -15,6 +15,7 @@ namespace relidar::read {
 namespace {
 
 constexpr const char* kAxisSuffixes[] = {".x", ".y", ".z"};
+constexpr std::size_t kListedChannels = 8;  // in an error message
 
 /// Combines the channels x, y and z of an image into one array of vectors. Does nothing
 /// if all three are missing. Throws an error if only some are missing.
@@ -35,16 +36,18 @@ void append_vectors(const ExrImage& image, const std::string& channel_prefix, co
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
-        for (const std::vector<float>* of : axis) values.push_back((*of)[i]);
+        for (const std::vector<float>* channel : axis) values.push_back((*channel)[i]);
     arrays.push_back(make_array(array_name, {std::size_t(image.rows), std::size_t(image.columns), 3},
                                 values.data(), values.size()));
 }
 
+/// Converts the channels of an image to the arrays of an npz scan.
+/// @throws DataError if the image has no ranges
 std::vector<NamedArray> convert_channels(const ExrImage& image, const std::string& where) {
     if (!image.channels.contains("range")) {
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
-            if (names.size() < 8) names.push_back(quote(name));
+            if (names.size() < kListedChannels) names.push_back(quote(name));
         fail("{}: the channel 'range' is missing, expected it among the channels of the image: {}", where,
              fmt::join(names, ", "));
     }
@@ -58,9 +61,9 @@ std::vector<NamedArray> convert_channels(const ExrImage& image, const std::strin
     // name of the frame that the points are in; relidar writes it into the metadata of
     // rendered images
     const auto frame = image.notes.find("points_in");
-    const bool moved = frame != image.notes.end() &&
-                       (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
-    const std::int32_t deskewed = moved ? 1 : 0;
+    const bool is_moved = frame != image.notes.end() && (frame->second.starts_with("world") ||
+                                                         frame->second.starts_with("sensor at time_s"));
+    const std::int32_t deskewed = is_moved ? 1 : 0;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     return arrays;
 }

@@ -72,13 +72,14 @@ private:
 /// 0. Dropped rays of a rendered scan may also have a range, so drop_prob decides.
 AdditionalReturns read_returns(const NpzArrays& arrays, const std::string& range_name,
                                const std::string& intensity_name, const PointFileUnits& units) {
-    const std::vector<double> ranges_m = arrays.ray_values(range_name, 1),
-                              drop = arrays.ray_values_or("drop_prob", 0.0),
-                              intensities = arrays.ray_values_or(intensity_name, 0.0);
+    constexpr double kFarthest_m = 1e6;
+    const std::vector<double> ranges_m = arrays.ray_values(range_name, 1);
+    const std::vector<double> drop_probs = arrays.ray_values_or("drop_prob", 0.0);
+    const std::vector<double> intensities = arrays.ray_values_or(intensity_name, 0.0);
     AdditionalReturns echo;
     for (std::size_t i = 0; i < ranges_m.size(); ++i) {
-        const bool has_return = is_return_range(ranges_m[i]) && drop[i] < 0.5;
-        if (has_return && ranges_m[i] > 1e6)
+        const bool has_return = is_return_range(ranges_m[i]) && drop_probs[i] < 0.5;
+        if (has_return && ranges_m[i] > kFarthest_m)
             fail("{} has the value {}, expected a range in metres, or 0 for a ray without return",
                  arrays.ray_location(range_name, i), ranges_m[i]);
         echo.range_m.push_back(has_return ? float(ranges_m[i]) : 0.0f);
@@ -122,15 +123,15 @@ RayTable match_sensor_rays(const NpzArrays& arrays, const ImageContext& image_co
 /// relidar, row 0 is the highest beam.
 void reverse_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
     for (NamedArray& array : arrays) {
-        const std::size_t row = n_rows > 0 && array.shape.size() >= 2 && array.shape[0] == n_rows
-                                    ? array.bytes.size() / n_rows
-                                    : 0;
-        std::vector<std::byte> flipped;
-        for (std::size_t i = n_rows; row > 0 && i-- > 0;) {
-            const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
-            flipped.insert(flipped.end(), begin, begin + std::ptrdiff_t(row));
+        const bool is_image = array.shape.size() >= 2 && array.shape[0] == n_rows;
+        const std::size_t row_bytes = is_image && n_rows > 0 ? array.bytes.size() / n_rows : 0;
+        if (row_bytes == 0) continue;
+        std::vector<std::byte> reversed;
+        for (std::size_t row = n_rows; row-- > 0;) {
+            const auto begin = array.bytes.begin() + std::ptrdiff_t(row * row_bytes);
+            reversed.insert(reversed.end(), begin, begin + std::ptrdiff_t(row_bytes));
         }
-        if (row > 0) array.bytes = std::move(flipped);
+        array.bytes = std::move(reversed);
     }
 }
 
@@ -163,7 +164,8 @@ void set_ray_fields(const NpzArrays& arrays, const ImageContext& image_context, 
     }
 }
 
-/// Uses the directions of the file instead of a fitted sensor, so that they stay exact.
+/// Returns the rays that the file stores. Uses its directions instead of a fitted sensor,
+/// so that they stay exact.
 RayTable make_stored_rays(const NpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
@@ -222,9 +224,10 @@ Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_a
     if (!has_rays && context.lowest_first && range && range->shape.size() == 2)
         reverse_rows(stored_arrays, range->shape[0]);
     const NpzArrays arrays(where, std::move(stored_arrays));
-    const NamedArray* deskewed = arrays.find_optional("deskewed");
-    check_deskewing(deskewed && deskewed->element_count() == 1 && deskewed->to_floats()[0] != 0.0f,
-                    context.motion_compensated, arrays.error_place());
+    const NamedArray* flag = arrays.find_optional("deskewed");
+    const bool is_deskewed = flag && flag->element_count() == 1 && flag->to_floats()[0] != 0.0f;
+    check_deskewing(is_deskewed, context.motion_compensated, arrays.error_place());
+
     Scan scan;
     scan.rays = has_rays ? make_stored_rays(arrays) : match_sensor_rays(arrays, context);
     set_ray_fields(arrays, context, scan.rays);

@@ -37,6 +37,7 @@ Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> arrays, 
 /// get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
+/// Checks that sequence.json does not contradict a file.
 /// @param is_deskewed  true if points are motion-compensated or in the world frame
 /// @param is_declared  true if sequence.json says that all scans are motion-compensated
 /// @throws DataError if the points are motion-compensated and not declared so
@@ -49,7 +50,7 @@ float scale_intensity(double file_value, const PointFileUnits& units, const std:
 /// No sweep is longer, and no point is farther in time from its frame.
 inline constexpr float kMaxTimeOffset_s = 10.0f;
 
-/// Returns seconds relative to the time of the frame.
+/// Converts the time of a point or ray to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
 float frame_offset_s(double file_value, const PointFileUnits& units, double frame_time_s,
                      const std::string& where);

@@ -10,32 +10,33 @@
 namespace relidar {
 namespace {
 
-constexpr double kFewFilled = 0.3;    // minimum share of rays with a return, if no points were removed
-constexpr double kFewRegular = 0.78;  // minimum share of regular azimuth steps, if no points were removed
-constexpr double kMaxRegularStep =
-    1.5;  // A step is regular if it is at most this multiple of the median step.
+constexpr double kFewFilled = 0.3;       // minimum share of rays with a return, if no points were removed
+constexpr double kFewRegular = 0.78;     // minimum share of regular azimuth steps, if no points were removed
+constexpr double kMaxRegularStep = 1.5;  // maximum of a regular step, in median steps
 // Limits of azimuth steps from point to point that count.
 constexpr double kMinStep_rad = 1e-5, kMaxStep_rad = 0.2;
 
 /// Returns the share of regular azimuth steps between neighbouring points of a ring. A
 /// step is regular if it is at most kMaxRegularStep times the median step.
 double regular_fraction(const LidarPoints& scan) {
-    std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
+    std::vector<std::pair<std::uint16_t, double>> sorted_points;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
-        rings_and_azimuths.emplace_back(
-            scan.ring[i], std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
-    std::ranges::sort(rings_and_azimuths);
-    std::vector<double> steps;
-    for (std::size_t i = 1; i < rings_and_azimuths.size(); ++i) {
-        const double step = rings_and_azimuths[i].second - rings_and_azimuths[i - 1].second;
-        if (rings_and_azimuths[i].first == rings_and_azimuths[i - 1].first && step > kMinStep_rad &&
-            step < kMaxStep_rad)
-            steps.push_back(step);
+        sorted_points.emplace_back(scan.ring[i],
+                                   std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
+    std::ranges::sort(sorted_points);
+    std::vector<double> steps_rad;
+    for (std::size_t i = 1; i < sorted_points.size(); ++i) {
+        const auto& [ring, azimuth_rad] = sorted_points[i];
+        const auto& [ring_before, azimuth_before_rad] = sorted_points[i - 1];
+        const double step_rad = azimuth_rad - azimuth_before_rad;
+        if (ring == ring_before && step_rad > kMinStep_rad && step_rad < kMaxStep_rad)
+            steps_rad.push_back(step_rad);
     }
-    if (steps.empty()) return 1.0;
-    std::ranges::sort(steps);
-    const double most = kMaxRegularStep * steps[steps.size() / 2];
-    return double(std::ranges::upper_bound(steps, most) - steps.begin()) / double(steps.size());
+    if (steps_rad.empty()) return 1.0;
+    std::ranges::sort(steps_rad);
+    const double most_rad = kMaxRegularStep * steps_rad[steps_rad.size() / 2];
+    return double(std::ranges::upper_bound(steps_rad, most_rad) - steps_rad.begin()) /
+           double(steps_rad.size());
 }
 
 }  // namespace
