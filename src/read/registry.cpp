@@ -75,18 +75,17 @@ const DatasetKind& find_kind(const std::string& kind_name) {
 /// Returns true if a path contains a file that matches a marker (see
 /// DatasetKind::marker).
 bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
-    if (!file_name_pattern.starts_with('.') && !file_name_pattern.ends_with('*'))
-        return does_path_exist(path / file_name_pattern);
+    const bool is_ending = file_name_pattern.starts_with('.'),
+               is_beginning = file_name_pattern.ends_with('*');
+    if (!is_ending && !is_beginning) return does_path_exist(path / file_name_pattern);
     const auto matches = [&](const fs::path& file) {
-        return file_name_pattern.starts_with('.')
-                   ? file.filename().string().ends_with(file_name_pattern)
-                   : file.filename().string().starts_with(
-                         file_name_pattern.substr(0, file_name_pattern.size() - 1));
+        const std::string name = file.filename().string();
+        if (is_ending) return name.ends_with(file_name_pattern);
+        return name.starts_with(file_name_pattern.substr(0, file_name_pattern.size() - 1));
     };
     if (!does_path_exist(path)) return false;
-    if (!fs::is_directory(path)) return file_name_pattern.starts_with('.') && matches(path);
-    const std::vector<fs::path> files = list_folder(path);
-    return std::any_of(files.begin(), files.end(), matches);
+    if (!fs::is_directory(path)) return is_ending && matches(path);
+    return std::ranges::any_of(list_folder(path), matches);
 }
 
 /// Returns true if a path matches one of the markers of a kind. Markers are separated by
@@ -108,16 +107,16 @@ void require_sequence_json(const fs::path& path) {
     if (!fs::is_directory(path, failed)) return;
     for (const char* scans : {"scans", "."}) {
         if (!fs::is_directory(path / scans, failed)) continue;
-        std::size_t n = 0;
-        for (const fs::path& file : list_folder(path / scans))
-            n += read::is_point_file(file) || read::is_image_file(file);
-        if (n < 2) continue;
+        const auto n_scans = std::ranges::count_if(list_folder(path / scans), [](const fs::path& file) {
+            return read::is_point_file(file) || read::is_image_file(file);
+        });
+        if (n_scans < 2) continue;
         const std::string lidars =
             scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
         fail(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
              R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
              R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
-             path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars);
+             path.string(), n_scans, lidars.empty() ? "the folder of the scans" : "them", lidars);
     }
 }
 
@@ -135,7 +134,7 @@ double farthest_return_m(const Log& sequence, int lidar_index) {
     // Larger ranges are ignored as errors, because no LiDAR on a vehicle measures them.
     constexpr float kMaxPlausibleRange_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
-    std::vector<float> farthest(sequence.frames.size(), 0.0f);
+    std::vector<float> farthest(sequence.frames.size(), 0.0f);  // [frames]
     parallel_for(int(farthest.size()), [&](int index) {
         const Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.lidar != lidar_index) return;
@@ -144,8 +143,8 @@ double farthest_return_m(const Log& sequence, int lidar_index) {
                 farthest[std::size_t(index)] = std::max(farthest[std::size_t(index)], range_m);
         });
     });
-    const float all = farthest.empty() ? 0.0f : *std::ranges::max_element(farthest);
-    return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
+    const float farthest_m = farthest.empty() ? 0.0f : *std::ranges::max_element(farthest);
+    return farthest_m > 0.0f ? std::ceil(double(farthest_m)) : kWithoutReturns_m;
 }
 
 /// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
@@ -163,17 +162,24 @@ void fill_max_ranges(Log& sequence) {
     }
 }
 
+/// Numbers of returns that are nearer or farther than the limits, and of all returns.
 struct RangeLimitCounts {
     std::size_t n_below_min = 0, n_above_max = 0, n_returns = 0;
+    void add(const RangeLimitCounts& other) {
+        n_below_min += other.n_below_min;
+        n_above_max += other.n_above_max;
+        n_returns += other.n_returns;
+    }
+    std::size_t n_outside() const { return n_below_min + n_above_max; }
 };
 
 /// Counts the returns of a scan that are nearer or farther than the range limits.
 RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
     RangeLimitCounts counts;
     visit_ranges(scan, [&](float range_m) {
-        counts.n_returns += range_m > 0.0f;
-        counts.n_below_min += range_m > 0.0f && double(range_m) < limits.min_m;
-        counts.n_above_max += double(range_m) > limits.max_m;
+        if (range_m > 0.0f) ++counts.n_returns;
+        if (range_m > 0.0f && double(range_m) < limits.min_m) ++counts.n_below_min;
+        if (double(range_m) > limits.max_m) ++counts.n_above_max;
     });
     return counts;
 }
@@ -182,35 +188,31 @@ RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
 /// @param counts_of_frames  [frames] numbers of near, far and all returns in each frame
 /// @throws DataError if all returns of the log are outside the limits
 void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_frames) {
-    std::size_t n_all = 0, n_within_limits = 0;
+    RangeLimitCounts all;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        RangeLimitCounts sum;
+        RangeLimitCounts counts;
         for (std::size_t i = 0; i < counts_of_frames.size(); ++i)
-            if (sequence.frames[i].lidar == int(l)) {
-                sum.n_below_min += counts_of_frames[i].n_below_min;
-                sum.n_above_max += counts_of_frames[i].n_above_max;
-                sum.n_returns += counts_of_frames[i].n_returns;
-            }
-        n_all += sum.n_returns;
-        n_within_limits += sum.n_returns - sum.n_below_min - sum.n_above_max;
-        if (sum.n_below_min + sum.n_above_max == 0) continue;
+            if (sequence.frames[i].lidar == int(l)) counts.add(counts_of_frames[i]);
+        all.add(counts);
+        if (counts.n_outside() == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
-        std::string parts = sum.n_above_max > 0 ? fmt::format("{} returns are beyond {} m", sum.n_above_max,
-                                                              lidar.sensor.max_range_m)
-                                                : "";
-        if (sum.n_below_min > 0)
-            parts += fmt::format("{}{} returns are nearer than {} m", parts.empty() ? "" : " and ",
-                                 sum.n_below_min, lidar.sensor.min_range_m);
+        std::vector<std::string> reasons;
+        if (counts.n_above_max > 0)
+            reasons.push_back(
+                fmt::format("{} returns are beyond {} m", counts.n_above_max, lidar.sensor.max_range_m));
+        if (counts.n_below_min > 0)
+            reasons.push_back(
+                fmt::format("{} returns are nearer than {} m", counts.n_below_min, lidar.sensor.min_range_m));
         sequence.notes.push_back(fmt::format(
             "range{}: {} of {} returns ({:.3g} %) are read as dropped rays: {}",
-            lidar.name.empty() ? "" : " of " + lidar.name, sum.n_below_min + sum.n_above_max, sum.n_returns,
-            100.0 * double(sum.n_below_min + sum.n_above_max) / double(sum.n_returns), parts));
+            lidar.name.empty() ? "" : " of " + lidar.name, counts.n_outside(), counts.n_returns,
+            100.0 * double(counts.n_outside()) / double(counts.n_returns), fmt::join(reasons, " and ")));
     }
-    if (n_all > 0 && n_within_limits == 0)
+    if (all.n_returns > 0 && all.n_outside() == all.n_returns)
         fail(
             "{}: none of its {} returns is within the range limits; change dataset.min_range_m or "
             "dataset.max_range_m ({})",
-            sequence.source, n_all, sequence.notes.back().text);
+            sequence.source, all.n_returns, sequence.notes.back().text);
 }
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside
@@ -232,20 +234,28 @@ void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
     note_dropped(sequence, counts);
 }
 
+/// Returns for each LiDAR whether it has one of the names. LiDARs that share a topic have
+/// the names TOPIC:ID, and the name of the topic selects all of them.
+/// @throws UsageError if no LiDAR has a name
+std::vector<bool> find_kept_lidars(const Log& sequence, const std::vector<std::string>& lidar_names) {
+    std::vector<bool> is_kept(sequence.lidars.size());
+    for (const std::string& name : lidar_names) {
+        bool is_found = false;
+        for (std::size_t l = 0; l < is_kept.size(); ++l) {
+            const std::string& lidar = sequence.lidars[l].name;
+            if (lidar == name || lidar.starts_with(name + ":")) is_kept[l] = is_found = true;
+        }
+        if (!is_found) is_kept[std::size_t(find_lidar(sequence, name))] = true;
+    }
+    return is_kept;
+}
+
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
 /// that are then unused.
 void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
-    std::vector<bool> is_kept(sequence.lidars.size());
-    for (const std::string& name : lidar_names) {
-        bool is_found = false;  // LiDARs that share a topic have the names TOPIC:ID
-        for (std::size_t l = 0; l < is_kept.size(); ++l)
-            if (const std::string& lidar = sequence.lidars[l].name;
-                lidar == name || lidar.starts_with(name + ":"))
-                is_kept[l] = is_found = true;
-        if (!is_found) is_kept[std::size_t(find_lidar(sequence, name))] = true;
-    }
+    const std::vector<bool> is_kept = find_kept_lidars(sequence, lidar_names);
     std::vector<Lidar> remaining_lidars;
-    std::vector<int> new_index_of_lidar;
+    std::vector<int> new_index_of_lidar;  // -1: removed
     std::vector<std::string> left_out;
     for (std::size_t l = 0; l < is_kept.size(); ++l) {
         new_index_of_lidar.push_back(is_kept[l] ? int(remaining_lidars.size()) : -1);
@@ -258,7 +268,7 @@ void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
         fail<UsageError>(
             "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
             fmt::join(lidar_names, ", "));
-    PoseTrack track;
+    PoseTrack track;  // poses at the times of the remaining frames
     for (Frame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;

@@ -25,7 +25,7 @@ Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const 
 }
 
 Pose make_pose(std::span<const double> matrix, const std::string& place) {
-    const auto& m = matrix;
+    const auto& m = matrix;  // by rows; glm stores columns
     return make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, place);
 }
 
