@@ -72,20 +72,16 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
     return unpacked;
 }
 
-/// Returns true for a file of a recording. Ignores a compressed file if its unpacked copy
-/// exists.
-bool is_recording_file(const fs::path& file) {
-    if (is_pcap_file(file)) return true;
-    const fs::path unpacked = strip_packed(file);
-    const bool is_copy = unpacked != file && does_path_exist(unpacked);
-    return std::ranges::find(kBagExtensions, unpacked.extension()) != kBagExtensions.end() && !is_copy;
-}
-
-/// Lists the recordings in a folder. Sorts numbers in names by value, so NAME_2 precedes
-/// NAME_10.
+/// Lists the recordings in a folder. Ignores a compressed file if its unpacked copy
+/// exists. Sorts numbers in names by value, so NAME_2 precedes NAME_10.
 std::vector<fs::path> list_recording_files(const fs::path& folder) {
-    std::vector<fs::path> files = list_folder(folder);
-    std::erase_if(files, [](const fs::path& file) { return !is_recording_file(file); });
+    std::vector<fs::path> files;
+    for (const fs::path& file : list_folder(folder)) {
+        const fs::path unpacked = strip_packed(file);
+        const bool is_copy = unpacked != file && does_path_exist(unpacked);
+        const bool is_bag = std::ranges::find(kBagExtensions, unpacked.extension()) != kBagExtensions.end();
+        if (is_pcap_file(file) || (is_bag && !is_copy)) files.push_back(file);
+    }
     std::ranges::stable_sort(files, {}, [](const fs::path& file) { return file.filename().string().size(); });
     return files;
 }

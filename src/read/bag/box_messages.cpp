@@ -157,7 +157,8 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     }
     box.size_m = read_vector3(reader);
     if (type != kPolygonShape || n == 0) return;
-    // The box has its centre in the middle of the polygon, which is in the object's frame.
+    // The box has its centre in the middle of the polygon, which is in the object's
+    // frame.
     const glm::dvec2 middle = 0.5 * (least + most);
     const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);

@@ -197,7 +197,6 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
         if (clouds.clouds.empty() || (has_sensor_frame && !is_in_sensor_frame(clouds))) continue;
         topics_of_frame[lidar_frame(index, clouds)].push_back(c);
     }
-
     std::vector<std::size_t> lidars;
     for (const auto& [frame, candidates] : topics_of_frame) {
         const std::size_t best_index = *std::ranges::max_element(

@@ -112,7 +112,6 @@ std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex&
     });
     if (best != index.poses.end() && best->samples.size() >= 2)
         return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
-
     if (is_world_frame(world) && frame_path_to_root.size() > 1)
         return make_tf_source(index.frames, frame_path_to_root, world);
     return std::nullopt;
@@ -199,11 +198,8 @@ void try_recorder_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
 
 /// The same places in the world frame of the log and in a plane that touches the earth.
 struct PlacePairs {
-    std::vector<glm::dvec3> world_m, plane_m;
+    std::vector<glm::dvec3> world_m, plane_m;  // of the same length
     glm::dvec3 world_mean_m{0.0}, plane_mean_m{0.0};
-
-    std::size_t size() const { return world_m.size(); }
-    double divisor() const { return std::max(1.0, double(size())); }
 };
 
 /// Pairs the positions of the antenna by the vehicle's poses with its fixes. Leaves out
@@ -221,8 +217,8 @@ PlacePairs pair_places(const FixTopic& fixes, const ChosenPoses& poses, const Fr
         pairs.world_mean_m += pairs.world_m.back();
         pairs.plane_mean_m += pairs.plane_m.back();
     }
-    pairs.world_mean_m /= pairs.divisor();
-    pairs.plane_mean_m /= pairs.divisor();
+    pairs.world_mean_m /= std::max(1.0, double(pairs.world_m.size()));
+    pairs.plane_mean_m /= std::max(1.0, double(pairs.world_m.size()));
     return pairs;
 }
 
@@ -236,20 +232,22 @@ struct FittedHeading {
 /// Fits the heading by least squares. It is the angle of the sum of p * conj(w), with the
 /// centred horizontal positions p in the plane and w in the world as complex numbers.
 FittedHeading fit_heading(const PlacePairs& pairs) {
+    const std::size_t n = pairs.world_m.size();
     double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;
-    for (std::size_t i = 0; i < pairs.size(); ++i) {
+    for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec2 w(pairs.world_m[i] - pairs.world_mean_m), p(pairs.plane_m[i] - pairs.plane_mean_m);
         cross += w.x * p.y - w.y * p.x;
         dot += glm::dot(w, p);
         spread += glm::dot(w, w);
     }
     const glm::dquat rotation = glm::angleAxis(std::atan2(cross, dot), glm::dvec3(0.0, 0.0, 1.0));
-    for (std::size_t i = 0; i < pairs.size(); ++i) {
+    for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec2 error(pairs.plane_m[i] - pairs.plane_mean_m -
                                rotation * (pairs.world_m[i] - pairs.world_mean_m));
         residual += glm::dot(error, error);
     }
-    return {rotation, std::sqrt(spread / pairs.divisor()), std::sqrt(residual / pairs.divisor())};
+    const double divisor = std::max(1.0, double(n));
+    return {rotation, std::sqrt(spread / divisor), std::sqrt(residual / divisor)};
 }
 
 }  // namespace
@@ -273,7 +271,6 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     }
     const std::string jumps_note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock, pose_times);
     if (!jumps_note.empty()) choice.notes.push_back(jumps_note);
-
     choice.zero_ns = choice.poses_zero_ns = first_cloud_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
@@ -299,11 +296,11 @@ FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const Fra
         return {{},
                 fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
                             "{:.2f} m from the path",
-                            pairs.size(), heading.spread_m, heading.residual_m)};
+                            pairs.world_m.size(), heading.spread_m, heading.residual_m)};
     return {Georeference{earth.to_geodetic(pairs.plane_mean_m), pairs.world_mean_m, plane.crs,
                          heading.plane_from_world},
             fmt::format("the place on the earth is that of {} positions, which are {:.2f} m from the path",
-                        pairs.size(), heading.residual_m)};
+                        pairs.world_m.size(), heading.residual_m)};
 }
 
 }  // namespace relidar::bag

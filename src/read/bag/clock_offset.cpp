@@ -127,11 +127,11 @@ struct OffsetSamples {
     std::vector<std::int64_t> ahead_ns;            ///< time stamp minus recording time of each message
     std::vector<std::int64_t> reference_ahead_ns;  ///< the same of the reference message
     std::vector<std::int64_t> offset_ns;           ///< difference of both
-
     std::size_t size() const { return offset_ns.size(); }
 
     /// Returns true if messages [begin, end) are ahead of the recorder, but the reference
-    /// is not. No delay explains this, because a message is recorded after its time stamp.
+    /// is not. No delay explains this, because a message is recorded after its time
+    /// stamp.
     bool are_ahead(std::size_t begin, std::size_t end) const {
         return median_of(begin, end, [&](std::size_t i) { return ahead_ns[i]; }) > kMaxAhead_ns &&
                median_of(begin, end, [&](std::size_t i) { return reference_ahead_ns[i]; }) < kMaxAhead_ns / 3;
@@ -156,18 +156,9 @@ OffsetSamples pair_messages(const std::vector<MessageTimes>& messages,
     return samples;
 }
 
-/// Returns true if the recording times come from a conversion, which writes messages faster
-/// than they were measured. Such times do not show delays.
-bool is_converted(const std::vector<MessageTimes>& messages) {
-    const auto duration_ns = [&](std::int64_t MessageTimes::*time) {
-        return std::abs(double(messages.back().*time) - double(messages.front().*time));
-    };
-    return duration_ns(&MessageTimes::log_ns) < kLeastPace * duration_ns(&MessageTimes::stamp_ns);
-}
-
-/// Returns the drift of a clock: the change of the median offset from the first to the last
-/// tenth of the messages, and the larger of these offsets. Returns 0 if the change is small,
-/// or if messages that are late for a while can explain it.
+/// Returns the drift of a clock: the change of the median offset from the first to the
+/// last tenth of the messages, and the larger of these offsets. Returns 0 if the change
+/// is small, or if messages that are late for a while can explain it.
 ClockOffset find_drift(const OffsetSamples& samples) {
     const std::size_t n = samples.size(), n_tenth = n / 10;
     if (n_tenth < kMinMessages) return {};
@@ -212,7 +203,13 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
     OffsetSamples samples = pair_messages(messages, reference);
     const std::size_t n = samples.size();
-    if (n < kMinMessages || is_converted(messages)) return {};
+    // Recording times from a conversion do not show delays, so they are not compared.
+    const auto duration_ns = [&](std::int64_t MessageTimes::*time) {
+        return std::abs(double(messages.back().*time) - double(messages.front().*time));
+    };
+    if (n < kMinMessages ||
+        duration_ns(&MessageTimes::log_ns) < kLeastPace * duration_ns(&MessageTimes::stamp_ns))
+        return {};
     const std::int64_t median_ns = samples.median_offset_ns(0, n);
     if (std::abs(median_ns) > kMostOffset_ns) return {};
     const bool are_ahead = samples.are_ahead(0, n);

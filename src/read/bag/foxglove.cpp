@@ -146,8 +146,8 @@ FixMessage parse_fix(const pbf_reader& reader) {
     return fix;
 }
 
-/// Reads a foxglove.SceneEntity, which has a pose, an id and geometric shapes. Adds it as a
-/// box if it contains exactly one cube. Several cubes have no common track.
+/// Reads a foxglove.SceneEntity, which has a pose, an id and geometric shapes. Adds it as
+/// a box if it contains exactly one cube. Several cubes have no common track.
 void add_entity(BoxListMessage& box_list, const pbf_reader& reader) {
     BoxMessage box;
     PbfPose box_pose;

@@ -123,7 +123,8 @@ private:
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size() && has_poses_; ++t) {
             const BagTopic& topic = bag_.topics()[t];
-            // The description ends with the name of the topic if the poses are from a pose topic.
+            // The description ends with the name of the topic if the poses are from a
+            // pose topic.
             if (find_purpose(topic) == MessagePurpose::transforms ||
                 poses_.description.ends_with(" " + topic.name))
                 used[t] = true;
@@ -394,7 +395,8 @@ private:
         return &*std::ranges::max_element(survey_.fixes, {}, count);
     }
 
-    /// Adds the frames with their vehicle poses, then the boxes and the place on the earth.
+    /// Adds the frames with their vehicle poses, then the boxes and the place on the
+    /// earth.
     void add_frames() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();

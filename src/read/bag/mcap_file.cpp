@@ -53,7 +53,8 @@ McapMessage parse_message(std::string_view record_body) {
     return {channel, std::int64_t(log_ns), reader.read_rest()};
 }
 
-/// Returns the records of a chunk, which may be compressed. A chunk consists of two times, unpacked size, checksum, compression and records.
+/// Returns the records of a chunk, which may be compressed. A chunk consists of two
+/// times, unpacked size, checksum, compression and records.
 SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     codecs::ByteReader reader(chunk_record_body.bytes);
     reader.read_bytes(16);  // skips the times of the first and the last message

@@ -132,13 +132,14 @@ std::vector<read::PointField> make_layout(const CloudMessage& cloud,
 /// Copies all points of a cloud. Removes the padding between rows, and converts the
 /// values to the byte order of this computer.
 std::string pack_points(const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& fields) {
-    const std::size_t row = cloud.width * cloud.point_step;
+    const std::size_t row_bytes = cloud.width * cloud.point_step;
+    const std::size_t row_step = cloud.height > 1 ? cloud.row_step : 0;  // unused for a single row
     std::string points;
-    points.reserve(cloud.height * row);
-    for (std::size_t r = 0; r < cloud.height; ++r)
-        points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
+    points.reserve(cloud.height * row_bytes);
+    for (std::size_t row = 0; row < cloud.height; ++row)
+        points += cloud.data.substr(row * row_step, row_bytes);
     // The last point may be truncated. Its missing bytes become 0.
-    points.resize(cloud.height * row, '\0');
+    points.resize(cloud.height * row_bytes, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
         for (const CloudMessage::CloudField& field : fields)
@@ -240,7 +241,6 @@ read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& me
                          [](const CloudMessage::CloudField& f) { return read::is_known_field(f.name); });
     std::ranges::sort(known_fields, {}, &CloudMessage::CloudField::offset);
     const std::vector<read::PointField> layout = make_layout(cloud, known_fields);
-
     // Points without gaps between rows, in our byte order, are not copied.
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
     const bool has_gaps = cloud.height > 1 && cloud.row_step != cloud.width * cloud.point_step;

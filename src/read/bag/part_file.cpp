@@ -73,37 +73,6 @@ bool unpack_zstd(std::FILE* file, const std::function<void(std::string_view)>& w
         write_block);
 }
 
-/// Writes the unpacked data of a file. Rejects more data than a packed file can contain.
-class UnpackedWriter {
-public:
-    UnpackedWriter(const std::filesystem::path& path, std::uint64_t n_packed_bytes)
-        : file_(std::fopen(path.c_str(), "wb")), n_packed_(n_packed_bytes) {
-        if (!file_) fail("cannot write {}", path.string());
-    }
-
-    void write_block(std::string_view bytes) {
-        // A file that grows more is damaged.
-        constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
-        n_unpacked_ += bytes.size();
-        if (n_unpacked_ > kSmall && n_unpacked_ / kMostGrowth > n_packed_)
-            fail("found more than {} unpacked bytes, expected at most {} times the size of the file",
-                 n_unpacked_, kMostGrowth);
-        require_space(std::fwrite(bytes.data(), 1, bytes.size(), file_.get()) == bytes.size());
-    }
-    void flush() { require_space(std::fflush(file_.get()) == 0); }
-
-private:
-    File file_;
-    const std::uint64_t n_packed_;
-    std::uint64_t n_unpacked_ = 0;
-
-    static void require_space(bool has_space) {
-        if (!has_space)
-            fail("no space is left in {} for the unpacked file",
-                 std::filesystem::temp_directory_path().string());
-    }
-};
-
 }  // namespace
 
 RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
@@ -116,8 +85,6 @@ RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(pa
     }
     size_ = std::uint64_t(status.st_size);
 }
-
-RandomAccessFile::~RandomAccessFile() { ::close(handle_); }
 
 SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const {
     if (offset > size_ || n_bytes > size_ - offset)
@@ -199,12 +166,28 @@ UnpackedFile::UnpackedFile(const std::filesystem::path& file) : path_(file) {
     temporary_folder_ = folder;
     path_ = temporary_folder_ / strip_packed(file).filename();
     try {
-        UnpackedWriter writer(path_, std::filesystem::file_size(file));
-        const auto write_block = [&](std::string_view bytes) { writer.write_block(bytes); };
+        const File unpacked(std::fopen(path_.c_str(), "wb"));
+        if (!unpacked) fail("cannot write {}", path_.string());
+        const auto require_space = [&](bool has_space) {
+            if (!has_space)
+                fail("no space is left in {} for the unpacked file",
+                     std::filesystem::temp_directory_path().string());
+        };
+        const std::uint64_t n_packed = std::filesystem::file_size(file);
+        std::uint64_t n_unpacked = 0;
+        const auto write_block = [&](std::string_view bytes) {
+            // A file that grows more is damaged.
+            constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+            n_unpacked += bytes.size();
+            if (n_unpacked > kSmall && n_unpacked / kMostGrowth > n_packed)
+                fail("found more than {} unpacked bytes, expected at most {} times the size of the file",
+                     n_unpacked, kMostGrowth);
+            require_space(std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) == bytes.size());
+        };
         const bool is_complete =
             is_gzip ? unpack_gzip(file, write_block) : unpack_zstd(packed.get(), write_block);
         is_truncated_ = !is_complete;
-        writer.flush();
+        require_space(std::fflush(unpacked.get()) == 0);
     } catch (const DataError& error) {
         // A constructor that throws has no destructor call, so it cleans up here.
         std::error_code ignored;
@@ -217,5 +200,7 @@ UnpackedFile::~UnpackedFile() {
     std::error_code ignored;
     if (!temporary_folder_.empty()) std::filesystem::remove_all(temporary_folder_, ignored);
 }
+
+RandomAccessFile::~RandomAccessFile() { ::close(handle_); }
 
 }  // namespace relidar::bag

@@ -42,7 +42,8 @@ private:
 /// the messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
-    /// Returns the unpacked chunk at a byte offset. Calls unpack() if it is not in the cache.
+    /// Returns the unpacked chunk at a byte offset. Calls unpack() if it is not in the
+    /// cache.
     SharedBytes find_or_unpack(std::uint64_t chunk_offset, const std::function<SharedBytes()>& unpack) const;
 
 private:

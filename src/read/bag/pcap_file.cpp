@@ -51,9 +51,10 @@ struct IpPacket {
     std::string_view payload = {};
 };
 
-/// Returns the UDP packet or fragment in an IPv4 packet (RFC 791). Bytes of the header: 0:
-/// its length in 4 bytes (low 4 bits), 2: length of the packet, 4: identification of the
-/// datagram, 6: flags and offset of the fragment, 9: protocol, 12: sender, 16: receiver.
+/// Returns the UDP packet or fragment in an IPv4 packet (RFC 791). Bytes of the header:
+/// 0: its length in 4 bytes (low 4 bits), 2: length of the packet, 4: identification of
+/// the datagram, 6: flags and offset of the fragment, 9: protocol, 12: sender, 16:
+/// receiver.
 std::optional<IpPacket> parse_ipv4(std::string_view packet) {
     constexpr std::size_t kLeastHeader = 20;
     constexpr unsigned kMoreFragments = 0x2000, kOffsetMask = 0x1fff, kBytesPerOffset = 8;
@@ -73,10 +74,10 @@ std::optional<IpPacket> parse_ipv4(std::string_view packet) {
                     .payload = packet.substr(header_bytes)};
 }
 
-/// Returns the UDP packet or fragment in an IPv6 packet (RFC 8200). Bytes of the header: 4:
-/// length of the remainder, 6: type of the next header, 8: sender, 24: receiver. Extension
-/// headers can precede the UDP header. They begin with the type of the next header (byte 0)
-/// and their length (byte 1), in units of 8 bytes beyond the first 8.
+/// Returns the UDP packet or fragment in an IPv6 packet (RFC 8200). Bytes of the header:
+/// 4: length of the remainder, 6: type of the next header, 8: sender, 24: receiver.
+/// Extension headers can precede the UDP header. They begin with the type of the next
+/// header (byte 0) and their length (byte 1), in units of 8 bytes beyond the first 8.
 std::optional<IpPacket> parse_ipv6(std::string_view packet) {
     constexpr std::size_t kIpv6HeaderBytes = 40, kFragmentHeaderBytes = 8;
     constexpr unsigned kFragmentHeader = 44, kHopByHopHeader = 0, kRoutingHeader = 43, kOptionsHeader = 60;
@@ -187,8 +188,8 @@ private:
     };
     std::map<std::string, PendingDatagram> pending_;  ///< by IpPacket::key
 
-    /// Erases old datagrams, because identifications are reused. Erases the oldest one if a
-    /// new datagram would be one too many.
+    /// Erases old datagrams, because identifications are reused. Erases the oldest one if
+    /// a new datagram would be one too many.
     void make_space(const std::string& key, std::int64_t time_ns) {
         std::erase_if(pending_, [&](const auto& entry) {
             return std::abs(time_ns - entry.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
@@ -314,7 +315,8 @@ private:
         append_raw(message_bytes, std::uint32_t(payload_of(datagram).size()));
         message_bytes.append(payload_of(datagram));
     }
-    /// Adds a datagram to the current message of its stream. Emits messages that are complete.
+    /// Adds a datagram to the current message of its stream. Emits messages that are
+    /// complete.
     void add_datagram(CaptureStream& stream, const Datagram& datagram, const ReadCallbacks& callbacks) const {
         if (is_after_pause(stream, stream.n_datagrams, datagram.stamp_ns - stream.log_ns))
             emit_message(stream, callbacks);
@@ -434,8 +436,8 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
-    /// Returns true if a message is complete. A Livox sends no revolutions, so its messages
-    /// last a fixed time. Other messages have a fixed number of datagrams.
+    /// Returns true if a message is complete. A Livox sends no revolutions, so its
+    /// messages last a fixed time. Other messages have a fixed number of datagrams.
     /// @param elapsed_ns  time from the first to the last datagram
     static bool is_complete(const CaptureStream& stream, std::size_t n_datagrams, std::int64_t elapsed_ns) {
         if (stream.livox_frame.empty()) return n_datagrams == kMinStreamPackets;

@@ -56,8 +56,8 @@ public:
             uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail_with("opening the database");
-        // Protects from a damaged size: no value can be larger than the file, with a margin
-        // of 1 MiB.
+        // Protects from a damaged size: no value can be larger than the file, with a
+        // margin of 1 MiB.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         // A bag can come from anybody, so its schema must not run functions with side

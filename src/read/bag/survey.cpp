@@ -130,7 +130,8 @@ private:
         return survey_.clouds.back();
     }
 
-    /// Reads the angle correction files next to the recording, when the first packet arrives.
+    /// Reads the angle correction files next to the recording, when the first packet
+    /// arrives.
     const std::vector<packets::AngleCorrection>& read_corrections() {
         if (corrections_) return *corrections_;
         corrections_.emplace();  // a file with an error is read only once
@@ -212,7 +213,8 @@ private:
         fixes.samples.push_back({{fix.header.stamp_ns, message.log_ns}, fix.position});
     }
 
-    /// Counts the boxes of a message. Stores its position, because the boxes are read later.
+    /// Counts the boxes of a message. Stores its position, because the boxes are read
+    /// later.
     void index_boxes(const BagTopic& topic, const BagMessage& message) {
         const BoxListMessage list = read_boxes(topic, message.bytes);
         BoxTopic& boxes = find_entry(survey_.boxes, message.topic);
@@ -244,7 +246,8 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
         if (packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
             ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
-        // The driver's frames have the prefix of the topic. A single Ouster may have none.
+        // The driver's frames have the prefix of the topic. A single Ouster may have
+        // none.
         const std::string& name = bag.topics()[clouds->topic].name;
         std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
         if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
@@ -287,7 +290,6 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
     const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
-
     // The entries that are no LiDARs become a part of the first LiDAR.
     CloudTopic& first = is_one ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
     if (is_one) first.lidar.clear();

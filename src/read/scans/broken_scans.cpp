@@ -30,8 +30,10 @@ void ScanErrorCollector::report_broken(Log& sequence, std::size_t n_scans) const
 void ScanErrorCollector::remove_broken(Log& sequence) const {
     report_broken(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
-    std::size_t i = 0;
-    std::erase_if(sequence.frames, [&](const Frame&) { return reasons_.contains(i++); });
+    std::vector<Frame> frames;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
+        if (!reasons_.contains(i)) frames.push_back(std::move(sequence.frames[i]));
+    sequence.frames = std::move(frames);
     std::set<double> times_s;  // poses at other times are removed
     for (const Frame& frame : sequence.frames) times_s.insert(frame.time_s);
     const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});

@@ -88,7 +88,8 @@ PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, dou
     const double n_required = kMostClouds * double(ranges.size());
     const auto n_near_zero =
         std::ranges::count_if(ranges, [&](const TimeRange& range) { return is_near(range, 0.0); });
-    // Small times can also be those of a clock that started recently, or that restarts every second.
+    // Small times can also be those of a clock that started recently, or that restarts
+    // every second.
     if (double(n_near_zero) >= n_required && !follow_stamps(ranges, unit_s) &&
         !first_times_differ(ranges, unit_s, sweep_s))
         return PointTimeReference::stamp;
@@ -97,8 +98,8 @@ PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, dou
     return double(n_near_stamp) >= n_required ? PointTimeReference::epoch : PointTimeReference::sensor_clock;
 }
 
-/// Returns true if a cloud has one time that is its stamp in some unit, rounded to steps that
-/// are too long for the time between clouds.
+/// Returns true if a cloud has one time that is its stamp in some unit, rounded to steps
+/// that are too long for the time between clouds.
 bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
     return std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
         const double resolution_s = cloud.resolution * unit.seconds;
@@ -113,9 +114,8 @@ bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
 bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return is_coarse_time(cloud.resolution, span);
-
-    // All points of a cloud have the same time: either the points were moved to one time, or
-    // the time is rounded. Its unit is not known yet.
+    // All points of a cloud have the same time: either the points were moved to one time,
+    // or the time is rounded. Its unit is not known yet.
     if (is_rounded_stamp(cloud, cloud_interval_s)) return true;
     const bool is_clock = ranges.size() > 1 && std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
                               return follow_stamps(ranges, unit.seconds);
@@ -152,7 +152,6 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
         units.time_note = describe_coarse(cloud.last, cloud.resolution);
         return;
     }
-
     units.is_deskewed = spans.back() == 0.0;
     const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
     if (!unit) {
@@ -165,7 +164,6 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
                                     usual_span, cloud_interval_s);
         return;
     }
-
     const double duration_s = usual_span * unit->seconds;
     const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
     units.time_unit_s = unit->seconds;
@@ -261,7 +259,6 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, 
         drop_coarse_times(units, images, notes);
         if (!units.intensity_max) fields.scale = estimate_image_scale(images);
     }
-
     units.intensity_field = fields.intensity_field;
     units.no_return = fields.no_return;
     units.returns = fields.returns;

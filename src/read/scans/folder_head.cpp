@@ -72,8 +72,8 @@ glm::dquat read_quaternion(const JsonField& field) {
     return rotation;
 }
 
-/// Reads the pose of a sensor in the vehicle: a 4 x 4 matrix by rows, or a translation and
-/// a quaternion.
+/// Reads the pose of a sensor in the vehicle: a 4 x 4 matrix by rows, or a translation
+/// and a quaternion.
 Pose read_mounting(const JsonField& field, const std::string& where) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();
@@ -151,9 +151,8 @@ HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, con
     return header;
 }
 
-/// Reads the list "lidars". Without it, the log has one LiDAR without a name. The scans of
-/// a single LiDAR are in the folder "scans", and those of several in "scans/<name>".
-
+/// Reads the list "lidars". Without it, the log has one LiDAR without a name. The scans
+/// of a single LiDAR are in the folder "scans", and those of several in "scans/<name>".
 std::vector<HeaderLidar> read_lidars(const JsonField& root, const std::string& json_file,
                                      const fs::path& folder, double default_max_range_m) {
     std::vector<HeaderLidar> lidars;
@@ -199,20 +198,20 @@ std::vector<LogFrame> read_frame_list(const JsonField& frame_list, const std::ve
     return frames;
 }
 
-bool is_text_file(const fs::path& file) { return file.extension() == ".csv" || file.extension() == ".xyz"; }
-
-/// Other programs and systems make such files for their own use.
-bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
-
 /// Lists the scan files of a LiDAR, sorted by name.
 /// @param scan_folder  folder of the scans
 /// @param log_folder  folder of the log; may be the same folder
 /// @throws DataError if two files have the same name without its ending
 std::vector<fs::path> list_scan_files(const fs::path& scan_folder, const fs::path& log_folder) {
-    const std::vector<fs::path> files = list_folder(scan_folder.lexically_normal());
+    std::vector<fs::path> files = list_folder(scan_folder.lexically_normal());
+    // Other programs and systems make hidden files for their own use.
+    std::erase_if(files, [](const fs::path& file) { return file.filename().string().starts_with('.'); });
+    const auto is_text_file = [](const fs::path& file) {
+        return file.extension() == ".csv" || file.extension() == ".xyz";
+    };
     // Text files next to other scans may contain time stamps.
-    const bool has_other_scans = std::ranges::any_of(files, [](const fs::path& file) {
-        return !is_text_file(file) && (is_point_file(file) || is_image_file(file)) && !is_hidden_file(file);
+    const bool has_other_scans = std::ranges::any_of(files, [&](const fs::path& file) {
+        return !is_text_file(file) && (is_point_file(file) || is_image_file(file));
     });
     std::map<std::string, fs::path> scan_of_stem;
     std::vector<fs::path> scans;
@@ -221,7 +220,7 @@ std::vector<fs::path> list_scan_files(const fs::path& scan_folder, const fs::pat
         const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
         const bool can_be_stamps = has_other_scans && is_text_file(file);
         const bool has_points = is_point_file(file) && !can_be_beam_table && !can_be_stamps;
-        if (is_hidden_file(file) || !(has_points || is_image_file(file))) continue;
+        if (!has_points && !is_image_file(file)) continue;
         const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
         if (!is_new)
             fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
@@ -239,10 +238,7 @@ std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<Heade
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         const std::vector<fs::path> scans = list_scan_files(folder / lidars[l].scans, folder);
         for (int number = 0; number < std::ssize(scans); ++number)
-            frames.push_back({.number = number,
-                              .time_s = number / rate_hz,
-                              .lidar = int(l),
-                              .scan = scans[std::size_t(number)]});
+            frames.push_back({number, number / rate_hz, int(l), scans[std::size_t(number)]});
         if (!scans.empty()) continue;
         const std::string other = find_unsupported(folder / lidars[l].scans);
         fail(

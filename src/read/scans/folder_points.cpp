@@ -134,10 +134,6 @@ double first_return_number(const PointFieldView& return_numbers, std::size_t n_p
     return least == 1.0 ? 1.0 : 0.0;
 }
 
-/// Returns true if a return type of the ROS package Nebula includes the strongest return: 3
-/// (strongest), 6 (identical), 9 and 10 (strongest, and also first or last).
-bool is_strongest_type(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
-
 /// Sets the return number of each point and sorts the points by ray. Points with the same
 /// ring, time and direction are returns of one ray; the strongest becomes the first
 /// return.
@@ -146,7 +142,11 @@ void set_return_numbers(LidarPoints& points, const std::vector<double>& return_t
     const std::size_t n = points.size();
     const auto ring_time = [&](std::size_t i) { return std::pair(points.ring[i], points.time_offset_s[i]); };
     const auto strength = [&](std::size_t i) {
-        return std::pair(is_strongest_type(return_types[i]), points.intensity[i]);
+        // Return types of the ROS package Nebula that include the strongest return: 3
+        // (strongest), 6 (identical), 9 and 10 (strongest, and also first or last).
+        const double type = return_types[i];
+        const bool is_strongest = type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
+        return std::pair(is_strongest, points.intensity[i]);
     };
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -154,7 +154,6 @@ void set_return_numbers(LidarPoints& points, const std::vector<double>& return_t
         if (ring_time(first) != ring_time(second)) return ring_time(first) < ring_time(second);
         return strength(first) > strength(second);
     });
-
     points.return_number.assign(n, 1);
     for (std::size_t k = 1; k < n; ++k) {
         const std::size_t point = order[k], before = order[k - 1];

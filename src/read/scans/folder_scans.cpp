@@ -66,8 +66,9 @@ private:
     const bool has_npz_points_;
 };
 
-/// Reads the scans of all frames of a log. First decides for each LiDAR, from a few sample
-/// scans, how its points become rays. Then reads the frames, several at the same time.
+/// Reads the scans of all frames of a log. First decides for each LiDAR, from a few
+/// sample scans, how its points become rays. Then reads the frames, several at the same
+/// time.
 class ScanReader {
 public:
     ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source,
@@ -91,7 +92,8 @@ public:
         const std::vector<Lidar> lidars = sequence_.lidars;
         plan_each_lidar();
         if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undoes_motion)) return;
-        // Only some LiDARs could undo the compensation. Plans all of them again without it.
+        // Only some LiDARs could undo the compensation. Plans all of them again without
+        // it.
         may_undo_motion_ = false;
         sequence_.notes = notes;
         sequence_.lidars = lidars;
@@ -151,8 +153,8 @@ private:
             !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undoes_motion);
     }
 
-    /// Reads the points of a frame. Moves points back to their firing times if the log says
-    /// that they were motion-compensated, and if their times are known.
+    /// Reads the points of a frame. Moves points back to their firing times if the log
+    /// says that they were motion-compensated, and if their times are known.
     LidarPoints read_points(std::size_t frame_index, bool undo_motion) const {
         const Frame& frame = sequence_.frames[frame_index];
         LidarPoints points = source_.read_points(frame_index);
@@ -161,8 +163,9 @@ private:
         return points;
     }
 
-    /// Returns the points of a frame, each at its firing time if this is possible. Reuses a
-    /// sample that was read for the plan. A scan with wrong times is recorded as broken.
+    /// Returns the points of a frame, each at its firing time if this is possible. Reuses
+    /// a sample that was read for the plan. A scan with wrong times is recorded as
+    /// broken.
     LidarPoints load_points(std::size_t frame_index) {
         const auto sample = samples_.find(frame_index);
         if (sample != samples_.end()) return std::move(sample->second);
@@ -223,8 +226,8 @@ private:
         counts.behind = counts.first - std::min(counts.first, frame.scan.count_returns());
     }
 
-    /// Adds the points of a frame to `samples`, unless it has none. If its times are wrong,
-    /// adds the error to `wrong` instead.
+    /// Adds the points of a frame to `samples`, unless it has none. If its times are
+    /// wrong, adds the error to `wrong` instead.
     void load_sample(std::size_t frame_index, std::map<std::size_t, LidarPoints>& samples,
                      std::map<std::size_t, std::string>& wrong) {
         const bool undo_motion = layout_.motion_compensated && has_poses_ && may_undo_motion_;
@@ -239,8 +242,8 @@ private:
     }
 
     /// Reads the points of a few frames, or of all frames until one has points. A scan
-    /// whose times are wrong is broken if the times of other scans are right. Otherwise it is
-    /// an error, because the unit of the times is probably wrong.
+    /// whose times are wrong is broken if the times of other scans are right. Otherwise
+    /// it is an error, because the unit of the times is probably wrong.
     std::map<std::size_t, LidarPoints> load_samples(const std::vector<std::size_t>& frame_indices) {
         std::map<std::size_t, LidarPoints> samples;
         std::map<std::size_t, std::string> wrong;
@@ -342,7 +345,8 @@ private:
     }
 };
 
-/// Returns the indices of the frames whose scans will be read, evenly spread over the log.
+/// Returns the indices of the frames whose scans will be read, evenly spread over the
+/// log.
 /// @param max_scans  maximum number of scans per LiDAR; 0: all
 std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> frames_by_lidar(sequence.lidars.size());

@@ -53,7 +53,8 @@ std::string describe_span(const std::vector<LidarPoints>& scans, double frame_st
 inline constexpr double kMostScans = 0.8;
 
 /// Returns the usual time of the points of a scan, relative to its frame: the median of
-/// the scans' medians. Returns nothing if too many scans are farther from it than `limit_s`.
+/// the scans' medians. Returns nothing if too many scans are farther from it than
+/// `limit_s`.
 std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
 
 /// Keeps only the points with the given indices, in this order.

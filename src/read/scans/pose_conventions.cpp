@@ -35,8 +35,8 @@ constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
 // Note that the order of the quaternions is uncertain.
 constexpr const char* kQuaternionOrder = "quaternion_order";
 
-/// Returns the mean z component of the vehicle's up axis in the world: 1 on level ground, -1
-/// upside down.
+/// Returns the mean z component of the vehicle's up axis in the world: 1 on level ground,
+/// -1 upside down.
 double mean_upright(const PoseTrack& track) {
     double sum = 0.0;
     for (const Pose& pose : track.pose) sum += (pose.rotation * glm::dvec3(0, 0, 1)).z;
@@ -114,8 +114,8 @@ struct PoseChoice {
         }
     }
 
-    /// Chooses the meaning with which scans overlap best. If the overlap does not change, a
-    /// meaning with forward motion is `undecided`.
+    /// Chooses the meaning with which scans overlap best. If the overlap does not change,
+    /// a meaning with forward motion is `undecided`.
     void choose_by_overlap(const std::vector<std::size_t>& possible, const ScanPairs& scans) {
         const double first_overlap = scans.overlap_fraction(readings[0].world_from_vehicle);
         double best_overlap = first_overlap + kMoreOverlap;

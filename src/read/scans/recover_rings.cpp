@@ -83,8 +83,8 @@ double band_distance(const RingBand& first, const RingBand& second) {
     return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
 }
 
-/// Adds narrow bands with few points, which belong to beams with few returns. Unlike stray
-/// points, such a band continues the spacing of the bands before it.
+/// Adds narrow bands with few points, which belong to beams with few returns. Unlike
+/// stray points, such a band continues the spacing of the bands before it.
 /// @param candidate_bands  groups of all bins with points, in the order of the search:
 /// upward or downward
 /// @param strong_bands  bands with enough points, in the same order
@@ -108,7 +108,6 @@ std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_band
                strong_bands[next].last <= group.last)
             add(strong_bands[next++]);
         if (next > first || !is_regular) continue;
-
         const double distance = band_distance(complete.back(), group);
         const bool continues_spacing =
             distance > kMinStepRatio * usual_distance && distance < kMaxStepRatio * usual_distance;
@@ -158,43 +157,29 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
     return bands;
 }
 
-/// Finds the beam that measured a point.
-class BeamFinder {
-public:
-    explicit BeamFinder(const std::vector<Beam>& beams)
-        : beams_(beams), geometry_(make_generators(beams)), rising_(beams.size()) {
-        std::iota(rising_.begin(), rising_.end(), std::uint16_t(0));
-        std::ranges::stable_sort(rising_, {}, [&](std::uint16_t beam) { return beams_[beam].elevation_rad; });
-    }
-
-    /// Returns the beam whose elevation fits best, seen from the origin of the beam. Tests
-    /// only beams near the elevation that the point has from the sensor origin.
-    std::uint16_t find_beam(const glm::dvec3& point_m) const {
-        const double elevation_rad = compute_elevation(point_m);
-        const auto nearest = std::ranges::partition_point(
-            rising_, [&](std::uint16_t beam) { return beams_[beam].elevation_rad < elevation_rad; });
-        const auto begin = nearest - std::min(kBeamReach, nearest - rising_.begin());
-        const auto end = nearest + std::min(kBeamReach, rising_.end() - nearest);
-        std::uint16_t best = *begin;
-        double least_error_rad = INFINITY;
-        for (auto beam = begin; beam != end; ++beam) {
-            const BeamRays& rays = geometry_[*beam];
-            const glm::dvec3 origin_m = rays.compute_ray(rays.azimuth_facing(point_m)).origin_m;
-            const double error_rad =
-                std::abs(compute_elevation(point_m - origin_m) - beams_[*beam].elevation_rad);
-            if (error_rad < least_error_rad) {
-                least_error_rad = error_rad;
-                best = *beam;
-            }
+/// Returns the beam whose elevation fits a point best, seen from the origin of the beam.
+/// Tests only beams near the elevation that the point has from the sensor origin.
+/// @param rising  beams in ascending order of elevation
+/// @param rays  [beams]
+std::uint16_t find_beam(const glm::dvec3& point_m, const std::vector<Beam>& beams,
+                        const std::vector<std::uint16_t>& rising, const std::vector<BeamRays>& rays) {
+    const double elevation_rad = compute_elevation(point_m);
+    const auto nearest = std::ranges::partition_point(
+        rising, [&](std::uint16_t beam) { return beams[beam].elevation_rad < elevation_rad; });
+    const auto begin = nearest - std::min(kBeamReach, nearest - rising.begin());
+    const auto end = nearest + std::min(kBeamReach, rising.end() - nearest);
+    std::uint16_t best = *begin;
+    double least_error_rad = INFINITY;
+    for (auto beam = begin; beam != end; ++beam) {
+        const glm::dvec3 origin_m = rays[*beam].compute_ray(rays[*beam].azimuth_facing(point_m)).origin_m;
+        const double error_rad = std::abs(compute_elevation(point_m - origin_m) - beams[*beam].elevation_rad);
+        if (error_rad < least_error_rad) {
+            least_error_rad = error_rad;
+            best = *beam;
         }
-        return best;
     }
-
-private:
-    const std::vector<Beam>& beams_;
-    std::vector<BeamRays> geometry_;
-    std::vector<std::uint16_t> rising_;  ///< beams in ascending order of elevation
-};
+    return best;
+}
 
 }  // namespace
 
@@ -219,10 +204,13 @@ void assign_rings(LidarPoints& points, const std::vector<Beam>& beams) {
         throw UsageError(
             "cannot compute the rings of points: the sensor has no beams or too many beams, expected 1 to "
             "65535 beams");
-    const BeamFinder finder(beams);
+    std::vector<std::uint16_t> rising(beams.size());
+    std::iota(rising.begin(), rising.end(), std::uint16_t(0));
+    std::ranges::stable_sort(rising, {}, [&](std::uint16_t beam) { return beams[beam].elevation_rad; });
+    const std::vector<BeamRays> rays = make_generators(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.position_m)
-        points.ring.push_back(finder.find_beam(glm::dvec3(point)));
+        points.ring.push_back(find_beam(glm::dvec3(point), beams, rising, rays));
 }
 
 }  // namespace relidar

@@ -27,8 +27,8 @@ constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
 // Columns of no sensor are this close. Such pairs are returns, even if they are frequent.
 constexpr double kSameRay_rad = 2e-4;
-// Number of points of equal ring and time that are compared. It limits the search in clouds
-// with coarse times.
+// Number of points of equal ring and time that are compared. It limits the search in
+// clouds with coarse times.
 constexpr std::size_t kMostNeighbours = 64;
 
 constexpr std::size_t kNoPoint = SIZE_MAX;
@@ -58,8 +58,8 @@ bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double lim
     return angle_rad < limit_rad + parallax_rad;
 }
 
-/// Returns the pairs of indices of points that occur exactly twice. In a pair, the smaller
-/// index is first.
+/// Returns the pairs of indices of points that occur exactly twice. In a pair, the
+/// smaller index is first.
 std::vector<IndexPair> find_repeated(const std::vector<glm::vec3>& points, std::vector<std::size_t> indices) {
     const auto position = [&](std::size_t i) { return std::array{points[i].x, points[i].y, points[i].z}; };
     std::ranges::stable_sort(indices, {}, position);
@@ -79,8 +79,9 @@ struct PairCounts {
     std::size_t n_on_ray = 0;  ///< pairs whose directions differ by less than kOneRay_rad
     std::size_t n_exact = 0;   ///< pairs whose directions differ by less than kSameRay_rad
 
-    /// Returns true if the pairs are the two returns of one ray. If most groups are pairs,
-    /// they could also be two columns that share a time, so their directions must be equal.
+    /// Returns true if the pairs are the two returns of one ray. If most groups are
+    /// pairs, they could also be two columns that share a time, so their directions must
+    /// be equal.
     bool are_returns() const {
         const bool are_exact = double(n_exact) >= kMinRegularShare * double(n_pairs);
         const bool are_rare = 2 * n_pairs <= n_groups;

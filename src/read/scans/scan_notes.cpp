@@ -68,7 +68,6 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
     } else if (plan.is_ordered && !plan.has_rings) {
         add("the points have no rings; each point is assigned to the beam with the nearest elevation");
     }
-
     // when points were measured
     if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
         add(

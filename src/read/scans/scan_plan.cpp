@@ -39,8 +39,8 @@ std::string find_contradiction(const ScanPlan& plan, const SpinningSensor& fitte
     return why.empty() && !plan.has_rings ? why_thinned(samples, fitted_sensor) : why;
 }
 
-/// Fits the beams of a spinning LiDAR to the samples and checks the fit. Sets the sensor of
-/// the plan, or the reason why the points cannot be rays of such a sensor.
+/// Fits the beams of a spinning LiDAR to the samples and checks the fit. Sets the sensor
+/// of the plan, or the reason why the points cannot be rays of such a sensor.
 void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     if (!plan.has_rings && !add_rings(plan, samples)) {
         plan.problem =

@@ -58,8 +58,8 @@ struct FiringPlan {
     std::optional<RingOrderDetector> order = {};  ///< finds rings by the order of the file
     std::vector<Beam> beams = {};                 ///< finds rings by elevation
 
-    /// Sets the times of points and moves the points to where the sensor saw them at these
-    /// times. Without rings, the points stay as they are.
+    /// Sets the times of points and moves the points to where the sensor saw them at
+    /// these times. Without rings, the points stay as they are.
     void restore(LidarPoints& points, double frame_time_s) const;
 };
 /// Searches the firing times of points that have none. Returns nothing if they show no

@@ -206,8 +206,8 @@ private:
     }
 };
 
-/// Returns the nearest firing with points, before or after firing f. Returns f if no firing
-/// has points.
+/// Returns the nearest firing with points, before or after firing f. Returns f if no
+/// firing has points.
 /// @param n_points  [firings]
 std::size_t nearest_with_points(const std::vector<double>& n_points, std::size_t f) {
     const std::size_t n = n_points.size();
@@ -283,8 +283,8 @@ bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azim
     return true;
 }
 
-/// Throws unless the sensor has a valid number of rays and the sweep has the firings of all
-/// points.
+/// Throws unless the sensor has a valid number of rays and the sweep has the firings of
+/// all points.
 void check_sweep(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep) {
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)
@@ -369,7 +369,6 @@ Scan scan_of_points(const LidarPoints& points) {
         if (return_index_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
             first_returns.push_back(i);
     }
-
     Scan scan;
     resize_scan(scan, 1, int(first_returns.size()), n_second_returns, !points.classes.empty());
     for (std::size_t ray = 0; ray < first_returns.size(); ++ray) {

@@ -36,8 +36,8 @@ constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Parses a line of a pose table: a time stamp and at least `n` numbers, of which the first
-/// `n` are used.
+/// Parses a line of a pose table: a time stamp and at least `n` numbers, of which the
+/// first `n` are used.
 /// @param where  file and line, for error messages
 PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, const std::string& where) {
     std::optional<std::int64_t> stamp = parse_stamp(cells[0]);
@@ -61,8 +61,8 @@ PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, con
     return row;
 }
 
-/// Returns the interpolated pose at a time. Returns nothing near the ends of the poses, or
-/// in a gap between poses that is too long.
+/// Returns the interpolated pose at a time. Returns nothing near the ends of the poses,
+/// or in a gap between poses that is too long.
 std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.contains_time(time_s - log.pose_margin_s) || !track.contains_time(time_s + log.pose_margin_s))
@@ -158,7 +158,6 @@ std::vector<Beam> adjust_beams(const std::vector<Beam>& nominal_beams, const Fit
         if (fit.beam_of_ring[ring] != kNoBeam)
             sum += std::polar(1.0, fit.sensor.columns * offset_change_rad(ring));
     const double common_rad = std::arg(sum) / fit.sensor.columns;
-
     std::vector<Beam> beams = nominal_beams;
     for (std::size_t ring = 0; ring < n_rings; ++ring) {
         if (fit.beam_of_ring[ring] == kNoBeam) continue;
@@ -214,9 +213,10 @@ std::optional<std::int64_t> parse_stamp(std::string_view text) {
 
 std::vector<StampedScanFile> list_stamped_files(const fs::path& folder, const std::string& extension) {
     std::vector<StampedScanFile> scans;
-    for (const fs::path& file : list_folder(folder))
-        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == extension)
-            scans.push_back({0, *stamp, file});
+    for (const fs::path& file : list_folder(folder)) {
+        const std::optional<std::int64_t> stamp = parse_stamp(file.stem().string());
+        if (stamp && file.extension() == extension) scans.push_back({.stamp = *stamp, .file = file});
+    }
     if (scans.empty())
         fail("{}: no scan was found, expected files named by their times, such as 1598990189106857{}",
              folder.string(), extension);

@@ -12,8 +12,8 @@ namespace {
 
 // Azimuth steps per revolution to which the head azimuth is rounded (0.0055 degrees).
 constexpr int kTicksPerTurn = 1 << 16;
-// If more firings are missing in a revolution, firings without returns are appended. A few
-// can be missing because the head does not rotate at a constant rate.
+// If more firings are missing in a revolution, firings without returns are appended. A
+// few can be missing because the head does not rotate at a constant rate.
 constexpr int kMostMissing = 8;
 
 /// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
@@ -21,8 +21,9 @@ constexpr int kMostMissing = 8;
 std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
-    // The deviation of a point is its head azimuth minus the azimuth at a constant rotation
-    // rate. The mean deviation of a firing is the angle of the sum of exp(i deviation).
+    // The deviation of a point is its head azimuth minus the azimuth at a constant
+    // rotation rate. The mean deviation of a firing is the angle of the sum of exp(i
+    // deviation).
     std::map<int, std::complex<double>> sum_of_firing;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const double head_rad = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
