@@ -141,7 +141,7 @@ UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     UnnumberedReturns returns{.note =
                                   "the points have two returns of each ray without numbers; equal returns "
                                   "are read as one return, and of two other returns the stronger is first"};
-    if (2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
+    if (repeated.empty() || 2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
         if (!keys.empty()) count_pairs(counts, points, keys, valid);
         return returns;
     }

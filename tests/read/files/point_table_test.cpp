@@ -268,6 +268,7 @@ TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
     const PointTable rare = make_pairs(0.01, 0.0);  // ten pairs: too few in one cloud
     EXPECT_FALSE(find_unnumbered({rare}).exist);
     EXPECT_TRUE(find_unnumbered({rare, make_pairs(0.0, 0.0), rare}).exist);
+    EXPECT_FALSE(find_unnumbered({PointTable(0)}).exist);  // no point contradicts pairs
 }
 
 }  // namespace
