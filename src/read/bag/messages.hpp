@@ -184,6 +184,7 @@ struct FixMessage {
 
     bool is_valid() const;
 };
+/// Reads a position. A message without a fix is not valid.
 FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes);
 FixMessage read_foxglove_fix(std::string_view message_bytes);
 

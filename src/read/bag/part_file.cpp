@@ -28,6 +28,7 @@ namespace {
 /// clouds usually unpack to three times their size. Up to kAlwaysUnpacked bytes are
 /// accepted.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
+constexpr std::string_view kGzipMagic("\x1f\x8b", 2);  // first bytes of a gzip file
 
 /// Unpacks bz2 data to exactly `target.size()` bytes.
 void unpack_bz2(std::string_view source, std::span<char> target) {
@@ -49,8 +50,6 @@ struct CloseFile {
     void operator()(std::FILE* file) const { std::fclose(file); }
 };
 using File = std::unique_ptr<std::FILE, CloseFile>;
-
-constexpr std::string_view kGzipMagic("\x1f\x8b", 2);  // first bytes of a gzip file
 
 /// Decompresses a gzip file, like stream_zstd().
 /// @return false if the file is damaged or truncated

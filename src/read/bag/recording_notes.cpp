@@ -41,8 +41,10 @@ std::string describe_content(const CloudTopic& cloud_topic) {
                        cloud_topic.median_points(), fmt::join(names, " "));
 }
 
-// These functions return an empty text if topic `t` has other content.
+// The following functions describe topic `t`, or return an empty text if it has other
+// content.
 
+/// Describes the clouds of all LiDARs of a topic.
 std::string describe_clouds(const BagRecording& bag, const BagIndex& index, std::size_t t) {
     const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
     if (clouds == index.clouds.end()) return "";

@@ -85,8 +85,8 @@ public:
     /// @param time_origin_ns  time on `clock` that is 0 s in the log
     TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                               LogClock clock, std::int64_t time_origin_ns) const;
-    /// Returns the pose of a frame in any other frame as a function of time. Returns nothing
-    /// if no transforms connect the two frames.
+    /// Returns the pose of a frame in any other frame as a function of time. Returns
+    /// nothing if no transforms connect the two frames.
     std::optional<FramePose> find_chain(const std::string& target_frame, const std::string& source_frame,
                                         LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns the samples of the moving transform with the most samples between a frame

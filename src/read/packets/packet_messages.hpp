@@ -14,7 +14,8 @@ namespace relidar::packets {
 
 /// Types of the topics that are made from a network capture. A message of type
 /// kLidarDatagrams contains several LiDAR packets, each with a time stamp (64 bits), a
-/// length (32 bits) and its bytes. Messages of type kOtherDatagrams contain other UDP data.
+/// length (32 bits) and its bytes. Messages of type kOtherDatagrams contain other UDP
+/// data.
 inline constexpr const char *kLidarDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
 /// Returns true if the message type of a topic contains LiDAR packets of any product.
