@@ -58,6 +58,7 @@ void SurfelArrays::upload_at(std::uint32_t first, const Surfels& surfels) {
         group.mutable_device(*this).upload(group.values(surfels), std::size_t(first) * group.count_floats());
 }
 
+/// Copies `count` surfels from index `first` on to the host.
 Surfels SurfelArrays::download_range(std::uint32_t first, std::uint32_t count) const {
     Surfels s;
     s.resize(count, parameters_used());

@@ -41,7 +41,7 @@ void check_channel(const Config& config, const ChannelInfo& channel, const char*
 }
 
 /// Returns the options of the renderer. First rejects channels that the scene cannot
-/// provide, so that the error precedes the expensive upload of the scene.
+/// provide, so that the error precedes the slow upload of the scene.
 TraceOptions trace_options(const Config& config) {
     for (const ChannelInfo& channel : parse_channels(config.render.channels))
         check_channel(config, channel, "setting render.channels");
@@ -115,6 +115,7 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
+/// Uploads the scene. trace_options() first rejects channels that it cannot provide.
 ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log)
     : device(on),
       config(with_max_range(settings_of_run, log)),

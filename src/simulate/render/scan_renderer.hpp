@@ -35,6 +35,7 @@ struct ScanRenderPlan {
     bool has_sub_rays() const { return beams.sub_rays > 1; }
 };
 
+/// Decides which steps a scan needs, and which of them run on the device.
 /// @param rays one per beam, before they are split into sub-rays
 /// @param network may be null
 /// @throws UsageError if the sensor cannot be rendered with these settings

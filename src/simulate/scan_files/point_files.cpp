@@ -46,8 +46,9 @@ std::vector<PointFileField> list_fields(const LidarPoints& points, bool has_doub
     return fields;
 }
 
+/// Checks that each array has one value per point. Unknown (empty) arrays are allowed,
+/// except the intensity.
 void check_lengths(const LidarPoints& points) {
-    // Unknown (empty) arrays are allowed, except the intensity.
     enum Presence { kRequired, kOptional };
     const auto check = [&](const char* name, std::size_t n_values, Presence presence = kOptional) {
         if (n_values == points.size() || (presence == kOptional && n_values == 0)) return;

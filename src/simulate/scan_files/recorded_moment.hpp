@@ -107,6 +107,7 @@ public:
     explicit SweepRecorder(std::vector<ScanOutputOptions> sensors)
         : sensors_(std::move(sensors)), earth_(recorded_rig().earth) {}
     RecordedRig recorded_rig() const;
+    /// Computes everything that a recording stores for the scans of one moment.
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedSweep record(std::span<const RenderedScan> scans);

@@ -32,6 +32,7 @@ struct RecordingFormat {
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
+/// Returns the table of recordings: one MCAP file for Foxglove, and a ROS 2 bag.
 std::span<const RecordingFormat> recording_formats();
 
 /// Messages with the same time are in the order of the topics.

@@ -13,10 +13,11 @@ namespace relidar::scan_files {
 std::string entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                        const std::vector<std::string>& files);
 
-/// Also removes half-written files of a killed process.
+/// Removes the files of an earlier rendering, and half-written files of a killed process.
+/// @throws UsageError if the folder has scans that no scans.json lists
 /// @throws DataError if a file cannot be removed
 void remove_scans(const std::filesystem::path& folder);
-/// For a folder without single scans.
+/// Writes scans.json for a folder with recordings but without single scans.
 void write_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
 inline constexpr const char* kPacketFormat = "pcap";
