@@ -88,8 +88,8 @@ std::vector<glm::dvec2> ray_angles(const RayTable& rays) {
     return angles;
 }
 
-/// Draws each ray of a sensor as a dot whose colour shows its firing time. Azimuth
-/// increases to the right and elevation upwards.
+/// Draws each ray of a sensor as a dot whose colour shows its firing time, as the sensor
+/// sees it: azimuth increases to the left and elevation upwards.
 Image draw_ray_pattern(const RayTable& rays) {
     constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
@@ -116,7 +116,7 @@ Image draw_ray_pattern(const RayTable& rays) {
     float earliest_s = std::numeric_limits<float>::infinity(), latest_s = -earliest_s;
     for (std::size_t i = 0; i < angles.size(); ++i) {
         const int top = static_cast<int>((high.y - angles[i].y) * pixels_per_rad),
-                  left = static_cast<int>((angles[i].x - low.x) * pixels_per_rad);
+                  left = static_cast<int>((high.x - angles[i].x) * pixels_per_rad);
         for (int row = std::max(top, 0); row < std::min(top + kDotSize_px, rows); ++row)
             for (int column = std::max(left, 0); column < std::min(left + kDotSize_px, kPictureWidth_px);
                  ++column)
