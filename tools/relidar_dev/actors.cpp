@@ -11,7 +11,6 @@
 #include "console.hpp"
 #include "dev_case.hpp"
 #include "interrupt.hpp"
-#include "measure.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
@@ -19,6 +18,7 @@ namespace {
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
+/// Returns a scene of actors. They share one model, or each has a copy.
 Scene make_actor_scene(int n_actors, bool copies) {
     // A test actor is the benchmark street, scaled down to a length of about 4 m.
     constexpr float kHalfLength_m = 2.0f;
@@ -47,6 +47,8 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     return placed;
 }
 
+/// Returns the input of a benchmark with actors. Spherical harmonics are evaluated per
+/// ray if actors share a model, because the actors differ in direction.
 DevCase make_actor_case(int n_actors, bool copies) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
@@ -63,26 +65,29 @@ DevCase make_actor_case(int n_actors, bool copies) {
 
 /// Measures the time to build the trees of a scene, and to move all actors by one step.
 void measure_updates(Device& device, const DevCase& setup, int n_repetitions, ActorBenchTimes& actor_times) {
-    constexpr int kWarmUp = 3;
+    constexpr int kWarmUpSteps = 3;  // not measured, because they allocate memory
     DeviceScene on_device(device, setup.scene);
     AccelerationStructure accel(device, on_device, {.proxy = setup.proxy});
     Stream stream(device, false);
     on_device.activate(stream, setup.config.image, glm::vec3(0.0f));
     stream.submit_and_wait();
+
+    // The first refit builds all trees.
     Clock::time_point start = Clock::now();
     accel.record_refit(stream, on_device);
     stream.submit_and_wait();
     actor_times.build_ms = ms_since(start);
+
     const std::uint64_t builds_before = accel.n_updates();
     std::vector<double> samples;
-    for (int step = 1; step <= kWarmUp + n_repetitions; ++step) {
+    for (int step = 1; step <= kWarmUpSteps + n_repetitions; ++step) {
         check_interrupt();
         const std::vector<InstancePose> placed = spiral_poses(actor_times.n_actors, step);
         start = Clock::now();
         on_device.stage_poses(stream, placed);
         accel.record_top_level(stream, on_device);
         stream.submit_and_wait();
-        if (step > kWarmUp) samples.push_back(ms_since(start));
+        if (step > kWarmUpSteps) samples.push_back(ms_since(start));
     }
     actor_times.move_ms = percentiles_of(samples);
     actor_times.builds = accel.n_updates() - builds_before;
@@ -118,8 +123,8 @@ ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const 
 }
 
 std::string format_actors(const std::vector<ActorBenchTimes>& times) {
-    std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
-                                                "scan ms", "step ms", "memory MiB", "actor trees rebuilt"}};
+    TableRows rows{{"actors", "models", "surfels", "build ms", "move ms", "scan ms", "step ms", "memory MiB",
+                    "actor trees rebuilt"}};
     for (const ActorBenchTimes& t : times)
         rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "separate" : "shared",
                         fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),

@@ -40,6 +40,7 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 /// has no timestamps
 ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings);
 
+/// Returns a table with a row for each benchmark.
 std::string format_actors(const std::vector<ActorBenchTimes>& times);
 
 }  // namespace relidar::cli

@@ -43,6 +43,7 @@ struct BenchOptions {
 
 constexpr int kMaxActors = 1000;
 
+/// Parses the numbers of actors of --actors, such as "1,10,100".
 std::vector<int> parse_counts(const std::string& list) {
     std::vector<int> counts;
     for (const double n : parse_list("--actors", list)) {
@@ -58,9 +59,9 @@ std::vector<int> parse_counts(const std::string& list) {
 std::string run_other_benchmark(const BenchOptions& options, Device& device) {
     if (!options.actors.empty()) {
         std::vector<ActorBenchTimes> times;
-        for (const int n : parse_counts(options.actors))
+        for (const int n_actors : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
-                times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
+                times.push_back(measure_actors(device, n_actors, copy_shared_models, options.settings));
         end_progress();
         return format_actors(times);
     }
@@ -73,36 +74,46 @@ std::string run_other_benchmark(const BenchOptions& options, Device& device) {
     return format_scans(measure_scans(device, bench));
 }
 
-void run_bench(const BenchOptions& options, const std::string& args) {
-    if (!options.service.address.empty()) return bench_service(options.service);
+/// Rejects options that contradict each other or are out of range.
+void check_bench_options(const BenchOptions& options) {
+    const bool has_scans = options.scans.n_scans != 0, has_steps = options.n_steps != 0;
+    const bool prints_only = !options.actors.empty() || has_scans || has_steps;
+    const int n_repeats = options.settings.repeat;
     check_options(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
             "--run: found --scene, --surfels or --rays in the same command; expected only --run");
-    BenchSettings settings = options.settings;
-    settings.backward = !options.no_backward;
-    if (settings.repeat < 1 || settings.repeat > kMaxRepeat)
-        fail<UsageError>("--repeat: found {}, expected a number from 1 to {}", settings.repeat, kMaxRepeat);
-    const bool has_other = !options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0;
-    if (has_other && !options.json.empty())
+    if (n_repeats < 1 || n_repeats > kMaxRepeat)
+        fail<UsageError>("--repeat: found {}, expected a number from 1 to {}", n_repeats, kMaxRepeat);
+    if (prints_only && !options.json.empty())
         throw UsageError("--json: found --actors, --scans or --steps, whose results are only printed");
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         fail("--json {}: found a folder, expected the name of a file", options.json);
-    if (!options.actors.empty()) parse_counts(options.actors);
-    if (options.scans.n_scans != 0 && options.choice.run.empty())
+    if (!options.actors.empty()) (void)parse_counts(options.actors);  // Called only for its error.
+    if (has_scans && options.choice.run.empty())
         throw UsageError("--scans: the option --run is missing; expected --run RUN with the run to render");
-    if (options.n_steps != 0 && options.choice.run.empty())
+    if (has_steps && options.choice.run.empty())
         throw UsageError("--steps: the option --run is missing; expected --run RUN with the run to train");
-    if (options.n_steps != 0 && options.scans.n_scans != 0)
+    if (has_steps && has_scans)
         throw UsageError("--steps: found --scans in the same command; expected only one of them");
     if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
         fail<UsageError>("--steps: found {}, expected a number from 1 to {}", options.n_steps,
                          kMostTimedSteps);
+}
+
+/// Runs `relidar-dev bench`: measures a service, actors, scans, training steps or,
+/// without such an option, each kernel of a training iteration.
+void run_bench(const BenchOptions& options, const std::string& command_line) {
+    if (!options.service.address.empty()) return bench_service(options.service);
+    check_bench_options(options);
+    BenchSettings settings = options.settings;
+    settings.backward = !options.no_backward;
     std::optional<OutputFolder> folder;
     if (!options.json.empty()) folder.emplace(folder_of(options.json));
     Device device(to_device_options(options.device));
 
     install_handlers();
+    const bool has_other = !options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0;
     if (has_other) return print(run_other_benchmark(options, device));
     const DevCase bench = make_case(options.choice);
     BenchResult result = run_benchmark(device, bench, settings);
@@ -110,7 +121,7 @@ void run_bench(const BenchOptions& options, const std::string& args) {
     result.copy_bytes_per_s = measure_bandwidth(device);
     end_progress();
     if (!options.json.empty())
-        write_text_file(options.json, result_json(bench, settings, result, device, args));
+        write_text_file(options.json, result_json(bench, settings, result, device, command_line));
     if (!settings.quiet) print(format_result(bench, result, device));
 }
 
@@ -133,6 +144,7 @@ Examples:
 
 }  // namespace
 
+/// Adds the command `relidar-dev bench` and its options to the parser.
 void add_bench(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand(
         "bench", "measure the time of each kernel of a training iteration, on a synthetic street or a run");

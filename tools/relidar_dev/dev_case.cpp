@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <charconv>
 #include <optional>
-#include <string>
 #include <vector>
 
 #include <fmt/format.h>
@@ -17,7 +16,6 @@
 #include "base/fail.hpp"
 #include "scene/benchmark_street.hpp"
 
-#include "console.hpp"
 #include "options.hpp"
 
 namespace relidar::cli {
@@ -83,6 +81,7 @@ void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
     bench.keeps_more_hits = choice.keep_hits.empty();
 }
 
+/// Returns the benchmark street of the options (BenchCaseOptions::street).
 DevCase make_street_case(const BenchCaseOptions& choice) {
     const std::optional<ImageSize> size = parse_grid_size(choice.rays);
     const RayTable rays = size ? make_street_rays(int(size->rows), int(size->columns), kTop_deg, kBottom_deg)
@@ -104,7 +103,7 @@ void check_options(const BenchCaseOptions& choice) {
                          kMaxSurfels);
     parse_grid_size(choice.rays);
     DevCase unused;
-    apply_tracing_options(choice, unused);
+    apply_tracing_options(choice, unused);  // Called only for its error.
 }
 
 DevCase make_case(const BenchCaseOptions& choice) {

@@ -61,32 +61,34 @@ RendererOptions forward_options(const DevCase& setup) {
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
 /// increases this number until only few rays have more hits.
-std::uint32_t predict_hits(const DevCase& setup, const std::vector<std::uint32_t>& hits) {
-    auto keep = std::uint32_t(setup.config.trace.keep_hits);
+/// @param hits_of_ray number of blended hits of each ray
+std::uint32_t predict_hits(const DevCase& setup, const std::vector<std::uint32_t>& hits_of_ray) {
+    auto n_stored = std::uint32_t(setup.config.trace.keep_hits);
     while (setup.keeps_more_hits) {
-        const auto n_overfull =
-            std::count_if(hits.begin(), hits.end(), [&](std::uint32_t count) { return count > keep; });
-        const std::uint32_t more = grow_stored_hits(keep, std::uint64_t(n_overfull));
-        if (more == keep) break;
-        keep = more;
+        const auto n_overfull_rays =
+            std::ranges::count_if(hits_of_ray, [&](std::uint32_t n_hits) { return n_hits > n_stored; });
+        const std::uint32_t n_grown = grow_stored_hits(n_stored, std::uint64_t(n_overfull_rays));
+        if (n_grown == n_stored) break;
+        n_stored = n_grown;
     }
-    return keep;
+    return n_stored;
 }
 
 /// Measures the device memory of each part of a benchmark, by creating each part once.
 BenchMemory measure_memory(Device& device, const DevCase& setup, bool includes_training) {
-    auto since_last = [&device, last = device.allocated_bytes()]() mutable {
-        return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
+    // Returns the bytes that were allocated since its last call.
+    auto new_bytes = [&device, before = device.allocated_bytes()]() mutable {
+        return device.allocated_bytes() - std::exchange(before, device.allocated_bytes());
     };
     BenchMemory memory;
     const DeviceScene scene(device, setup.scene);
-    memory.scene = since_last();
+    memory.scene = new_bytes();
     const AccelerationStructure accel(device, scene, {.proxy = setup.proxy});
-    memory.accel = since_last();
+    memory.accel = new_bytes();
     if (!includes_training) return memory;
     const DeviceGradients gradients(device, scene);
     const Adam adam(device, scene.size(), {}, scene.surfel_parameters().parameters_used());
-    memory.training = since_last();
+    memory.training = new_bytes();
     return memory;
 }
 
@@ -202,6 +204,7 @@ private:
     }
 };
 
+/// Returns percentiles of all samples. Names in `order` come first, other names follow.
 std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::vector<std::string> order) {
     for (const auto& [name, unused] : samples) {
         if (std::find(order.begin(), order.end(), name) == order.end()) order.push_back(name);
@@ -218,20 +221,22 @@ std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::
 /// bytes.
 /// @throws DeviceError if a ray was not traced completely
 BenchResult BenchRunner::bench_result() {
-    Renderer& r = get_renderer();
-    if (const std::uint32_t capped = r.forward_pass().n_truncated_rays().download()[0])
+    Renderer& renderer = get_renderer();
+    const std::uint32_t n_truncated = renderer.forward_pass().n_truncated_rays().download()[0];
+    if (n_truncated > 0)
         fail<DeviceError>(
             "cannot trace {} rays: {} of them reached the maximum number of passes or filled the traversal "
             "stack, expected none",
-            rays_.size(), capped);
+            rays_.size(), n_truncated);
     // Adds the kernels that do not run in an iteration, such as the build of the
     // acceleration structure.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
-    result.proxy = r.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
+    result.proxy = renderer.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
     result.kernels = percentile_rows(kernels_, {std::begin(kRowOrder), std::end(kRowOrder)});
     result.phases = percentile_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
-    const double krays = double(rays_.size()) / 1000.0;
+
+    const double krays = double(rays_.size()) / 1000.0;  // krays / ms = Mrays / s
     double forward_ms = 0.0;
     for (const KernelBenchTime& row : result.kernels) {
         if (row.name.starts_with("diff/forward/")) forward_ms += row.ms.median;
@@ -239,13 +244,14 @@ BenchResult BenchRunner::bench_result() {
     }
     result.forward_mrays_per_s = krays / forward_ms;
     result.hits_per_ray = sizes_.n_hits / double(rays_.size());
-    result.stored_hits_per_ray = r.stored_hits_per_ray();
+    result.stored_hits_per_ray = renderer.stored_hits_per_ray();
+
     result.memory = memory_;
     result.memory.rays =
         device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
     result.memory.peak = device_.peak_bytes();
-    if (const auto visits = count_visits(device_, r.scene(), r.accel(), make_ray_batch(), case_.config.image,
-                                         trace_options(case_)))
+    if (const auto visits = count_visits(device_, renderer.scene(), renderer.accel(), make_ray_batch(),
+                                         case_.config.image, trace_options(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.sizes = traffic_sizes();
     return result;

@@ -24,6 +24,7 @@ struct TimePercentiles {
     double median = 0.0;
     double p90 = 0.0;
 };
+/// Interpolates linearly between samples.
 TimePercentiles percentiles_of(std::vector<double> samples);
 
 struct KernelBenchTime {
@@ -78,7 +79,9 @@ struct BenchSettings {
 /// has no timestamps
 BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings);
 
+/// The results as text for the terminal: settings, table of times, speed and memory.
 std::string format_result(const DevCase& setup, const BenchResult& result, const Device& device);
+/// The results for --json.
 /// @param args command line
 std::string result_json(const DevCase& setup, const BenchSettings& settings, const BenchResult& result,
                         const Device& device, const std::string& args);

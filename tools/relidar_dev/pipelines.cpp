@@ -10,6 +10,7 @@
 #include <relidar/gpu/device.hpp>
 #include "commands.hpp"
 #include "console.hpp"
+#include "options.hpp"
 #include "train/compile_pipelines.hpp"
 
 namespace relidar::cli {
@@ -34,32 +35,35 @@ std::vector<PipelineStatistics> compile_backend(int device_index, RayTracingBack
 std::vector<PipelineStatistics> compile_requested(const PipelinesOptions& options) {
     const DeviceInfo info = Device(apply_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
-    std::set<std::string> pipeline_names;
-    const auto add = [&](const char* name, RayTracingBackend traversal, bool has) {
-        if (options.traversal != name && !(options.traversal == "both" && has)) return;
-        for (PipelineStatistics& p : compile_backend(info.index, traversal)) {
-            if (p.kernel.find(options.kernel) == std::string::npos) continue;
-            if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
-                    .second)
-                all.push_back(std::move(p));
+    std::set<std::string> known_pipelines;
+    const auto add_backend = [&](const char* name, RayTracingBackend backend, bool is_supported) {
+        const bool is_requested = options.traversal == name || (options.traversal == "both" && is_supported);
+        if (!is_requested) return;
+        for (PipelineStatistics& p : compile_backend(info.index, backend)) {
+            const bool is_selected = p.kernel.find(options.kernel) != std::string::npos;
+            // Kernels that trace no rays are the same for both backends.
+            const std::string key = fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size);
+            if (is_selected && known_pipelines.insert(key).second) all.push_back(std::move(p));
         }
     };
-    add("software", RayTracingBackend::software, info.software);
-    add("ray_query", RayTracingBackend::ray_query, info.ray_query);
+    add_backend("software", RayTracingBackend::software, info.software);
+    add_backend("ray_query", RayTracingBackend::ray_query, info.ray_query);
     return all;
 }
 
-std::vector<std::vector<std::string>> statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
-    std::set<std::string> names;
+/// Returns a table with a row for each pipeline and a column for each statistic that any
+/// pipeline has. The names of the statistics depend on the driver.
+TableRows statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
+    std::set<std::string> statistics;
     for (const PipelineStatistics& p : pipelines)
-        for (const auto& [name, value] : p.values) names.insert(name);
-    std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
-    rows[0].insert(rows[0].end(), names.begin(), names.end());
+        for (const auto& [name, value] : p.values) statistics.insert(name);
+    TableRows rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
+    rows[0].insert(rows[0].end(), statistics.begin(), statistics.end());
     for (const PipelineStatistics& p : pipelines) {
         std::vector<std::string> row{p.kernel, p.constants, fmt::format("{}", p.workgroup_size),
                                      fmt::format("{}", p.subgroup_size), p.failure};
-        for (const std::string& name : names)
-            row.push_back(p.values.count(name) ? fmt::format("{}", p.values.at(name)) : "");
+        for (const std::string& name : statistics)
+            row.push_back(p.values.contains(name) ? fmt::format("{}", p.values.at(name)) : "");
         rows.push_back(row);
     }
     return rows;
@@ -77,6 +81,7 @@ void print_statistics(const PipelinesOptions& options) {
 
 }  // namespace
 
+/// Adds the command `relidar-dev pipelines` and its options to the parser.
 void add_pipelines(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("pipelines",
                                            "compile each kernel as relidar uses it and print statistics from "
@@ -91,8 +96,7 @@ void add_pipelines(CLI::App& app, ParsedCommand& selected_command) {
     command->footer(
         "No kernel runs, so a driver without hardware is sufficient (tools/dev/gpu_report).\nExample: "
         "relidar-dev pipelines --kernel trace");
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { print_statistics(*options); }; });
+    run_after_parsing(*command, selected_command, options, print_statistics);
 }
 
 }  // namespace relidar::cli

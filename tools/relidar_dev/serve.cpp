@@ -56,7 +56,8 @@ Answer checked_answer(const ServeBenchOptions& options, const serve::Reply<Answe
     return reply.answer;
 }
 
-/// A sweep between two successive poses of the log, starting again after the last pose.
+/// Returns call `number` of a client: a scan while the sensor moves from a pose of the
+/// log to the next pose. After the last pose, starts again with the first pose.
 v1::RenderLidarRequest sweep_request(const ServeBenchOptions& options, const std::string& scene_name,
                                      const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
@@ -68,8 +69,8 @@ v1::RenderLidarRequest sweep_request(const ServeBenchOptions& options, const std
     return request;
 }
 
-/// Each client is a thread with its own connection and sends its next call when the
-/// previous response has arrived.
+/// Sends all calls by several clients and returns the times of each call. A client is a
+/// thread with its own connection. It waits for a response before its next call.
 std::vector<LatencySample> measure_calls(const ServeBenchOptions& options, const std::string& scene,
                                          const v1::GetTracksResponse& tracks) {
     const auto render = [&](Stub& service, int number) -> LatencySample {
@@ -80,25 +81,25 @@ std::vector<LatencySample> measure_calls(const ServeBenchOptions& options, const
     };
     std::vector<LatencySample> samples;
     std::exception_ptr failure;
-    std::mutex mutex;
-    std::atomic<int> next = 0;
-    std::vector<std::jthread> clients;
-    for (int c = 0; c < options.clients; ++c)
-        clients.emplace_back([&] {
-            try {
-                Stub service(serve::open_channel(options.address));
-                // All clients share one counter, so faster clients send more calls.
-                for (int number = next++; number < options.calls; number = next++) {
-                    const LatencySample sample = render(service, number);
-                    const std::lock_guard lock(mutex);
-                    samples.push_back(sample);
-                }
-            } catch (...) {
+    std::mutex mutex;  // protects both
+    std::atomic<int> next_call = 0;
+    const auto run_client = [&] {
+        try {
+            Stub service(serve::open_channel(options.address));
+            // All clients share one counter, so faster clients send more calls.
+            for (int number = next_call++; number < options.calls; number = next_call++) {
+                const LatencySample sample = render(service, number);
                 const std::lock_guard lock(mutex);
-                failure = std::current_exception();
+                samples.push_back(sample);
             }
-        });
-    clients.clear();
+        } catch (...) {
+            const std::lock_guard lock(mutex);
+            failure = std::current_exception();
+        }
+    };
+    std::vector<std::jthread> clients;
+    for (int i = 0; i < options.clients; ++i) clients.emplace_back(run_client);
+    clients.clear();  // Waits for all threads.
     if (failure) std::rethrow_exception(failure);
     return samples;
 }
@@ -111,17 +112,18 @@ void bench_service(const ServeBenchOptions& options) {
                          kMostClients);
     if (options.calls < 1 || options.calls > kMostCalls)
         fail<UsageError>("--calls: found {}, expected a number from 1 to {}", options.calls, kMostCalls);
-    (void)parse_host_port(options.address, "--serve", 1);
+    (void)parse_host_port(options.address, "--serve", 1);  // Called only for its error.
+
     Stub service(serve::open_channel(options.address));
     const v1::ListScenesResponse scenes =
         checked_answer(options, serve::call(service, &Stub::ListScenes, {}));
     if (scenes.scenes().empty())
         fail("the service at {} serves no scene, expected at least one", options.address);
     const std::string scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
-    v1::GetTracksRequest which;
-    which.set_scene(scene);
+    v1::GetTracksRequest tracks_request;
+    tracks_request.set_scene(scene);
     const v1::GetTracksResponse tracks =
-        checked_answer(options, serve::call(service, &Stub::GetTracks, which));
+        checked_answer(options, serve::call(service, &Stub::GetTracks, tracks_request));
     // The first call is not measured. It takes longer, because it computes the rays of
     // the sensor and allocates memory.
     checked_answer(options,
@@ -129,11 +131,12 @@ void bench_service(const ServeBenchOptions& options) {
     const auto begin = std::chrono::steady_clock::now();
     const std::vector<LatencySample> samples = measure_calls(options, scene, tracks);
     const double scans_per_s = 1000.0 * double(samples.size()) / ms_since(begin);
-    double points = 0.0;
-    for (const LatencySample& sample : samples) points += double(sample.points) / double(samples.size());
+
+    double mean_points = 0.0;
+    for (const LatencySample& sample : samples) mean_points += double(sample.points) / double(samples.size());
     print(fmt::format(
         "{} at {}: {} calls by {} clients, {} rays and {:.0f} points per scan\n{}{:.1f} scans/s\n", scene,
-        options.address, options.calls, options.clients, samples.front().rays, points,
+        options.address, options.calls, options.clients, samples.front().rays, mean_points,
         format_table({{"ms", "p50", "p99"},
                       percentile_row("latency", samples, &LatencySample::latency_ms),
                       percentile_row("waiting in the queue", samples, &LatencySample::queued_ms),

@@ -24,6 +24,7 @@ std::string format_ms(double ms) {
     return fmt::format("{:.{}f}", ms, n_decimals);
 }
 
+/// Returns the title of a phase of BenchResult::phases.
 std::string phase_title(const std::string& phase_id, bool includes_training) {
     const std::string repetition = includes_training ? "complete iteration" : "complete frame";
     if (phase_id == "iteration") return repetition;
@@ -60,8 +61,9 @@ std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std:
         bytes_per_item(memory.training, n_surfels), bytes_per_item(memory.rays, n_rays));
 }
 
-/// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
-/// phase (a group of kernels) is the sum of their bounds.
+/// Returns a lower bound ("floor") for the time of each kernel, in milliseconds: the time
+/// to copy the data that it must read and write. The bound of a phase, a group of
+/// kernels, is the sum of their bounds. Empty if the copy speed is unknown.
 std::map<std::string, double> lower_bounds_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
@@ -84,6 +86,7 @@ std::string format_bounds(const BenchResult& result) {
         *result.copy_bytes_per_s * 1e-9);
 }
 
+/// Returns the times of kernels or phases, each with its lower bound if it has one.
 Json percentiles_json(const std::vector<KernelBenchTime>& rows,
                       const std::map<std::string, double>& min_times_ms) {
     Json json = Json::object();
@@ -110,6 +113,24 @@ Json bounds_json(const BenchResult& result) {
     return json;
 }
 
+/// Returns a table with the times of all kernels, followed by those of the phases.
+TableRows time_rows(const BenchResult& result) {
+    TableRows rows{{"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
+    const std::map<std::string, double> floors_ms = lower_bounds_ms(result);
+    const auto add_row = [&](const std::string& title, const KernelBenchTime& time) {
+        rows.push_back({title, format_ms(time.ms.p10), format_ms(time.ms.median), format_ms(time.ms.p90)});
+        const auto floor = floors_ms.find(time.name);
+        const bool has_floor = floor != floors_ms.end();
+        rows.back().push_back(has_floor ? format_ms(floor->second) : "-");
+        rows.back().push_back(has_floor ? fmt::format("{:.1f}", time.ms.median / floor->second) : "-");
+    };
+    for (const KernelBenchTime& kernel : result.kernels) add_row(kernel.name, kernel);
+    const bool includes_training = result.backward_mrays_per_s.has_value();
+    for (const KernelBenchTime& phase : result.phases)
+        add_row(phase_title(phase.name, includes_training), phase);
+    return rows;
+}
+
 Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
     return {{"peak_bytes", memory.peak},
             {"scene_bytes", memory.scene},
@@ -124,31 +145,20 @@ Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n
 }  // namespace
 
 std::string format_result(const DevCase& setup, const BenchResult& result, const Device& device) {
-    std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", setup.name,
-                                   setup.scene.surfels.size(), setup.rays.size(), setup.rows, setup.columns);
+    const std::size_t n_surfels = setup.scene.surfels.size(), n_rays = setup.rays.size();
     const std::string traversal_variant = device.backend() == RayTracingBackend::software
                                               ? "walk " + mode_name(setup)
                                               : "proxy " + result.proxy;
-    text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
-                        device.info().name, backend_name(device), traversal_variant, setup.config.trace.chunk,
-                        sh_direction_name(setup));
-    text += result.sizes.training ? fmt::format(", {} hits stored per ray, gradients by {}\n",
-                                                result.stored_hits_per_ray, summation_method(result))
-                                  : "\n";
-    std::vector<std::vector<std::string>> rows{
-        {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
-    const std::map<std::string, double> floors = lower_bounds_ms(result);
-    const auto add = [&](const KernelBenchTime& row, const std::string& name) {
-        const auto floor = floors.find(row.name);
-        const bool has_floor = floor != floors.end();
-        rows.push_back({name, format_ms(row.ms.p10), format_ms(row.ms.median), format_ms(row.ms.p90),
-                        has_floor ? format_ms(floor->second) : "-",
-                        has_floor ? fmt::format("{:.1f}", row.ms.median / floor->second) : "-"});
-    };
-    for (const KernelBenchTime& row : result.kernels) add(row, row.name);
-    for (const KernelBenchTime& row : result.phases)
-        add(row, phase_title(row.name, result.backward_mrays_per_s.has_value()));
-    text += "\n" + format_table(rows) +
+    std::string text =
+        fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", setup.name, n_surfels, n_rays,
+                    setup.rows, setup.columns) +
+        fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
+                    device.info().name, backend_name(device), traversal_variant, setup.config.trace.chunk,
+                    sh_direction_name(setup));
+    if (result.sizes.training)
+        text += fmt::format(", {} hits stored per ray, gradients by {}", result.stored_hits_per_ray,
+                            summation_method(result));
+    text += "\n\n" + format_table(time_rows(result)) +
             fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits per ray\n",
                         result.forward_mrays_per_s, result.hits_per_ray);
     if (result.visits)
@@ -156,8 +166,7 @@ std::string format_result(const DevCase& setup, const BenchResult& result, const
                             result.visits->nodes, result.visits->surfels);
     if (result.backward_mrays_per_s)
         text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
-    return text + format_bounds(result) +
-           format_memory(result.memory, setup.scene.surfels.size(), setup.rays.size());
+    return text + format_bounds(result) + format_memory(result.memory, n_surfels, n_rays);
 }
 
 std::string result_json(const DevCase& setup, const BenchSettings& settings, const BenchResult& result,
