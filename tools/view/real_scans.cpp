@@ -44,8 +44,9 @@ void RecordedScans::load_scans() {
         std::vector<int> all(frames_->sequence.frames.size());
         std::iota(all.begin(), all.end(), 0);
         copy_scans(*frames_, all, log);
-        state_ = State::ready;               // From now on, other threads may read the scans.
-    } catch (const std::exception& error) {  // An exception would end the program.
+        state_ = State::ready;  // From now on, other threads may read the scans.
+    } catch (const std::exception& error) {
+        // An exception that leaves the thread would end the program.
         why_ = error.what();
         state_ = State::missing;
     }
