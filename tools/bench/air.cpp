@@ -32,10 +32,12 @@ constexpr std::size_t kPointsPerCast = 4096;  // Number of points whose test ray
 std::array<glm::vec3, kRaysPerPoint> sphere_directions() {
     std::array<glm::vec3, kRaysPerPoint> directions;
     for (std::size_t i = 0; i < kRaysPerPoint; ++i) {
-        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kRaysPerPoint),
-                     azimuth_rad = double(i) * kPi * (3.0 - std::sqrt(5.0));
-        const double r = std::sqrt(1.0 - z * z);
-        directions[i] = {float(r * std::cos(azimuth_rad)), float(r * std::sin(azimuth_rad)), float(z)};
+        // Equal steps of the height z cut the sphere into zones of equal area.
+        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kRaysPerPoint);
+        // The azimuth advances by the golden angle.
+        const double azimuth_rad = double(i) * kPi * (3.0 - std::sqrt(5.0)), radius = std::sqrt(1.0 - z * z);
+        directions[i] = {float(radius * std::cos(azimuth_rad)), float(radius * std::sin(azimuth_rad)),
+                         float(z)};
     }
     return directions;
 }
@@ -58,45 +60,45 @@ struct SimulatedRayRanges {
     }
 };
 
+/// Adds test rays around the point of a simulated ray. They fire at the time of this ray,
+/// because cars of the street move.
+void add_probes(RayTable& probes, const SimulatedRayRanges& simulated, std::size_t ray) {
+    static const std::array<glm::vec3, kRaysPerPoint> directions = sphere_directions();
+    const glm::vec3 point_m = simulated.point_on_ray(ray, simulated.range_m[ray]);
+    for (const float distance_m : {0.0f, kOnSurface_m, kFar_m})
+        for (const glm::vec3& direction : directions) {
+            probes.origin.push_back(point_m + distance_m * direction);
+            probes.direction.push_back(distance_m > 0.0f ? -direction : direction);
+            probes.time_offset_s.push_back(simulated.rays.time_offset_s[ray]);
+            probes.channel.push_back(simulated.rays.channel[ray]);
+        }
+}
+
 /// Returns the distance of each point to the nearest surface of the street at the firing
 /// time of its ray, or infinity. Surfaces are one-sided, and a point may be some
 /// millimetres behind a surface. Therefore test rays are cast from the point in all
 /// directions, and back to it from kOnSurface_m and kFar_m.
-std::vector<float> street_distances(const StreetScanSetup& street_scan,
-                                    const SimulatedRayRanges& simulated_ranges,
+std::vector<float> street_distances(const StreetScanSetup& setup, const SimulatedRayRanges& simulated,
                                     const std::vector<std::size_t>& ray_indices) {
-    static const std::array<glm::vec3, kRaysPerPoint> directions = sphere_directions();
-    std::vector<float> nearest(ray_indices.size(), std::numeric_limits<float>::infinity());
+    std::vector<float> nearest_m(ray_indices.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < ray_indices.size(); first += kPointsPerCast) {
         RayTable probes;
-        std::vector<std::size_t> probe_targets;  // [probes] index into `ray_indices`
+        std::vector<std::size_t> point_of_probe;  // index into `ray_indices`
         for (std::size_t k = first; k < std::min(first + kPointsPerCast, ray_indices.size()); ++k) {
-            const std::size_t i = ray_indices[k];
-            const glm::vec3 point = simulated_ranges.point_on_ray(i, simulated_ranges.range_m[i]);
-            for (const float from_m : {0.0f, kOnSurface_m, kFar_m}) {
-                for (const glm::vec3& direction : directions) {
-                    probes.origin.push_back(point + from_m * direction);
-                    probes.direction.push_back(from_m > 0.0f ? -direction : direction);
-                    probes.time_offset_s.push_back(simulated_ranges.rays.time_offset_s[i]);
-                    probes.channel.push_back(simulated_ranges.rays.channel[i]);
-                    probe_targets.push_back(k);
-                }
-            }
+            add_probes(probes, simulated, ray_indices[k]);
+            point_of_probe.resize(probes.size(), k);
         }
         probes.rows = 1;
-        probes.columns = int(probe_targets.size());
-        const Scan around =
-            cast_street_rays(street_scan.street, probes, street_scan.world_from_sensor, street_scan.time_s);
-        for (std::size_t j = 0; j < probe_targets.size(); ++j) {
-            const std::size_t i = ray_indices[probe_targets[j]];
-            if (around.range_m[j] > 0.0f)
-                nearest[probe_targets[j]] =
-                    std::min(nearest[probe_targets[j]],
-                             glm::distance(around.return_point(j),
-                                           simulated_ranges.point_on_ray(i, simulated_ranges.range_m[i])));
+        probes.columns = int(probes.size());
+        const Scan around = cast_street_rays(setup.street, probes, setup.world_from_sensor, setup.time_s);
+        for (std::size_t probe = 0; probe < probes.size(); ++probe) {
+            if (!(around.range_m[probe] > 0.0f)) continue;
+            const std::size_t k = point_of_probe[probe], ray = ray_indices[k];
+            const glm::vec3 point_m = simulated.point_on_ray(ray, simulated.range_m[ray]);
+            nearest_m[k] = std::min(nearest_m[k], glm::distance(around.return_point(probe), point_m));
         }
     }
-    return nearest;
+    return nearest_m;
 }
 
 struct AirPointCounts {
@@ -104,18 +106,17 @@ struct AirPointCounts {
 
     /// Counts the points of a scan, and how many of them float in empty space. Only
     /// points with a range error are compared with the street, because this is slow.
-    void add_points(const StreetScanSetup& street_scan, const SimulatedRayRanges& simulated_ranges,
+    void add_points(const StreetScanSetup& setup, const SimulatedRayRanges& simulated,
                     const RenderedScan& rendered_scan) {
-        const std::vector<float>& range_m = simulated_ranges.range_m;
+        const std::vector<float>& range_m = simulated.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
             if (!is_ray_returned(rendered_scan.image.drop_prob[i], range_m[i])) continue;
             ++points;
-            if (std::abs(range_m[i] - simulated_ranges.truth.range_m[i]) > kOnSurface_m)
-                doubtful.push_back(i);
+            if (std::abs(range_m[i] - simulated.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : street_distances(street_scan, simulated_ranges, doubtful)) {
+        for (const float d : street_distances(setup, simulated, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
@@ -129,6 +130,8 @@ struct AirPointCounts {
     }
 };
 
+/// Prints, for each pose of the sensor, the shares of floating points: of the points that
+/// are written to files (median ranges), and of the range image (mean ranges).
 void print_air_table(const std::string& run_folder) {
     const Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);

@@ -33,8 +33,8 @@ std::vector<SyntheticCar> list_cars_of_run(const Run& run) {
         const std::string& name = run.scene.models[instance.model].name;
         std::size_t car = 0;
         const char* const end = name.data() + name.size();
-        if (const auto parsed = std::from_chars(name.data(), end, car);
-            parsed.ec != std::errc() || parsed.ptr != end)
+        const auto [stop, error] = std::from_chars(name.data(), end, car);
+        if (error != std::errc() || stop != end)
             throw DataError(
                 fmt::format("the model of track {} has the name \"{}\", expected the number of a car",
                             instance.track, name));
@@ -60,6 +60,8 @@ void print_edited_scores(const std::string& folder) {
         before.push_back(cast_street_rays(street, rays, track, frame.time_s));
         for (Scan* scan : {&frame.scan, &before.back()}) limit_ranges(*scan, limits);
     }
+
+    // A pixel is edited if the exact range differs before and after the edits.
     Device device(apply_environment({}));
     ScanRenderer renderer(device, run);
     std::vector<MetricValues> scores;

@@ -101,6 +101,7 @@ struct RayQueryState {
     }
 };
 
+/// Filter function that Embree calls for each quad that a ray hits.
 void collect_hit(const RTCFilterFunctionNArguments* filter_arguments) {
     RayQueryState& query = *reinterpret_cast<RayQueryState*>(filter_arguments->context);
     query.test_surfel(RTCHitN_primID(filter_arguments->hit, 1, 0));
@@ -109,7 +110,9 @@ void collect_hit(const RTCFilterFunctionNArguments* filter_arguments) {
     filter_arguments->valid[0] = RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.search_end() ? -1 : 0;
 }
 
-/// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
+/// Evaluates the 16 real spherical harmonics up to degree 3
+/// (shaders/scene/gaussian/sh.glsl).
+/// @param basis_values output, 16 numbers
 void sh_basis(const glm::vec3& direction, float* basis_values) {
     const float x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,

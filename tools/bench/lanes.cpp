@@ -28,6 +28,8 @@ namespace {
 using namespace relidar;
 
 constexpr double kSeen_m = 0.1;  // distance from the nearest training return
+// What is scored: standing or moving objects, with or without unseen surfaces.
+constexpr const char* kParts[] = {"static", "actors", "static, seen", "actors, seen"};
 
 /// A scan from a shifted sensor.
 struct LaneScan {
@@ -168,12 +170,17 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
         for (std::size_t ray = 0; ray < points_m.size(); ++ray)
             simulated.scan.range_m[ray] =
                 is_ray_returned(scan.image.drop_prob[ray], points_m[ray]) ? points_m[ray] : 0.0f;
-        const LaneScan a = training.classify_rays(std::move(exact), offset),
-                       b = training.classify_rays(std::move(simulated), offset);
-        for (std::size_t i = 0; i < scores.size(); ++i) scores[i].add_scans(a, b, i % 2 == 1, i / 2 == 1);
+        const LaneScan exact_scan = training.classify_rays(std::move(exact), offset),
+                       simulated_scan = training.classify_rays(std::move(simulated), offset);
+        // The order of kParts.
+        for (std::size_t i = 0; i < scores.size(); ++i) {
+            const bool of_actors = i % 2 == 1, only_seen = i / 2 == 1;
+            scores[i].add_scans(exact_scan, simulated_scan, of_actors, only_seen);
+        }
     }
 }
 
+/// Prints the scores of a sensor that is shifted by up to 3 m to either side.
 void print_lane_table(const std::string& run_folder) {
     Run run = load_run(run_folder);
     run.config = with_max_range(std::move(run.config), run.sequence);
@@ -190,7 +197,6 @@ void print_lane_table(const std::string& run_folder) {
     for (const double left_m : {0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0}) {
         std::array<LaneScore, 4> scores;
         score_lane(renderer, run, street, training, {{1, 0, 0, 0}, {0.0, left_m, 0.0}}, scores);
-        constexpr const char* kParts[] = {"static", "actors", "static, seen", "actors, seen"};
         for (std::size_t i = 0; i < scores.size(); ++i)
             if (LaneScore& score = scores[i]; !score.errors_m.empty())
                 fmt::print("| {:+g} | {} | {} | {:.4f} m | {:.4f} m | {:.3f} | {:.3f} | {:.1f} % |\n", left_m,

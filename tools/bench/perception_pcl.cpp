@@ -65,7 +65,9 @@ void run_odometry(const std::vector<std::string>& files) {
         Cloud aligned;
         gicp.align(aligned, motion);
         motion = gicp.getFinalTransformation();
-        for (int k = 0; k < 12; ++k) std::printf("%.9g%c", motion(k / 4, k % 4), k < 11 ? ' ' : '\n');
+        for (int row = 0; row < 3; ++row)
+            for (int column = 0; column < 4; ++column)
+                std::printf("%.9g%c", motion(row, column), row == 2 && column == 3 ? '\n' : ' ');
         last = next;
     }
 }
@@ -118,6 +120,7 @@ void label_points(const std::string& path) {
     write_ints(path + ".labels", labels);
 }
 
+// Writes the index of the nearest real point of each point of a scan.
 void find_nearest(const std::string& real, const std::string& path) {
     pcl::KdTreeFLANN<pcl::PointXYZ> tree;
     tree.setInputCloud(read_bin(real));

@@ -49,11 +49,11 @@ struct ScanRanges {
 };
 
 ScanRanges return_ranges(const RenderedScan& scan) {
-    ScanRanges r{scan.median_range_m,
-                 scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
-    for (std::size_t i = 0; i < r.range_m.size(); ++i)
-        if (!is_ray_returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
-    return r;
+    ScanRanges ranges{scan.median_range_m,
+                      scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
+    for (std::size_t i = 0; i < ranges.range_m.size(); ++i)
+        if (!is_ray_returned(scan.image.drop_prob[i], ranges.range_m[i])) ranges.range_m[i] = 0.0f;
+    return ranges;
 }
 
 ScanRanges return_ranges(const Scan& scan) {
@@ -67,14 +67,16 @@ ScanRanges return_ranges(const Scan& scan) {
 /// @param exact_returns has only second returns with at least a tenth of the beam's light
 void add_second_return(RigScanScore& score, const ScanRanges& rendered_returns,
                        const ScanRanges& exact_returns, std::size_t ray) {
-    const float is_m = exact_returns.second_m[ray], reported_m = rendered_returns.second_m[ray];
-    const bool right = is_m > 0.0f && reported_m > 0.0f &&
-                       std::min(std::abs(reported_m - is_m),
-                                std::abs(reported_m - exact_returns.range_m[ray])) < kOnSurface_m;
-    score.second_returns += is_m > 0.0f;
-    score.reported += reported_m > 0.0f;
-    score.detected += right;
-    score.invented += reported_m > 0.0f && !right;
+    const float exact_m = exact_returns.second_m[ray], reported_m = rendered_returns.second_m[ray];
+    const bool exists = exact_m > 0.0f, is_reported = reported_m > 0.0f;
+    // Both surfaces are right, because the sensor may report them in either order.
+    const float error_m =
+        std::min(std::abs(reported_m - exact_m), std::abs(reported_m - exact_returns.range_m[ray]));
+    const bool is_right = exists && is_reported && error_m < kOnSurface_m;
+    if (exists) ++score.second_returns;
+    if (is_reported) ++score.reported;
+    if (is_right) ++score.detected;
+    if (is_reported && !is_right) ++score.invented;
 }
 
 /// Compares a scan with the exact scan of the street along the same rays. Range 0 means
@@ -82,26 +84,28 @@ void add_second_return(RigScanScore& score, const ScanRanges& rendered_returns,
 void add_comparison(RigScanScore& score, const ScanRanges& rendered_returns,
                     const ScanRanges& exact_returns) {
     for (std::size_t i = 0; i < exact_returns.range_m.size(); ++i) {
-        const bool returns = rendered_returns.range_m[i] > 0.0f, is_there = exact_returns.range_m[i] > 0.0f;
+        const double rendered_m = rendered_returns.range_m[i], exact_m = exact_returns.range_m[i];
+        const bool returns = rendered_m > 0.0, should_return = exact_m > 0.0;
         ++score.rays;
-        score.drops_right += returns == is_there;
-        if (returns && is_there) {
-            score.errors_m.push_back(
-                std::abs(double(rendered_returns.range_m[i]) - double(exact_returns.range_m[i])));
+        if (returns == should_return) ++score.drops_right;
+        if (returns && should_return) {
+            score.errors_m.push_back(std::abs(rendered_m - exact_m));
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
         if (!exact_returns.second_m.empty()) add_second_return(score, rendered_returns, exact_returns, i);
     }
 }
 
+/// Returns a row of the table: median and root mean square of the range errors, shares of
+/// right drops and of second returns. Sorts the errors.
 std::string format_row(const std::string& name, RigScanScore& score) {
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty()) return fmt::format("| {} | {} | no ray returned |\n", name, score.rays);
-    const std::string seconds = score.second_returns == 0
-                                    ? std::string("– | – | –")
-                                    : fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
-                                                  percentage(score.detected, score.second_returns),
-                                                  percentage(score.invented, score.reported));
+    std::string seconds = "– | – | –";
+    if (score.second_returns > 0)
+        seconds = fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
+                              percentage(score.detected, score.second_returns),
+                              percentage(score.invented, score.reported));
     return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, score.rays,
                        score.errors_m[score.errors_m.size() / 2],
                        std::sqrt(score.squares / double(score.errors_m.size())),
