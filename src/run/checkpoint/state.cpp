@@ -62,6 +62,7 @@ void CheckpointWriter::operator()(const std::string& name, const SurfelArrays& s
     checkpoint_.texts[name + "/" + kPrimitiveKey] = properties_of(surfels.primitive).name;
 }
 
+/// Returns a stored array. Throws unless it has this type and shape.
 const NamedArray& CheckpointReader::checked_array(const std::string& name, const char* dtype,
                                                   const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.array(name);

@@ -56,10 +56,11 @@ std::complex<double> mean_tick_phase(const PolarPoints& beam_points, double enco
                                      double lateral_offset_m, std::size_t point_stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
-    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n)
-        sum += std::polar(
-            1.0, 2.0 * kPi * (beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i]) /
-                     encoder_tick_rad);
+    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride) {
+        const double head_rad = beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i];
+        sum += std::polar(1.0, 2.0 * kPi * head_rad / encoder_tick_rad);
+        ++n;
+    }
     return n > 0 ? sum / double(n) : sum;
 }
 

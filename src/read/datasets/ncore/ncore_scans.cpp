@@ -161,7 +161,7 @@ void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::strin
             fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
                  d.z);
         bundle.direction.push_back(glm::normalize(d));
-        // The subtraction of unsigned numbers wraps like that of signed numbers.
+        // Wraps like signed numbers, so a ray before `time_us` has a negative value.
         const auto late_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
         if (times_us[i] > std::uint64_t(frame.end_us + kMostLate_us) ||
             std::int64_t(times_us[i]) < frame.start_us - kMostLate_us)
