@@ -38,38 +38,54 @@ struct BoxFramePoints {
     std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
 };
 
+/// Returns a point in the frame of a box, between the poses of the box before and after
+/// it.
+SubsampledPoint make_box_point(const BoxTrack& box, const glm::dvec3& local_m, double time_s) {
+    const TrackInterpolation at = box.world_from_box.find_segment(time_s);
+    const std::size_t nearest_pose = at.s < 0.5 ? at.left : at.left + 1;
+    return {.point_m = glm::vec3(local_m),
+            .s = static_cast<float>(at.s),
+            .left = static_cast<std::uint32_t>(at.left),
+            .pose = static_cast<std::uint32_t>(nearest_pose)};
+}
+
+/// Returns the points of a frame inside each box, without points near the ground:
+/// [boxes].
+std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& sequence, const Frame& frame,
+                                                          const std::vector<BoxTrack*>& boxes) {
+    std::vector<std::vector<SubsampledPoint>> points(boxes.size());
+    std::vector<std::size_t> visible_boxes;
+    for (std::size_t b = 0; b < boxes.size(); ++b)
+        if (boxes[b]->is_observed(frame.time_s)) visible_boxes.push_back(b);
+    if (visible_boxes.empty()) return points;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+        const WorldReturn measured = locate_return(sequence, frame, ray);
+        for (const std::size_t b : visible_boxes) {
+            const BoxTrack& box = *boxes[b];
+            if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
+            const glm::dvec3 local_m =
+                inverse(box.world_from_box.pose_at(measured.time_s)) * measured.point_m;
+            if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
+            points[b].push_back(make_box_point(box, local_m, measured.time_s));
+        }
+    }
+    return points;
+}
+
 /// Collects the training returns inside each labelled box.
 /// @return [boxes] points sorted by pose of the box, then by frame and ray
 std::vector<BoxFramePoints> collect_in_boxes(const Log& sequence, const std::vector<int>& train_frames,
                                              const std::vector<BoxTrack*>& actor_boxes) {
-    std::vector<std::vector<std::vector<SubsampledPoint>>> of_frame(train_frames.size());  // [frames][boxes]
+    std::vector<std::vector<std::vector<SubsampledPoint>>> points_of_frames(train_frames.size());
     parallel_for(static_cast<int>(train_frames.size()), [&](int index) {
         const Frame& frame = sequence.frames[std::size_t(train_frames[std::size_t(index)])];
-        of_frame[std::size_t(index)].resize(actor_boxes.size());
-        std::vector<std::size_t> present;
-        for (std::size_t b = 0; b < actor_boxes.size(); ++b)
-            if (actor_boxes[b]->is_observed(frame.time_s)) present.push_back(b);
-        for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
-            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn measured = locate_return(sequence, frame, ray);
-            for (const std::size_t b : present) {
-                const BoxTrack& box = *actor_boxes[b];
-                if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
-                const glm::dvec3 local_m =
-                    inverse(box.world_from_box.pose_at(measured.time_s)) * measured.point_m;
-                if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-                const TrackInterpolation at = box.world_from_box.find_segment(measured.time_s);
-                // interpolation weight, pose before the point, nearest pose
-                of_frame[std::size_t(index)][b].push_back(
-                    {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
-                     static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
-            }
-        }
+        points_of_frames[std::size_t(index)] = find_box_points(sequence, frame, actor_boxes);
     });
     std::vector<BoxFramePoints> actors(actor_boxes.size());
     for (std::size_t b = 0; b < actor_boxes.size(); ++b) {
         BoxFramePoints& actor = actors[b];
-        for (const auto& frame : of_frame)
+        for (const auto& frame : points_of_frames)
             actor.points.insert(actor.points.end(), frame[b].begin(), frame[b].end());
         std::ranges::stable_sort(actor.points, {}, &SubsampledPoint::pose);
         actor.n_of_pose.assign(actor_boxes[b]->world_from_box.pose.size(), 0);
