@@ -152,35 +152,48 @@ void append_return(ScanChannel& points, const ScanChannel& rays, std::size_t ray
     std::visit(append_value, rays.values);
 }
 
+namespace {
+
+/// Fails if the name of a channel is not a word, or if another column has it, too.
+/// @param used_names  names of the other columns; the name is added
+void check_channel_name(const ScanChannel& channel, const std::string& element,
+                        std::set<std::string>& used_names) {
+    const std::string& name = channel.info.name;
+    const auto is_allowed = [](char character) {
+        return character == '_' || (character >= 'a' && character <= 'z') ||
+               (character >= '0' && character <= '9');
+    };
+    if (name.empty() || !std::ranges::all_of(name, is_allowed))
+        fail("channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _", element,
+             quote(name));
+    if (!used_names.insert(name).second)
+        fail("channels of {}: the name {} occurs twice, expected different names", element, name);
+    if (count_values(channel.second) > 0 && !used_names.insert(name + "_2").second)
+        fail(
+            "channels of {0}: the name {1}_2 occurs twice, because the second returns of the channel {1} "
+            "are stored under this name; rename one of the two channels",
+            element, name);
+}
+
+}  // namespace
+
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element) {
     // Names of other columns in the files.
     std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) used_names.insert(basic.name);
-    for (const auto& [info, values, second] : channels) {
-        const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char character) {
-            return character == '_' || (character >= 'a' && character <= 'z') ||
-                   (character >= '0' && character <= '9');
-        });
-        if (!is_word)
-            fail("channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                 element, quote(info.name));
-        if (!used_names.insert(info.name).second)
-            fail("channels of {}: the name {} occurs twice, expected different names", element, info.name);
-        if (count_values(second) > 0 && !used_names.insert(info.name + "_2").second)
-            fail(
-                "channels of {0}: the name {1}_2 occurs twice, because the second returns of the channel {1} "
-                "are stored under this name; rename one of the two channels",
-                element, info.name);
-        if (count_values(values) != size)
+    for (const ScanChannel& channel : channels) {
+        check_channel_name(channel, element, used_names);
+        const std::size_t n_values = count_values(channel.values), n_second = count_values(channel.second);
+        if (n_values != size)
             fail("channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
-                 element, info.name, count_values(values), size);
+                 element, channel.info.name, n_values, size);
         // index() is the type of the values: floats, integers or vectors.
-        if (count_values(second) > 0 && (count_values(second) != size || second.index() != values.index()))
+        const bool has_same_type = channel.second.index() == channel.values.index();
+        if (n_second > 0 && (n_second != size || !has_same_type))
             fail(
                 "channels of {}: the channel {} has {} values{} for second returns, expected {} values of "
                 "the same type as its values for first returns",
-                element, info.name, count_values(second),
-                second.index() == values.index() ? "" : " of another type", size);
+                element, channel.info.name, n_second, has_same_type ? "" : " of another type", size);
     }
 }
 
