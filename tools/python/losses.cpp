@@ -58,7 +58,8 @@ void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, c
 void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch& targets,
                                const LossTermRow& terms) const {
     using shared::DeviceRay, shared::DeviceTarget;
-    // Views of one member of the measured values, and of the rays, of all rays of the batch.
+    // Views of one member of the measured values, and of the rays, of all rays of the
+    // batch.
     const auto target = [&](std::size_t member_bytes) {
         return wrap_rows(device_, targets, *targets.targets, member_bytes);
     };

@@ -84,6 +84,7 @@ struct BloscHeader {
     std::size_t chunk_bytes = 0;  ///< size of the chunk with its header
 };
 
+/// Reads the 16 bytes at the begin of a chunk.
 BloscHeader read_blosc_header(codecs::ByteReader& reader) {
     reader.read_number<std::uint16_t>();  // versions of the format and of the codec
     BloscHeader header;

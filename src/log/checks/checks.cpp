@@ -161,6 +161,7 @@ void test_box_places(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
+/// Counts the returns of a scan, and finds their lowest and highest intensity.
 ReturnStatistics count_returns(const Scan& scan) {
     ReturnStatistics statistics;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {

@@ -80,9 +80,9 @@ std::vector<ImageRay> sample_returns(std::span<const PairedIntensities> images, 
     parallel_for(int(images.size()), [&](int index) {
         const auto image = std::size_t(index);
         for (std::size_t ray = 0; ray < images[image].measured.size(); ++ray) {
+            if (!has_both_returns(images[image], ray)) continue;
             // The seed depends only on the ray, so that threads do not change the choice.
-            const bool is_chosen = Random(hash_pair(image, ray)).sample_uniform() < share;
-            if (is_chosen && has_both_returns(images[image], ray))
+            if (Random(hash_pair(image, ray)).sample_uniform() < share)
                 samples_of_images[image].push_back({std::uint32_t(image), std::uint32_t(ray)});
         }
     });

@@ -76,12 +76,12 @@ SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int
             where, altitude.size(), azimuth.size(), kMostBeams);
     const auto offset_mm = metadata.find("lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
     const double offset_m = offset_mm ? 1e-3 * offset_mm->number() : 0.0;
+    std::pair mode(columns_or_zero, rate_hz_or_zero);
+    if (columns_or_zero == 0) mode = ouster_mode(metadata);
     SpinningSensor sensor;
-    const auto [mode_columns, mode_rate_hz] =
-        columns_or_zero > 0 ? std::pair(columns_or_zero, rate_hz_or_zero) : ouster_mode(metadata);
     sensor.name = name;
-    sensor.columns = mode_columns;
-    sensor.period_s = 1.0 / mode_rate_hz;
+    sensor.columns = mode.first;
+    sensor.period_s = 1.0 / mode.second;
     sensor.first_azimuth_rad = kPi;
     const RangeLimits limits = ouster_limits(metadata);
     sensor.min_range_m = limits.min_m;

@@ -128,17 +128,17 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
             if (cells[cell].empty()) continue;
             const std::optional<CellPlane> plane = fit_cell_plane(cells[cell], beam_offsets_m);
             if (!plane) continue;
-            for (const RawReturn& o : cells[cell]) {
-                const double facing = glm::dot(plane->normal, glm::dvec3(o.direction)),
-                             residual =
-                                 glm::dot(plane->normal, corrected_point(o, beam_offsets_m) - plane->point);
-                if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
+            for (const RawReturn& r : cells[cell]) {
+                const double cosine = glm::dot(plane->normal, glm::dvec3(r.direction));
+                const double residual_m =
+                    glm::dot(plane->normal, corrected_point(r, beam_offsets_m) - plane->point);
+                if (cosine == 0.0 || std::abs(residual_m) > kMaxResidual_m) continue;
                 ++block.n;
-                block.squares += residual * residual;
-                block.fits[o.beam].weight += facing * facing;
+                block.squares += residual_m * residual_m;
+                block.fits[r.beam].weight += cosine * cosine;
                 // The distance of the uncorrected return. Then sum / weight is the total
                 // range offset, which the prior pulls to zero.
-                block.fits[o.beam].sum += facing * (residual + beam_offsets_m[o.beam] * facing);
+                block.fits[r.beam].sum += cosine * (residual_m + beam_offsets_m[r.beam] * cosine);
             }
         }
         return block;
