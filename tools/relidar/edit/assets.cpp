@@ -186,13 +186,13 @@ std::string why_not_saved(const AssetDescription& asset, const ActorObservations
     std::string side_shares;
     for (std::size_t s = 0; s < kBoxSides; ++s)
         side_shares += fmt::format("{}{} {:.2f}", s ? ", " : "", name_of(BoxSide(s)), asset.seen_sides[s]);
-    return fmt::format(
+    std::string reason = fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that rays "
-        "of the log hit: {}{}",
-        asset.covered_share(), min_covered, side_shares,
-        asset.completed > 0.0
-            ? fmt::format("; mirroring completed a share of {:.2f} of its surface", asset.completed)
-            : "");
+        "of the log hit: {}",
+        asset.covered_share(), min_covered, side_shares);
+    if (asset.completed > 0.0)
+        reason += fmt::format("; mirroring completed a share of {:.2f} of its surface", asset.completed);
+    return reason;
 }
 
 /// Returns one track for each model of an actor.

@@ -55,9 +55,9 @@ bool is_file(const fs::path& path) {
 /// Decides which argument is the log and which is the output folder. The parser assigns a
 /// path after --resume to this option, although it may be the log or the folder.
 TrainOptions resolve_paths(TrainOptions options) {
-    if (options.out.empty()) options.out = options.resume_folder;
-    else if (options.dataset.empty())
-        options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
+    const std::string& path = options.resume_folder;
+    if (options.out.empty()) options.out = path;
+    else if (options.dataset.empty() && path != options.out) options.dataset = path;
     if (!options.resume && options.dataset.empty())
         throw UsageError("DATASET is required (see `relidar train --help`)");
     if (options.out.empty())
