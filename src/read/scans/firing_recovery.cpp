@@ -12,6 +12,8 @@
 #include <fmt/format.h>
 #include <Eigen/Dense>
 
+#include <relidar/read/clouds.hpp>
+
 #include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
@@ -439,6 +441,16 @@ void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double
         restore_points(points, azimuth_rad,
                        make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s), recovery);
     else restore_points(points, azimuth_rad, fit_motion(points, azimuth_rad, recovery), recovery);
+}
+
+void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const EncoderTickGrid& ticks,
+                    const FiringRecovery& recovery) {
+    points.time_offset_s.resize(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const double head_rad = azimuth_facing_rad(beams[points.ring[i]], glm::dvec3(points.position_m[i])),
+                     fired_rad = ticks.tick_azimuth_rad(ticks.nearest_tick(head_rad));
+        points.time_offset_s[i] = float(recovery.turn.turn_at(fired_rad) * recovery.sensor.period_s);
+    }
 }
 
 std::string describe_recovery(const FiringRecovery& recovery) {

@@ -13,6 +13,10 @@
 #include <relidar/log/sequence.hpp>
 #include <relidar/read/points.hpp>
 
+namespace relidar {
+struct EncoderTickGrid;
+}
+
 namespace relidar::read {
 
 /// One turn of a head. The unit of shares is a full turn.
@@ -70,6 +74,14 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
 /// Sets the times of points, and moves each point to the sensor frame at its time.
 /// @param points  points with the rings that `recovery` was made of
 void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s);
+
+/// Sets the times of restored points to the times at which the head fired. Datasets
+/// compensate with the azimuths of points, but a beam can look many degrees beside the
+/// head. At the start of the sweep, its points then belong to the other end.
+/// @param points  points with the indices of `beams` as rings
+/// @param ticks   azimuths at which the head fires
+void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const EncoderTickGrid& ticks,
+                    const FiringRecovery& recovery);
 
 /// Tests whether points with times were moved to a common time, with the poses of the
 /// log. Compares the elevations of each ring before and after the motion is undone.

@@ -220,7 +220,10 @@ private:
         if (plan.order) plan.order->number_rings(points);
         if (plan.has_rings || plan.order) map_rings(points, plan, frame_index);
         else assign_rings(points, plan.sensor.beams);
-        frame.scan = spinning_scan(points, plan.sensor, fit_even_sweep(points, plan.sensor));
+        const SweepFirings sweep = fit_even_sweep(points, plan.sensor);
+        if (const auto& firings = firings_[std::size_t(frame.lidar)])
+            set_head_times(points, plan.sensor.beams, sweep.lattice, firings->recovery);
+        frame.scan = spinning_scan(points, plan.sensor, sweep);
         PointCounts& counts = counts_[frame_index];
         counts.first = count_firsts(points);
         counts.behind = counts.first - std::min(counts.first, frame.scan.count_returns());

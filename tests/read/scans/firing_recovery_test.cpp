@@ -8,6 +8,7 @@
 
 #include <gtest/gtest.h>
 
+#include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 
 #include "base/median.hpp"
@@ -190,6 +191,27 @@ TEST(FiringRecovery, AcceptsHalfASweep) {
     // The start is in the gap behind the sensor, so it is not known, but the times are.
     expect_recovered({.turn = {true, kPi, 0.5}, .view_rad = kPi / 1.5}, true, 2e-3);
     expect_recovered({.turn = {true, kPi, 0.0}, .view_rad = kPi / 1.5}, false, 0.02);
+}
+
+/// Both beams of a firing look far beside the head, so their azimuths give wrong times,
+/// and the wrong end of the sweep near its start.
+TEST(FiringRecovery, TimesAreThoseOfTheHead) {
+    const std::vector<Beam> beams = {{.azimuth_offset_rad = 0.15}, {.azimuth_offset_rad = -0.15}};
+    const EncoderTickGrid ticks{.n_ticks = 2000, .zero_rad = 0.001};
+    FiringRecovery recovery;
+    recovery.sensor.period_s = kPeriod_s;
+    LidarPoints points;
+    std::vector<double> expected_s;
+    for (const double head_rad : {3.1, 1.5, 0.0, -2.0, -3.1})
+        for (const std::uint16_t ring : {0, 1}) {
+            const double azimuth_rad = head_rad + beams[ring].azimuth_offset_rad;
+            points.position_m.emplace_back(9.0 * std::cos(azimuth_rad), 9.0 * std::sin(azimuth_rad), 0.0);
+            points.ring.push_back(ring);
+            expected_s.push_back(-head_rad / (2.0 * kPi) * kPeriod_s);
+        }
+    read::set_head_times(points, beams, ticks, recovery);
+    for (std::size_t i = 0; i < points.size(); ++i)
+        EXPECT_NEAR(double(points.time_offset_s[i]), expected_s[i], kPeriod_s / ticks.n_ticks);
 }
 
 TEST(FiringRecovery, KeepsLogsWithoutClearOptimum) {

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -71,8 +72,8 @@ BeamCones correct_rings(std::vector<RingScan>& scans, const std::string& where) 
 
 /// Moves the points of motion-compensated scans back to their firing times, if they show
 /// how the head turned. Adds a note and sets the rolling shutter then.
-void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, const std::string& scan_folder,
-                    bool has_poses) {
+std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans,
+                                                   const std::string& scan_folder, bool has_poses) {
     // The motion of a sweep needs the right beams. Compensation moves points by less than
     // the distance of two beams.
     correct_rings(raw_scans, scan_folder);
@@ -83,8 +84,8 @@ void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, const std::
                 {to_lidar_points(*scan), sequence.frames[std::size_t(scan - raw_scans.data())].time_s});
     read::CompensatedSensor sensor{read::find_sweep_s(sequence, {.lidars = {{}}}, 0), {}, kEncoderTicks};
     if (has_poses) sensor.world_from_sensor = sequence.lidar_track(0);
-    const std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
-    if (!recovery) return;
+    std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
+    if (!recovery) return recovery;
     parallel_for(int(raw_scans.size()), [&](int index) {
         RingScan& scan = raw_scans[std::size_t(index)];
         LidarPoints points = to_lidar_points(scan);
@@ -97,6 +98,7 @@ void recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans, const std::
     sequence.lidars[0].sensor.period_s = sensor.period_s;
     sequence.lidars[0].sensor.clockwise = recovery->turn.clockwise;
     sequence.notes.push_back(read::describe_recovery(*recovery));
+    return recovery;
 }
 
 /// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
@@ -221,9 +223,10 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
+    std::optional<read::FiringRecovery> recovery;
     if (!sequence.rolling_shutter) {
         if (options.rolling_shutter)
-            recover_sweeps(sequence, raw, scan_folder.string(), options.poses_file != kNoPoses);
+            recovery = recover_sweeps(sequence, raw, scan_folder.string(), options.poses_file != kNoPoses);
         if (!sequence.rolling_shutter)
             sequence.notes.push_back(
                 "the scans are motion-compensated, so all rays start at the position of the sensor at the "
@@ -233,6 +236,7 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
     check_ray_counts(raw, lattice, scan_folder.string());
 
+    const std::vector<Beam> beams = lattice.make_beams(cones);
     std::vector<read::FiredSweep> sweeps(raw.size());
     progress_for(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
         broken.guard(at, [&] {
@@ -243,13 +247,14 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
                     "of an HDL-64E",
                     file_of(at).string(), raw[at].points.size());
             sweeps[at] = {to_lidar_points(raw[at]), {lattice.head, std::move(firings)}};
+            if (recovery) read::set_head_times(sweeps[at].points, beams, lattice.head, *recovery);
         });
         raw[at] = {};
     });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
     sensor.max_range_m = options.max_range_m;
-    sensor.beams = lattice.make_beams(cones);
+    sensor.beams = beams;
     read::set_fired_scans(sequence, sweeps, progress);
     broken.remove_broken(sequence);
 }
