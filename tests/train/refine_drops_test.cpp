@@ -135,6 +135,51 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     EXPECT_GT(compute_exact_accuracy(renderer, options, run, sensor), before);
 }
 
+/// Mean drop probability of the rays of even (0) or odd (1) beams that hit a car in the
+/// held-out frames.
+double measure_car_drops(Device& device, const Run& run, const SimulatedSensor& sensor, int parity) {
+    ScanRenderer renderer(device, run);
+    double n = 0.0, sum = 0.0;
+    for (const int position : run.split.test) {
+        const RenderedScan scan = renderer.render(sensor, run.sequence.frames[std::size_t(position)].time_s);
+        for (std::size_t i = 0; i < scan.instance.size(); ++i) {
+            if (scan.instance[i] <= 0 || scan.ring[i] % 2 != parity || scan.weight[i] < 0.9f) continue;
+            n += 1.0;
+            sum += double(scan.image.drop_prob[i]);
+        }
+    }
+    EXPECT_GT(n, 50.0);
+    return sum / n;
+}
+
+/// Cars are so dark that half of the rays return: those of even beams. Surfels cannot
+/// represent this, because beams of both kinds hit each of them.
+TEST_F(RefineDrops, BeamsThatAreTooWeakForCarsDropThere) {
+    relidar::Run run = make_weak_run(device());
+    run.config.refine.epochs = 1;
+    run.config.refine.rate = 1e-9;  // the network itself corrects nothing
+    for (std::size_t m = 1; m < run.scene.models.size(); ++m) {
+        const SurfelModel& car = run.scene.models[m];
+        const auto first = run.scene.surfels.sh.begin() + std::ptrdiff_t(std::size_t(car.first) * kShFloats);
+        for (std::size_t i = 0; i < std::size_t(car.count) * kShFloats; ++i)
+            if (i % kShFloats >= 16) first[std::ptrdiff_t(i)] = 0.0f;  // equal hit and drop logits
+    }
+    SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
+    ScanRenderer renderer(device(), run);
+    for (Frame& frame : run.sequence.frames) {
+        const RenderedScan scan = renderer.render(sensor, frame.time_s);
+        for (std::size_t i = 0; i < scan.instance.size(); ++i)
+            if (scan.instance[i] > 0) frame.scan.range_m[i] = scan.ring[i] % 2 == 1 ? 0.0f : 10.0f;
+    }
+    EXPECT_NEAR(measure_car_drops(device(), run, sensor, 1), 0.5, 0.1);
+    run.drop_network = train_drops(device(), run);
+    // Few rays of each beam hit the cars, so the prior keeps the values small.
+    EXPECT_GT(measure_car_drops(device(), run, sensor, 1), 0.2 + measure_car_drops(device(), run, sensor, 0));
+    sensor.is_log_lidar = false;
+    EXPECT_NEAR(measure_car_drops(device(), run, sensor, 1), measure_car_drops(device(), run, sensor, 0), 0.1)
+        << "a sensor with other lasers";
+}
+
 TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     relidar::Run run = make_weak_run(device());
     run.config.sensor.grid = "kitti360";

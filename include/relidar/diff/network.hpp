@@ -79,6 +79,10 @@ struct RayDropNetwork {
     std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of inference.
     /// Running means and variances of the normalisation layers, used during inference.
     std::vector<float> running;
+    /// Added to the drop logit of rays that hit an actor, before the network reads it,
+    /// [beams of the log]. Lasers differ in sensitivity, which decides whether dark paint
+    /// returns. Empty = 0.
+    std::vector<float> actor_logits = {};
 
     bool empty() const { return parameters.empty(); }
     int min_image_size() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }

@@ -3,11 +3,12 @@
 // rendered ray (docs/method.md, M6). The drop probability is the probability that the ray
 // has no return:
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))
-// hit and drop are the two logits. sees is the probability that the sensor itself does
-// not drop the return. If the ray hit nothing within the sensor's range limits, drop_prob
-// is 1. Such a ray never returns, because later kernels keep the value 1. The same holds
-// for a ray that hits an actor, unless surfaces absorb at least half of its light. So an
-// actor has the same outline, whether something is behind it or not. One thread per ray.
+// hit and drop are the two logits. On an actor, drop contains actor_logit of the beam.
+// sees is the probability that the sensor itself does not drop the return. If the ray hit
+// nothing within the sensor's range limits, drop_prob is 1. Such a ray never returns,
+// because later kernels keep the value 1. The same holds for a ray that hits an actor,
+// unless surfaces absorb at least half of its light. So an actor has the same outline,
+// whether something is behind it or not. One thread per ray.
 // Input: rays, fired, rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -66,7 +67,7 @@ void main() {
     RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
     uint channel = params.rays.at[i].channel;
     // Channels without calibration have gain 1 and no offsets.
-    SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
+    SensorBeam beam = SensorBeam(0.0, 1.0, 0.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     // A median exists only if surfaces absorb at least half of the light.
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
@@ -80,7 +81,8 @@ void main() {
     m.intensity =
         clamp(beam.intensity_gain * falloff_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     // Probability of a return, from the sensor (sees) and from the two logits.
-    float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
+    float drop_logit = r.drop_logit + (r.instance == kBackgroundInstance ? 0.0 : beam.actor_logit);
+    float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - drop_logit)));
     // A ray that hits an actor needs a median, so that the outline of the actor does
     // not depend on the surface behind it.
     bool can_return = dominated || (is_met && r.instance == kBackgroundInstance);

@@ -44,6 +44,7 @@ struct SensorBeam {
     float range_offset_m;
     float intensity_gain;
     float intensity_offset;
+    float actor_logit;  // added to the drop logit of a ray that hits an actor
 };
 RELIDAR_DECLARE_POINTER(SensorBeams, SensorBeam);
 
@@ -76,8 +77,8 @@ struct MeasureRaysParams {
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
     RenderedSurfaces surfaces;  // Input [n_surfaces]: surface that each ray hit, or one entry of zeros.
-    // Input [n_beams]: range offset, intensity gain and intensity offset by beam number.
-    // Beams without an entry have the offsets 0 and the gain 1.
+    // Input [n_beams]: calibration by beam number. Beams without an entry have offsets of
+    // 0 and the gain 1.
     SensorBeams beams;
     // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
     // the array is empty.

@@ -11,6 +11,7 @@ namespace relidar {
 namespace {
 
 constexpr const char* kNetworkFormat = "relidar drop network";
+constexpr const char* kActorLogits = "actor_logits";
 
 /// Reads the shape of a ray-drop network from JSON: kind of images, names of the inputs,
 /// channels of each level (widths), heads of the attention, and filter size (taps).
@@ -41,11 +42,12 @@ void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& 
     const nlohmann::ordered_json shape = {{"image", network.image},   {"inputs", network.inputs},
                                           {"widths", network.widths}, {"heads", network.heads},
                                           {"taps", network.taps},     {"residual", int(network.residual)}};
-    files::write_array_file(
-        path,
-        {make_vector_array("normalisation", network.normalisation),
-         make_vector_array("parameters", network.parameters), make_vector_array("running", network.running)},
-        kNetworkFormat, {{"shape", shape.dump()}});
+    std::vector arrays{make_vector_array("normalisation", network.normalisation),
+                       make_vector_array("parameters", network.parameters),
+                       make_vector_array("running", network.running)};
+    if (!network.actor_logits.empty())
+        arrays.push_back(make_vector_array(kActorLogits, network.actor_logits));
+    files::write_array_file(path, arrays, kNetworkFormat, {{"shape", shape.dump()}});
 }
 
 /// Loads a ray-drop network: its shape from the metadata, and three arrays of numbers.
@@ -60,6 +62,11 @@ RayDropNetwork load_drop_network(const std::filesystem::path& path) {
                                        {"running", &network.running}}) {
         const std::vector<double> numbers = file.find_numbers(name, "f4");
         values->assign(numbers.begin(), numbers.end());
+    }
+    // Networks of other runs do not have it.
+    if (find_array(file.arrays, kActorLogits)) {
+        const std::vector<double> logits = file.find_numbers(kActorLogits, "f4");
+        network.actor_logits.assign(logits.begin(), logits.end());
     }
     return network;
 }

@@ -97,6 +97,17 @@ WeatherSensorProperties weather_properties(const Config& config, const RayTable&
     return result;
 }
 
+/// Returns RayDropNetwork::actor_logits of the beams of a sensor. Only sensors of the log
+/// have the lasers that the network knows.
+std::vector<float> actor_logits_of(const RayDropNetwork* network, const Log& log,
+                                   const SimulatedSensor& sensor) {
+    std::vector<float> logits;
+    if (!network || !sensor.is_log_lidar) return logits;
+    for (std::uint16_t k = 0; const auto beam = log.find_global_beam(sensor.lidar, k); ++k)
+        if (*beam < network->actor_logits.size()) logits.push_back(network->actor_logits[*beam]);
+    return logits;
+}
+
 }  // namespace
 
 Pose RenderedScan::firing_pose(std::size_t ray) const {
@@ -176,7 +187,8 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanR
     renderer.record_forward(recorded->world_batch());
     recorded->record_measure(
         renderer.stream(), renderer.last_batch(),
-        {config.render.range, sensor.beams, sweeps.sequence().intensity_response, sensor.limits, kMinWeight});
+        {config.render.range, sensor.beams, sweeps.sequence().intensity_response, sensor.limits, kMinWeight,
+         actor_logits_of(lanes->drop_network(), sweeps.sequence(), sensor)});
     if (with_drop)
         recorded->record_drop(
             renderer.stream(), lanes->refiner_of(lane).inference(),

@@ -164,10 +164,13 @@ RayBatch DeviceSensorRays::world_batch() const {
 void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch,
                                       const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
-    for (const Beam& beam : options.beams)
+    for (std::size_t k = 0; k < std::max(options.beams.size(), options.actor_logits.size()); ++k) {
+        const Beam beam = find_beam(options.beams, k);
         beams.push_back({.range_offset_m = float(beam.range_offset_m),
                          .intensity_gain = float(beam.intensity_gain),
-                         .intensity_offset = float(beam.intensity_offset)});
+                         .intensity_offset = float(beam.intensity_offset),
+                         .actor_logit = k < options.actor_logits.size() ? options.actor_logits[k] : 0.0f});
+    }
     // range (x) and factor (y) of each point of the response curve
     std::vector<glm::vec2> response;
     for (std::size_t k = 0; k < options.response.factor.size(); ++k)

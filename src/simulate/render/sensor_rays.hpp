@@ -22,6 +22,7 @@ struct RayMeasurementOptions {
     RangeLimits limits;
     /// a ray hits nothing if the sum of its blending weights is below this value
     float min_weight;
+    std::vector<float> actor_logits = {};  ///< RayDropNetwork::actor_logits of these beams
 };
 
 class DeviceSensorRays {

@@ -5,8 +5,10 @@
 #include <fmt/format.h>
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <functional>
 #include <map>
+#include <numeric>
 #include <optional>
 
 #include <relidar/diff/network.hpp>
@@ -43,6 +45,9 @@ std::vector<ConfigKey> list_network_settings(const Config& config) {
     std::erase_if(settings, [](const ConfigKey& key) { return !affects_network(key.key); });
     return settings;
 }
+
+// Standard deviation of the drop logits of beams on actors, before they are measured.
+constexpr double kActorLogitSigma = 0.5;
 
 bool uses_grid_rays(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
@@ -107,19 +112,38 @@ std::vector<int> select_frames(const Config& config, const Log& log, const std::
     return most_frames;
 }
 
-/// Renders a training frame as input of the network, and adds its measured drops.
-/// @param image_number number of images so far; selects the stripes of a single-pixel
-/// network
-RayDropImage render_image(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
-                          const IgnoredMeasurements& masks, std::size_t image_number) {
+/// A pixel of a training image whose ray hits an actor and whose drop is known.
+struct ActorPixel {
+    std::size_t image, pixel;
+    std::uint16_t beam;  ///< among the beams of all LiDARs
+};
+
+struct TrainingImages {
+    std::vector<RayDropImage> images;
+    std::vector<ActorPixel> actor_pixels;
+
+    /// Adds the pixels of the last image, which was made of `scan`.
+    void add_actor_pixels(const Log& log, int lidar, const RenderedScan& scan) {
+        for (std::size_t i = 0; i < scan.instance.size(); ++i) {
+            const auto beam = log.find_global_beam(lidar, scan.ring[i]);
+            if (scan.instance[i] > 0 && beam && images.back().dropped[i] >= 0.0f)
+                actor_pixels.push_back({.image = images.size() - 1, .pixel = i, .beam = *beam});
+        }
+    }
+};
+
+/// Renders a training frame as input of the network, and adds it with its measured drops.
+void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run, const Config& config,
+               const Frame& frame, const IgnoredMeasurements& masks) {
     SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
     // A network of single pixels needs no neighbours, so stripes of each image suffice.
     const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
     const int interval = uses_stripes ? choose_interval(sensor.rays) : 1;
-    const ImageStripes stripes(interval, sensor.rays, image_number);
+    const ImageStripes stripes(interval, sensor.rays, training.images.size());
     sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
     const RenderedScan scan = renderer.render(sensor, frame.time_s);
-    RayDropImage image = make_drop_image(scan, channel_names(config.refine), first_position(run.sequence));
+    RayDropImage& image = training.images.emplace_back(
+        make_drop_image(scan, channel_names(config.refine), first_position(run.sequence)));
 
     std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
     if (uses_grid_rays(config)) dropped = drops_to_grid(config, frame, dropped);
@@ -128,12 +152,13 @@ RayDropImage render_image(ScanRenderer& renderer, const Run& run, const Config& 
     // not change them.
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (scan.image.drop_prob[i] == 1.0f) image.dropped[i] = -1.0f;
-    return image;
+    // A ray of a grid has no laser.
+    if (!uses_grid_rays(config)) training.add_actor_pixels(run.sequence, frame.lidar, scan);
 }
 
-/// Renders the training images of the network. Returns an empty list if the user stopped.
-std::vector<RayDropImage> render_images(Device& device, const Run& run, const Config& config,
-                                        const RayDropTrainingSession& session) {
+/// Renders the training images of the network. Returns no image if the user stopped.
+TrainingImages render_images(Device& device, const Run& run, const Config& config,
+                             const RayDropTrainingSession& session) {
     const std::vector<int> positions =
         select_evenly(select_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
@@ -144,16 +169,55 @@ std::vector<RayDropImage> render_images(Device& device, const Run& run, const Co
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
     if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");
-    std::vector<RayDropImage> images;
+    TrainingImages result;
     for (const int position : positions) {
         if (session.progress)
-            session.progress("rendering training frames", double(images.size()) / double(positions.size()));
+            session.progress("rendering training frames", double(result.images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        images.push_back(render_image(renderer, run, config, frame, masks, images.size()));
+        add_image(result, renderer, run, config, frame, masks);
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
-    return images;
+    return result;
+}
+
+/// Estimates RayDropNetwork::actor_logits from the measured drops, and adds them to the
+/// drop logits of the images. The values maximise a posterior with a normal prior of
+/// deviation kActorLogitSigma. An error that all beams share remains for the network,
+/// which corrects it on all surfaces.
+std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<std::string>& inputs,
+                                    std::size_t n_beams) {
+    constexpr int kNewtonSteps = 40;
+    constexpr double kMaxStep = 0.5;  // a longer step could overshoot where the curvature is small
+    constexpr double kPrior = 1.0 / (kActorLogitSigma * kActorLogitSigma);
+    const auto channel = std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
+    const auto logit = [&](const ActorPixel& p) -> float& {
+        RayDropImage& image = training.images[p.image];
+        return image.channels[channel * image.dropped.size() + p.pixel];
+    };
+    double shared = 0.0;  // error of all beams
+    std::vector<double> offsets(n_beams, 0.0);
+    for (int step = 0; step < kNewtonSteps; ++step) {
+        std::vector<double> slope(n_beams), curvature(n_beams);  // of the log-likelihood
+        for (const ActorPixel& p : training.actor_pixels) {
+            const double drop = 1.0 / (1.0 + std::exp(-double(logit(p)) - shared - offsets[p.beam]));
+            slope[p.beam] += double(training.images[p.image].dropped[p.pixel]) - drop;
+            curvature[p.beam] += drop * (1.0 - drop);
+        }
+        // Moves the shared error and the offsets in turn, because each changes the other.
+        if (step % 2 == 0) {
+            const double sum = std::accumulate(slope.begin(), slope.end(), 0.0);
+            shared += std::clamp(sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9), -kMaxStep,
+                                 kMaxStep);
+            continue;
+        }
+        for (std::size_t k = 0; k < n_beams; ++k)
+            offsets[k] +=
+                std::clamp((slope[k] - kPrior * offsets[k]) / (curvature[k] + kPrior), -kMaxStep, kMaxStep);
+    }
+    const std::vector<float> result(offsets.begin(), offsets.end());
+    for (const ActorPixel& p : training.actor_pixels) logit(p) += result[p.beam];
+    return result;
 }
 
 /// @throws DataError if the checkpoint is not from the training of a network
@@ -183,9 +247,15 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     // The network learns the drops of single rays.
     config.sensor.sub_rays = config.sensor.returns = 1;
     begin_stage(session.stages, "network's images");
-    const std::vector<RayDropImage> images = render_images(device, run, config, session);
+    TrainingImages training = render_images(device, run, config, session);
     begin_stage(session.stages, "network");
+    const std::vector<RayDropImage>& images = training.images;
     if (images.empty()) return {};
+    // The network of the paper does not add its output to the rendered logit.
+    const std::vector<float> actor_logits =
+        config.refine.network == "paper" || training.actor_pixels.empty()
+            ? std::vector<float>{}
+            : fit_actor_logits(training, channel_names(config.refine), run.sequence.count_beams());
     CheckpointFolder checkpoints(
         session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
         run.config.train.checkpoint_minutes, session.note,
@@ -210,6 +280,7 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     RayDropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,
                                                 start ? &*start : nullptr);
     if (uses_grid_rays(config)) network.image = config.sensor.grid;
+    network.actor_logits = actor_logits;
     return stopped ? RayDropNetwork{} : network;
 }
 

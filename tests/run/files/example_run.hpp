@@ -38,6 +38,7 @@ inline RayDropNetwork make_example_network() {
     network.normalisation = {1.0f / 3.0f, -2.0f, 1e-20f, 0.0f, 5.0f, 6.0f};
     for (int i = 0; i < 1000; ++i) network.parameters.push_back(std::sin(float(i)) / 3.0f);
     network.running = {0.1f, 0.2f};
+    network.actor_logits = {0.5f, -1.0f / 3.0f};
     return network;
 }
 

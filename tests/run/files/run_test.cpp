@@ -53,8 +53,10 @@ void expect_equal(const Pose& first, const Pose& second) {
 // Tuples of all members. A new member of a struct does not compile until it is added
 // here.
 auto members(const RayDropNetwork& network) {
-    const auto& [image, inputs, widths, heads, taps, residual, normalisation, parameters, running] = network;
-    return std::tie(image, inputs, widths, heads, taps, residual, normalisation, parameters, running);
+    const auto& [image, inputs, widths, heads, taps, residual, normalisation, parameters, running,
+                 actor_logits] = network;
+    return std::tie(image, inputs, widths, heads, taps, residual, normalisation, parameters, running,
+                    actor_logits);
 }
 auto members(const IntensityScatterModel::DecisionTreeNode& node) {
     const auto& [feature, at, child, first, count] = node;

@@ -106,8 +106,8 @@ struct Expected {
     double range_m, median_m, mean_m, intensity, drop_prob;
 };
 
-Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, double sees, double mode_m,
-                          const RayMeasurementOptions& options) {
+Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, double actor_logit, double sees,
+                          double mode_m, const RayMeasurementOptions& options) {
     const double weight = ray.weight, normalised = ray.depth / weight, median = ray.median_depth;
     double chosen = options.range == "median" && median > 0.0 ? median : normalised;
     if (options.range == "mode") chosen = mode_m;
@@ -117,7 +117,8 @@ Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, doub
     Expected e{beam.to_measured_range_m(chosen), beam.to_measured_range_m(surface),
                beam.to_measured_range_m(median > 0.0 ? normalised : surface),
                beam.to_measured_intensity(ray.intensity, options.response.range_factor(surface)), 0.0};
-    const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
+    const double hit = std::exp(double(ray.hit_logit)),
+                 drop = std::exp(double(ray.drop_logit) + (ray.instance == 0u ? 0.0 : actor_logit));
     // An actor needs half of the light, the background only the minimum weight.
     const bool is_met = weight >= (ray.instance == 0u ? double(options.min_weight) : 0.5) &&
                         e.range_m > 0.0 && e.median_m > 0.0;
@@ -151,7 +152,10 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     firing.submit_and_wait();
     const std::vector<DeviceRay> fired = on_device.world_batch().rays->download();
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
-        const RayMeasurementOptions how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
+        // The third beam has a logit, but no calibration.
+        const std::vector<float> actor_logits = {1.25f, 0.0f, -2.0f};
+        const RayMeasurementOptions how{range, beams,       response, {range == "median" ? 0.0 : 0.9, 80.0},
+                                        1e-3f, actor_logits};
         Stream stream(device());
         on_device.record_measure(
             stream, {.rays = on_device.world_batch(), .rendered = &rendered, .surfaces = &surfaces}, how);
@@ -159,8 +163,9 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
-            const Expected e = compute_expected(rendering[i], find_beam(beams, rays.channel[i]),
-                                                1.0 - double(never(i)), of_rays[i].mode, how);
+            const Expected e =
+                compute_expected(rendering[i], find_beam(beams, rays.channel[i]),
+                                 actor_logits[rays.channel[i]], 1.0 - double(never(i)), of_rays[i].mode, how);
             EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
             EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
             EXPECT_NEAR(m.mean_range_m, e.mean_m, 2e-5) << range << i;
