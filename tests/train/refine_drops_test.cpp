@@ -173,6 +173,20 @@ TEST_F(RefineDrops, BeamsThatAreTooWeakForCarsDropThere) {
     }
     EXPECT_NEAR(measure_car_drops(device(), run, sensor, 1), 0.5, 0.1);
     run.drop_network = train_drops(device(), run);
+    // Rays of even beams all return, so their values are negative, those of odd beams
+    // positive. In the optimum, the derivative by the error that all beams share is 0, and
+    // so is the sum of the values, because the prior is the same for each beam.
+    const std::vector<float>& logits = run.drop_network.actor_logits;
+    ASSERT_EQ(logits.size(), run.sequence.count_beams());
+    double sum = 0.0, size = 0.0;
+    for (std::size_t beam = 0; beam < logits.size(); ++beam) {
+        const double towards_drop = beam % 2 == 1 ? logits[beam] : -logits[beam];
+        EXPECT_GE(towards_drop, 0.0) << beam;
+        sum += logits[beam];
+        size += towards_drop;
+    }
+    EXPECT_GT(size, 0.0);
+    EXPECT_NEAR(sum, 0.0, 0.01 * size);
     // Few rays of each beam hit the cars, so the prior keeps the values small.
     EXPECT_GT(measure_car_drops(device(), run, sensor, 1), 0.2 + measure_car_drops(device(), run, sensor, 0));
     sensor.is_log_lidar = false;

@@ -172,7 +172,8 @@ TrainingImages render_images(Device& device, const Run& run, const Config& confi
     TrainingImages result;
     for (const int position : positions) {
         if (session.progress)
-            session.progress("rendering training frames", double(result.images.size()) / double(positions.size()));
+            session.progress("rendering training frames",
+                             double(result.images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         add_image(result, renderer, run, config, frame, masks);
         if (session.stop && session.stop()) return {};

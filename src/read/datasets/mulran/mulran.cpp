@@ -187,7 +187,7 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
                          .world_from_vehicle = {},
                          .poses_file = folder / "global_pose.csv",
                          .most_gap_s = kMostGap_s,
-                         .reach_s = 0.5 * kRevolution_s};  // the stamp is the middle of a sweep
+                         .pose_margin_s = 0.5 * kRevolution_s};  // the stamp is the middle of a sweep
     read::check_pose_source(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
