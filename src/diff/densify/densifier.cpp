@@ -89,35 +89,37 @@ struct Densifier::Impl {
 };
 
 /// Runs the kernel that chooses an action for each surfel (keep, clone, split, drop).
-/// Waits for it and returns its counters for each model.
+/// Waits for it and returns how many surfels of each model got each action.
 ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
-    const SurfelStatistics& s = arrays.statistics;
-    const std::vector<float> extents(extents_m.begin(), extents_m.end());
+    const SurfelStatistics& statistics = arrays.statistics;
+    // Sizes of the models in metres. The limits of surfel sizes are shares of them.
+    const std::vector<float> model_extents(extents_m.begin(), extents_m.end());
     // Large surfels are dropped only after step `large_from`.
     const float max_extent_share =
         step > options.large_from ? float(options.max_extent_share) : std::numeric_limits<float>::infinity();
     stream.fill(counters);
     relidar::run(stream, classify, scene.size(),
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
-                  .gradient_sum = s.gradient_sum.address(),
-                  .n_seen = s.n_observing_batches.address(),
+                  .gradient_sum = statistics.gradient_sum.address(),
+                  .n_seen = statistics.n_observing_batches.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.model_table().address(),
-                  .extents = stream.impl().stage_values(extents).cast_tag<shared::ModelExtents>(),
+                  .extents = stream.impl().stage_values(model_extents).cast_tag<shared::ModelExtents>(),
                   .min_opacity = min_opacity,
                   .max_extent_share = max_extent_share,
                   .clone_extent_share = float(options.clone_extent_share),
                   .gradient_threshold = float(options.gradient_threshold),
                   .n_surfels = scene.size(),
-                  .n_models = std::uint32_t(extents.size()),
+                  .n_models = std::uint32_t(model_extents.size()),
                   .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
-    const std::vector<std::uint32_t> values = counters.download();
-    ModelCounts counts(extents.size());
-    for (std::size_t i = 0; i < values.size(); ++i)
-        counts[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
+    const std::vector<std::uint32_t> values = counters.download();  // [models, counters]
+    ModelCounts counts(model_extents.size());
+    for (std::size_t model = 0; model < counts.size(); ++model)
+        for (std::size_t k = 0; k < RELIDAR_DENSIFY_COUNTERS; ++k)
+            counts[model][k] = values[model * RELIDAR_DENSIFY_COUNTERS + k];
     return counts;
 }
 
@@ -162,8 +164,8 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, 
         const std::uint32_t target = n_before + growth;
         const double reserved_bytes = reserved_bytes_per_surfel * target;
         if (target > arrays.capacity()) {
-            // Tries up to 1.5 times the memory, so that the next densifications need no
-            // allocation.
+            // Tries up to 1.5 times the present memory first, so that the next
+            // densifications need no allocation.
             const std::uint32_t max_surfels = std::max(std::uint32_t(options.max_surfels), target);
             const auto generous = std::uint32_t(std::min(1.5 * arrays.capacity(), double(max_surfels)));
             error = try_reserve(scene, adam, std::max(target, generous), reserved_bytes);
@@ -182,11 +184,12 @@ void Densifier::Impl::rearrange_surfels(Stream& stream, DeviceScene& scene, Adam
                                         const GrowthPlan& plan) {
     const std::uint32_t n_before = scene.size();
     arrays.compute_indices(stream, plan, n_before);
-    const bool zero_new = true;  // new surfels start with Adam moments of zero
-    arrays.move_surfels(stream, scene.surfel_parameters(), !zero_new, plan.size());
-    arrays.move_surfels(stream, adam.first_moments(), zero_new, plan.size());
-    arrays.move_surfels(stream, adam.second_moments(), zero_new, plan.size());
-    // After the move, copies still have the values of the original.
+    // New surfels are copies of their original, but their Adam moments start at zero.
+    constexpr bool kCopyOriginal = false, kZeroNew = true;
+    arrays.move_surfels(stream, scene.surfel_parameters(), kCopyOriginal, plan.size());
+    arrays.move_surfels(stream, adam.first_moments(), kZeroNew, plan.size());
+    arrays.move_surfels(stream, adam.second_moments(), kZeroNew, plan.size());
+    // Moves both halves of a split surfel to random points in it, and makes them smaller.
     relidar::run(stream, spawn, n_before,
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .action = arrays.action.address(),

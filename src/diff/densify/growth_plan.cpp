@@ -27,12 +27,13 @@ std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> mode
 
 GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random) {
     GrowthPlan plan;
-    for (const ModelCounters& c : counts) {
-        plan.survivors += c[RELIDAR_DENSIFY_KEPT];
-        plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
+    for (const ModelCounters& model : counts) {
+        plan.survivors += model[RELIDAR_DENSIFY_KEPT];
+        plan.total_weight += model[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    // The random phase selects the copied surfels if max_surfels limits their number.
+    // If there are fewer copies than growing surfels, every n-th of these surfels gets
+    // one (systematic sampling). The random phase decides which is the first.
     plan.phase = std::uint32_t(random % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
     return limit_growth(plan, std::uint32_t(o.max_surfels));

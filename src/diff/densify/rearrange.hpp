@@ -15,8 +15,8 @@ namespace relidar {
 class SurfelReorderer {
 public:
     SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames, SurfelParameterSet used);
-    /// The device must be idle. If memory is exhausted, throws DeviceError and keeps the
-    /// data.
+    /// Enlarges all arrays to at least `n_surfels` surfels. The device must be idle. If
+    /// memory is exhausted, throws DeviceError and keeps the data.
     void reserve_surfels(std::uint32_t n_surfels);
     std::uint32_t capacity() const;
     std::size_t bytes_per_surfel() const;

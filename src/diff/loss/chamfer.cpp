@@ -129,22 +129,24 @@ std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weigh
     return std::make_unique<ChamferLoss>(device, weights, n_rays);
 }
 
-/// Records the Chamfer loss and its gradient: computes the points of both clouds, finds
-/// the nearest points in both directions, and adds the loss and its derivatives.
+/// Records the Chamfer loss (Eq. 11 of the paper) and its gradient: the mean squared
+/// distance of simulated points to the nearest measured point, and the reverse.
 void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered_batch,
                                  const TargetBatch& batch, const LossTermRow& terms) {
-    Impl& c = *impl_;
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
+    Impl& loss = *impl_;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), loss.simulated.points.size());
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_batch.upstream->size());
-    c.n_rays = batch.n_rays;
+    loss.n_rays = batch.n_rays;
     {
-        const ConcurrentLaunchScope zeros(stream);
-        stream.fill(c.counts);
-        stream.fill(c.d_nearest_simulated);
+        // Starts these sums at zero: the number of points of each cloud, and the
+        // gradients that simulated points get from measured points.
+        const ConcurrentLaunchScope fills(stream);
+        stream.fill(loss.counts);
+        stream.fill(loss.d_nearest_simulated);
     }
-    c.compute_points(stream, rendered_batch, batch);
-    c.find_both_ways(stream, ImageTileLevels(batch));
-    c.add_losses(stream, rendered_batch, batch, terms);
+    loss.compute_points(stream, rendered_batch, batch);
+    loss.find_both_ways(stream, ImageTileLevels(batch));
+    loss.add_losses(stream, rendered_batch, batch, terms);
 }
 
 /// Computes the simulated and the measured point of each ray.
@@ -185,7 +187,7 @@ void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered
         .first_ray = batch.first,
         .ray_stride = batch.stride,
         .normalised_depth = weights.normalised_depth ? 1u : 0u};
-    relidar::run(stream, chamfer, batch.n_rays, params);
+    relidar::run(stream, chamfer, batch.n_rays, params);  // also sums `d_found`
     relidar::run(stream, vjp, batch.n_rays, params);
 }
 

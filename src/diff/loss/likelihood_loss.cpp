@@ -24,8 +24,9 @@ std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& we
     return std::make_unique<LikelihoodLoss>(device, weights);
 }
 
-/// Records the loss -log(likelihood of the measured range), averaged over the rays with a
-/// return. Adds its gradients to the upstream gradients of the rays.
+/// Records the loss -ln(f + (1 - f) S), averaged over the rays with a return. S is the
+/// rendered likelihood of the measured range. The floor f limits the loss of outliers.
+/// Adds the derivative to `upstream`, the gradient of the rendered values of each ray.
 void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
                                     const LossTermRow& terms) {
     const LossWeights& weights = impl_->weights;
@@ -39,6 +40,7 @@ void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, c
                   .weight = weights.likelihood * per_return,
                   .likelihood_floor = weights.likelihood_floor,
                   .n_rays = batch.n_rays,
+                  // Ray i of the batch has the target first_ray + i * ray_stride.
                   .first_ray = batch.first,
                   .ray_stride = batch.stride});
 }

@@ -10,7 +10,8 @@ namespace relidar::network {
 namespace {
 
 /// Describes an image slice as one matrix [channels of a head, pixels] per image and
-/// head.
+/// head. `first` is the index of the first value of the slice. `batch`, `head`, `row` and
+/// `column` are the distances in memory between images, heads, rows and columns.
 HeadMatrices head_matrices(const Slice& slice, std::uint32_t n_heads) {
     const auto n_pixels = std::uint32_t(slice.grid.n_image_pixels());
     const std::uint32_t head_channels = slice.channels / n_heads;

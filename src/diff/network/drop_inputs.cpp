@@ -57,15 +57,18 @@ std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std:
 }
 
 /// Copies the normalisation of the network to the device: scale and shift of each input
-/// channel. Only these and the roles of the channels are used, not the weights.
+/// channel. The last `n_fixed_` channels describe the sensor, so they do not rotate with
+/// the scene. Channel `logit_channel_` is the rendered drop probability p, as the logit
+/// log(p / (1 - p)).
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(count_fixed_channels(network)),
       logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
-    std::vector<glm::vec2> scale_shift;  // `normalisation` has the shape [channels, 2]
-    for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
-        scale_shift.emplace_back(network.normalisation[i], network.normalisation[i + 1]);
+    const std::vector<float>& values = network.normalisation;  // [channels, 2]
+    std::vector<glm::vec2> scale_shift;
+    for (std::size_t channel = 0; channel < values.size() / 2; ++channel)
+        scale_shift.emplace_back(values[2 * channel], values[2 * channel + 1]);
     scale_shift_ = Array<glm::vec2>(device, scale_shift, "normalisation of inputs");
 }
 
@@ -99,12 +102,13 @@ void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> ch
     fill_batch(stream, chosen, params, to);
 }
 
+/// Submits the kernel, after the caller has set its addresses of images and targets.
 void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
                                shared::DropInputsParams params, const Tensor& to) {
     std::vector<std::uint32_t> samples, column_shifts;
-    for (const RotatedSample& c : chosen) {
-        samples.push_back(c.sample);
-        column_shifts.push_back(c.column_shift);
+    for (const RotatedSample& image : chosen) {
+        samples.push_back(image.sample);
+        column_shifts.push_back(image.column_shift);
     }
     start_.reserve(stream.device(), to.grid.n_pixels_total(), "rendered logits");
     params.chosen = stream.impl().stage_values(samples).cast_tag<shared::ChosenSamples>();

@@ -30,7 +30,8 @@ struct NetworkPreset {
 };
 
 /// Returns the architecture that the setting refine.network selects. `pixel` does not
-/// look at neighbouring pixels.
+/// look at neighbouring pixels (1 weight or `tap` per pair of channels instead of 9).
+/// `residual` networks predict a correction of the rendered drops, not the drops.
 const NetworkPreset& find_preset(const std::string& name) {
     static const NetworkPreset small{.name = "small", .width = 8, .factors = {1, 2, 4, 4}};
     static const NetworkPreset pixel{.name = "pixel", .width = 16, .factors = {1}, .taps = 1};
@@ -40,7 +41,7 @@ const NetworkPreset& find_preset(const std::string& name) {
                                      .heads = 8,
                                      .residual = false,
                                      .batch = 16,
-                                     .in_training = {.dropout = 0.1, .turns = true}};
+                                     .in_training = {.dropout = 0.1, .turns = true}};  // rotates scenes
     for (const NetworkPreset* preset : {&small, &paper, &pixel})
         if (name == preset->name) return *preset;
     fail<UsageError>("setting refine.network: found \"{}\", expected small, paper or pixel", name);
@@ -145,6 +146,7 @@ RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
 
 void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                               std::size_t n_known) {
+    // `start` are rendered logits, which the kernel adds to the logits of the network.
     // One subgroup processes one part.
     const std::uint32_t n_workgroups = div_ceil(n_parts_, kThreads / lanes_);
     relidar::run(stream, kernel_, std::size_t(n_workgroups) * kThreads,
@@ -156,6 +158,7 @@ void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDro
                   .partial = partial_.address(),
                   .n = std::uint32_t(n_pixels),
                   .n_parts = n_parts_,
+                  // The loss is a mean over the pixels whose drop is known.
                   .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
 }
 

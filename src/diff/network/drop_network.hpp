@@ -94,7 +94,6 @@ private:
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
 
-    /// Submits the kernel, after the caller has set its addresses of images and targets.
     void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, shared::DropInputsParams params,
                     const Tensor& to);
 };

@@ -42,7 +42,8 @@ void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchS
 
 /// Allocates the images of one level and, if requested, their gradients. `grid` is the
 /// image size of the level. The first level has no encoder blocks, the last no decoder
-/// blocks.
+/// blocks. `pooled` is the halved output of the level above, `joined` the enlarged output
+/// of the level below with the skip connection, `*_between` the output of a first block.
 void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid) {
     LevelBuffers& l = levels_[level];
     const auto allocate_images = [&](Tensor& values, Tensor& gradients, std::uint32_t channels) {

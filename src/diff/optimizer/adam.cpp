@@ -76,13 +76,16 @@ struct Adam::Impl {
 /// Sets the learning rates of a parameter group, and their factors for single models.
 void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGroup& group,
                            const LearningRates& rates, Stream& stream) const {
-    // All spherical harmonics except the constant one have a lower learning rate.
+    // All spherical harmonics except the constant one have a lower learning rate. The
+    // kernel multiplies that of the constant one by `first_scale`, and those of the first
+    // channel (the intensity) by `block_scale`.
     const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
     params.learning_rate = float(rates.*group.rate * rest_factor);
     params.first_scale = float(1.0 / std::max(rest_factor, 1e-12));
     params.block_scale = float(group.harmonics ? rates.intensity_factor : 1.0);
 
-    // The channels of harmonics are intensity and logits. Models have factors for logits.
+    // Each model may have a factor: in harmonics for the channels after the intensity
+    // (the logits), in other groups for all values.
     params.first_scaled_block = group.harmonics ? 1u : 0u;
     const bool is_mean = group.rate == &LearningRates::mean;
     const std::vector<float> none;
@@ -127,38 +130,38 @@ void Adam::set_logit_factors(std::vector<float> factors) { impl_->logit_factors 
 void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
                        const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
                        const LearningRates& learning_rates, int step_number, int sh_degree) {
-    Impl& a = *impl_;
-    const std::uint32_t first = std::min(a.options.n_fixed, parameters.n), n_rows = parameters.n - first;
-    RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
+    Impl& adam = *impl_;
+    const std::uint32_t first = std::min(adam.options.n_fixed, parameters.n), n_rows = parameters.n - first;
+    RELIDAR_ASSERT_LE(n_rows, adam.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
-    RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
+    RELIDAR_ASSERT_EQ(adam.max_log_scale.size() == 0 || adam.max_log_scale.size() == parameters.n, true);
     // Surfels without a gradient are skipped either by a list of the other surfels, or by
     // a flag that each thread reads.
-    const bool uses_list = a.list && touched_flags;
-    if (uses_list) a.list->compact(stream, touched_flags->address(first), n_rows);
+    const bool uses_list = adam.list && touched_flags;
+    if (uses_list) adam.list->compact(stream, touched_flags->address(first), n_rows);
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
-        shared::AdamParams params = make_adam_params(a.options, step_number);
+        shared::AdamParams params = make_adam_params(adam.options, step_number);
         set_row_layout(params, group, sh_degree);
-        a.set_rates(params, group, learning_rates, stream);
+        adam.set_rates(params, group, learning_rates, stream);
         params.first_row = first;
         params.n_rows = n_rows;
         // The moments have no rows for the fixed surfels at the start.
         const std::size_t first_float = std::size_t(first) * params.stride;
         params.values = group.device(parameters).address_as<float, shared::AdamValues>(first_float);
         params.gradients = group.device(gradients).address_as<float, shared::AdamGradients>(first_float);
-        params.moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>();
-        params.moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>();
-        if (group.scales && a.max_log_scale.size() > 0) params.bounds = a.max_log_scale.address(first);
+        params.moment1 = group.device(adam.moment1).address_as<float, shared::FirstMoments>();
+        params.moment2 = group.device(adam.moment2).address_as<float, shared::SecondMoments>();
+        if (group.scales && adam.max_log_scale.size() > 0) params.bounds = adam.max_log_scale.address(first);
         if (uses_list) {
-            params.rows = a.list->rows_address();
-            params.n_listed = a.list->count_address();
+            params.rows = adam.list->rows_address();
+            params.n_listed = adam.list->count_address();
         } else if (touched_flags) {
             params.touched = touched_flags->address(first);
         }
-        const std::uint32_t threads_per_row = a.per_float ? params.n_blocks * params.n_active : 1u;
+        const std::uint32_t threads_per_row = adam.per_float ? params.n_blocks * params.n_active : 1u;
         const std::size_t n_threads = std::size_t(n_rows) * threads_per_row;
-        run(stream, a.kernel, uses_list ? a.list->choose_threads(n_threads) : n_threads, params);
+        run(stream, adam.kernel, uses_list ? adam.list->choose_threads(n_threads) : n_threads, params);
     }
 }
 
