@@ -235,7 +235,7 @@ SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
 /// Sorts the surfels by model and by the Morton codes of their box centres. Neighbours in
 /// space are then neighbours in the list.
 SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
-    stream.fill(bounds, 0xffffffffu);
+    stream.fill(bounds, 0xffffffffu);  // the kernel computes minima with atomics
     run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,
         {.boxes = boxes.address(),
          .models = scene.model_table().address(),
@@ -261,6 +261,8 @@ SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
 /// Converts the binary trees of all models to wide trees (up to eight children per node).
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
+    // The trees, and temporary arrays that the kernels below share. `bound` is the
+    // largest possible number of wide nodes.
     shared::BvhWideParams params{.tree = binary_bvh(),
                                  .wide = wide_bvh(),
                                  .queue = queue.address(),
@@ -394,26 +396,31 @@ void Bvh::Impl::append_nodes(const Impl& added, std::uint32_t first_node, std::u
 }
 
 void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
-    Impl& b = *impl_;
-    const Impl& a = *added.impl_;
-    const std::uint32_t first_node = b.bound, first_surfel = scene.layout().models.back().first;
-    const std::uint32_t n_nodes = first_node + a.bound, n_surfels = first_surfel + a.n;
-    if (n_surfels > b.order.size() || n_nodes > b.nodes.size()) {
+    constexpr std::size_t kBoxFloats = 6;  // two corners
+    Impl& trees = *impl_;
+    const Impl& tree = *added.impl_;
+    // `bound` is the number of nodes for which there is memory, `n` that of surfels.
+    const std::uint32_t first_node = trees.bound, first_surfel = scene.layout().models.back().first;
+    const std::uint32_t n_nodes = first_node + tree.bound, n_surfels = first_surfel + tree.n;
+    if (n_surfels > trees.order.size() || n_nodes > trees.nodes.size()) {
         // Allocates spare memory for later models. n surfels need at most n / 4 nodes.
         reserve_spare(n_surfels, [&](std::size_t capacity) {
-            b.reserve_nodes(capacity, n_nodes + (capacity - n_surfels) / 4);
+            trees.reserve_nodes(capacity, n_nodes + (capacity - n_surfels) / 4);
         });
     }
-    b.append_nodes(a, first_node, first_surfel);
-    b.node_boxes.upload(a.node_boxes.download(6 * std::size_t(a.bound)), 6 * std::size_t(first_node));
-    b.arrivals.upload(std::vector<std::uint32_t>(a.bound, 0u), first_node);
-    b.order.upload(a.order.download(a.n), first_surfel);
-    b.boxes.upload(a.boxes.download(6 * std::size_t(a.n)), 6 * std::size_t(first_surfel));
-    b.count.upload(std::vector<std::uint32_t>{first_node + a.count.download().front()});
-    b.model_roots.resize(scene.layout().models.size(), RELIDAR_BVH_NO_NODE);
-    b.model_roots.back() = first_node;
-    b.bound = n_nodes;
-    b.n = n_surfels;
+    // Arrays with an entry per node.
+    trees.append_nodes(tree, first_node, first_surfel);
+    trees.node_boxes.upload(tree.node_boxes.download(kBoxFloats * tree.bound), kBoxFloats * first_node);
+    trees.arrivals.upload(std::vector<std::uint32_t>(tree.bound, 0u), first_node);
+    // Arrays with an entry per surfel.
+    trees.order.upload(tree.order.download(tree.n), first_surfel);
+    trees.boxes.upload(tree.boxes.download(kBoxFloats * tree.n), kBoxFloats * first_surfel);
+
+    trees.count.upload(std::vector<std::uint32_t>{first_node + tree.count.download().front()});
+    trees.model_roots.resize(scene.layout().models.size(), RELIDAR_BVH_NO_NODE);
+    trees.model_roots.back() = first_node;
+    trees.bound = n_nodes;
+    trees.n = n_surfels;
 }
 
 void Bvh::append_instances(const DeviceScene& scene) {

@@ -236,10 +236,11 @@ void RayQueryAccel::Impl::set_geometry(BuildInput& input, const SurfelModel& mod
         geometry.buffer().impl().address + sizeof(float) * floats_per_surfel() * model.first;
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
-        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
-                                         nullptr,
-                                         {first_proxy},
-                                         kBoxBytes};
+        VkAccelerationStructureGeometryAabbsDataKHR& boxes = input.geometry.geometry.aabbs;
+        boxes = {};
+        boxes.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR;
+        boxes.data.deviceAddress = first_proxy;
+        boxes.stride = kBoxBytes;
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
         VkAccelerationStructureGeometryTrianglesDataKHR& triangles = input.geometry.geometry.triangles;

@@ -148,6 +148,8 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
 /// and sums the records of each row. The sort keeps the order of hits, so that the sums
 /// are the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
+    // The passes of the sort read one set of arrays and write the other: the row of each
+    // hit (key), and the index of its record.
     const auto sort_buffers = [&](int index) {
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
                            .order = slots_[index].address().cast_tag<shared::SortOrder>()};
@@ -167,8 +169,8 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
                                       .most_hits = most_hits_.address(),
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
-    // A thread sums a block of records. A row that extends over several blocks is summed
-    // by the second kernel.
+    // A thread sums a block of records. `parts` are the sums of its first and last row.
+    // From them, the second kernel sums the rows that extend over several blocks.
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);

@@ -64,6 +64,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
     const auto n_instances = std::uint32_t(scene.layout().instances.size());
     const auto n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
+    // Sums the gradients of the surfels in each block (a part of an instance).
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),
@@ -72,6 +73,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
                   .sums = sums.sums.address(),
                   .n_blocks = n_blocks,
                   .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
+    // Sums the blocks of each instance.
     relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
                  {.instances = scene.instance_table().address(),
                   .sums = sums.sums.address(),

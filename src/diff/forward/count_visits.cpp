@@ -15,7 +15,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     if (device.backend() != RayTracingBackend::software || is_brute_force(device)) return std::nullopt;
     const KernelVariant variant("@software_bvh");
     TraceConstants constants = trace_constants(device, accel.proxy_shape(), options, model);
-    constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
+    constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});  // other kernels do not count
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", variant, constants);
     std::optional<HitListTracer> lists;
     if (uses_hit_lists(device, options)) lists.emplace(device, variant, constants, RELIDAR_MOST_ROOM);

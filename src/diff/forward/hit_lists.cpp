@@ -82,14 +82,16 @@ void HitListTracer::grow_lists(Stream& stream) {
     overflows_before_ = 0;
 }
 
-/// Returns memory for one hit list per thread, or empty lists if it is not available.
+/// Returns memory for one hit list per thread, or empty lists if it is not available. It
+/// is the memory `kept`, the memory of the last batch, or new memory, in this order.
 /// @param kept hits that the forward pass stores for the backward pass. If a list fits
-/// into this memory, it is used instead of separate memory
+/// into this memory, its hits need not be copied
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
                                               const StoredRayHits* kept) {
     const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
     if (n_lists > kMostLists) return {};
     if (has_overflowed(stream)) grow_lists(stream);
+    // The kept hits of a ray must be at least a full list, and few enough to be sorted.
     const bool uses_kept =
         kept && kept->per_ray >= std::max(hits_per_list_, 1u) && kept->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =

@@ -127,6 +127,7 @@ void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, con
     else r.accel->record_top_level(r.stream, r.scene);
 }
 
+/// Records the rendering of a batch. Allocates memory if it is the largest so far.
 void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed)

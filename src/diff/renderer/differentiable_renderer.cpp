@@ -93,7 +93,8 @@ RenderedBatch DifferentiableRenderer::last_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
     const std::size_t n_rays = max_batch_rays(renderer);
-    // If the last batch was larger than all before, the renderer has allocated more rays.
+    // The losses write dL/d(rendered values) of each ray to `upstream`. If the last batch
+    // was larger than all before, the renderer has allocated more rays.
     if (impl_->upstream.size() < n_rays) {
         renderer.stream().submit_and_wait();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
