@@ -95,6 +95,24 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& l
             total};
 }
 
+/// Returns a text about the first wrong result in a subgroup, or an empty text.
+/// @param actual  results of the device, [lanes, RELIDAR_CHECK_RESULTS]
+std::string find_wrong_result(const Words& values, std::uint32_t earlier_sum, std::uint32_t total,
+                              const std::uint32_t* actual, bool reconverges) {
+    for (std::size_t lane = 0; lane < values.size(); ++lane) {
+        const auto expected = expected_results(values, lane, earlier_sum, total);
+        for (std::size_t k = 0; k < expected.size(); ++k) {
+            // A sum in a branch is only defined if lanes reconverge.
+            const bool is_tested = k != kInBranch || reconverges;
+            const std::uint32_t found = actual[lane * RELIDAR_CHECK_RESULTS + k];
+            if (is_tested && found != expected[k])
+                return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k], found, lane,
+                                   expected[k]);
+        }
+    }
+    return {};
+}
+
 /// Compares the results of all subgroup operations with the host's results. Returns a
 /// text about the first wrong result, or an empty text.
 std::string run_subgroup_test(Device& device) {
@@ -109,22 +127,17 @@ std::string run_subgroup_test(Device& device) {
     stream.submit_and_wait();
     const Words actual = results.download();
     const auto n_lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
-    // A sum in a branch is only defined if lanes reconverge.
-    const auto is_tested = [&](std::size_t k) { return k != kInBranch || lanes_reconverge(device); };
     for (std::uint32_t workgroup = 0; workgroup < kCheckThreads; workgroup += kCheckWorkgroup) {
-        std::uint32_t total = 0, earlier_sum = 0;  // of the workgroup, and of its earlier subgroups
+        std::uint32_t total = 0;        // sum of the values of all threads in the workgroup
+        std::uint32_t earlier_sum = 0;  // sum of its subgroups before the current one
         for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(workgroup + i);
         for (std::uint32_t first = workgroup; first < workgroup + kCheckWorkgroup; first += n_lanes) {
             Words values;
             for (std::uint32_t i = 0; i < n_lanes; ++i) values.push_back(shared::test_value(first + i));
-            for (std::uint32_t lane = 0; lane < n_lanes; ++lane) {
-                const auto expected = expected_results(values, lane, earlier_sum, total);
-                const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
-                for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (lane_results[k] != expected[k] && is_tested(k))
-                        return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k],
-                                           lane_results[k], lane, expected[k]);
-            }
+            const std::string error =
+                find_wrong_result(values, earlier_sum, total, actual.data() + first * RELIDAR_CHECK_RESULTS,
+                                  lanes_reconverge(device));
+            if (!error.empty()) return error;
             earlier_sum = std::accumulate(values.begin(), values.end(), earlier_sum);
         }
     }

@@ -38,7 +38,7 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Clock::time_point begin = Clock::now();
     double fastest_s = 1e30;
     for (int round = 0; round < kCopyRounds; ++round) {
-        const bool has_run_both = round > 1;
+        const bool has_run_both = round > 1;  // a CPU device then stops
         if (has_run_both && seconds_since(begin) > kMaxCopyTime_s) break;
         const Clock::time_point start = Clock::now();
         for (int k = 0; k < kCopiesPerRound; ++k) {

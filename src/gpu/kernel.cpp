@@ -202,7 +202,7 @@ KernelBase::KernelBase(Device& owner, std::span<const std::uint32_t> spirv_words
     start_compilation(owner, {});
 }
 
-/// Sets the remaining members and finds or creates the pipeline.
+/// Sets the members that both constructors share, and finds or creates the pipeline.
 void KernelBase::start_compilation(Device& owner, const KernelConstants& constants) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;

@@ -119,7 +119,7 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequi
                                       (flags & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
                                       requirements.size > new_block_bytes(type);
             if (!is_too_large) suitable_types.push_back(type);
-            break;
+            break;  // Vulkan lists types with equal flags from fast to slow.
         }
     return suitable_types;
 }
@@ -139,16 +139,19 @@ std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
 VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
                                             MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
-    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
+    const bool is_array = purpose == BufferPurpose::device;
+    const bool exports = is_array && export_arrays_;  // other programs can use the memory
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;   // Result if no memory type is suitable.
     for (const std::uint32_t type : find_types(requirements, purpose)) {
-        const bool is_array = purpose == BufferPurpose::device, exports = is_array && export_arrays_;
         std::optional<MemorySuballocation> free_piece = place_in_block(requirements, type, exports);
         result = free_piece ? VK_SUCCESS : place_in_new_block(requirements, type, exports, free_piece);
         if (result != VK_SUCCESS) continue;
         suballocation = *free_piece;
-        const bool visible =
+        // The host needs access to all buffers except arrays, and to arrays if possible.
+        const bool is_host_visible =
             (properties_.memoryTypes[type].propertyFlags & VK_MEMORY_PROPERTY_HOST_COHERENT_BIT) != 0;
-        if (!is_array || (map_arrays_ && visible)) result = map_block(*suballocation.block);
+        const bool needs_mapping = !is_array || (map_arrays_ && is_host_visible);
+        if (needs_mapping) result = map_block(*suballocation.block);
         if (result == VK_SUCCESS) break;
         suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
     }
@@ -160,13 +163,14 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
 VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
                                                    std::uint32_t type, bool exports,
                                                    std::optional<MemorySuballocation>& suballocation) {
-    const std::uint64_t shared = new_block_bytes(type);
+    const std::uint64_t shared_bytes = new_block_bytes(type), required_bytes = requirements.size;
+    const bool needs_own_block = required_bytes > shared_bytes / 2;
+    const std::uint64_t preferred_bytes = needs_own_block ? required_bytes : shared_bytes;
     VkResult result = VK_SUCCESS;
-    for (const std::uint64_t n_bytes :
-         {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
+    for (const std::uint64_t n_bytes : {preferred_bytes, required_bytes}) {
         result = allocate_block(type, n_bytes, exports);
-        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, type, exports)))
-            return VK_SUCCESS;
+        if (result == VK_SUCCESS) suballocation = place_in_block(requirements, type, exports);
+        if (suballocation) return VK_SUCCESS;
         // Empty blocks may occupy the memory that the next, smaller attempt needs.
         release_empty(type, 0);
     }

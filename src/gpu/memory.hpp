@@ -32,8 +32,8 @@ struct MemoryBudget {
 
     std::uint64_t free_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
-/// With VK_EXT_memory_budget, memory of other programs is subtracted. Otherwise n_used is
-/// 0.
+/// Returns the size and the use of the largest heap of device memory. With
+/// VK_EXT_memory_budget, memory of other programs is subtracted. Otherwise n_used is 0.
 MemoryBudget query_budget(VkPhysicalDevice physical);
 
 class FreeRanges {

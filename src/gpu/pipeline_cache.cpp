@@ -40,7 +40,9 @@ std::string read_cache(const std::filesystem::path& path, const VkPhysicalDevice
     PipelineCacheHeader header;
     if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
     std::error_code failed;
-    if (std::filesystem::file_size(path, failed) - sizeof header != header.n_bytes || failed) return {};
+    const std::uintmax_t file_bytes = std::filesystem::file_size(path, failed);
+    const bool is_complete = !failed && file_bytes - sizeof header == header.n_bytes;
+    if (!is_complete) return {};
     std::string bytes(header.n_bytes, '\0');
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))

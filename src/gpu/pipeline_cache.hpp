@@ -13,7 +13,7 @@
 
 namespace relidar::gpu {
 
-/// Atomically. Ignores failures, because they only make the next start slower.
+/// Writes a file atomically. Ignores failures, which only make the next start slower.
 void write_cache_file(const std::filesystem::path& path, std::string_view bytes);
 
 std::string cache_file_name(const VkPhysicalDeviceProperties& properties);

@@ -16,7 +16,7 @@ struct SortBuffers {
 
 class RadixSort {
 public:
-    /// Scratch memory: about 1/4 byte per key.
+    /// Creates the kernels, and scratch memory for `max_keys` keys (1/4 byte per key).
     /// @throws DeviceError if subgroups have fewer than 4 or more than 64 lanes, or their
     /// size is not constant
     RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words_per_key);

@@ -175,6 +175,7 @@ void Stream::Impl::record_barrier() {
 
 /// Writes the first timestamp of a command. Does so only if the user or the speed
 /// estimate of the kernel needs the time, and the slot has free queries.
+/// @param continues true if the command is not the first piece of its launch
 void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_workgroups,
                                 bool continues) {
     last_kernel = name;
@@ -306,6 +307,7 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().wait_for_pipeline();
+    // Addresses of the parameters, and of the zeros that replace optional arrays.
     const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, params, n_bytes),
                                               device->nothing->address};
     const std::string& name = kernel.impl().name;

@@ -50,7 +50,7 @@ std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
     std::stringstream content;
     content << file.rdbuf();
     const std::string text = content.str();
-    const std::size_t values = text.find("\nfloat_atomics ");
+    const std::size_t values = text.find("\nfloat_atomics ");  // first of four lines with results
     if (values == std::string::npos) return std::nullopt;
     // Each line contains a name and a value.
     int atomics = 0, swaps = 0, subgroup_size = 0, ray_query = 0;
@@ -102,7 +102,7 @@ DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions&
     const auto is_complete = [&](const DeviceTestResults& results) {
         return !needs_ray_query || results.ray_query != CheckVerdict::unknown;
     };
-    // Uses the results of the file, or else those of this process.
+    // Uses the results of the file or, if it cannot be written, those of this process.
     UnsavedTestResults& unsaved = unsaved_results();
     const std::scoped_lock lock(unsaved.mutex);
     const std::optional<DeviceTestResults> saved = read_results(path, device.info.driver);
