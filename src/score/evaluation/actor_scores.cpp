@@ -247,6 +247,7 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
     FrameActorScores scores;
     const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
     if (swept.empty()) return scores;
+    // Points at places where a moving box is only at other times (comet tails).
     const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, sequence, swept, sweep);
     const CometTailPointCounts real_tails = count_tail_points(real, real.range_m, sequence, swept, sweep);
     scores.metrics["actors/tail_share"] = tails.share();

@@ -123,24 +123,32 @@ const std::vector<float>& ranges_of_points(const RenderedScan& rendered, const C
     return points_m.empty() ? rendered.image.range_m : points_m;
 }
 
-/// Computes the metrics of several rendered frames in parallel.
-/// @param lpips_network  if null, the metric LPIPS is left out
-std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
-                                        const Log& sequence, const Lpips* lpips_network) {
+/// Clamps ranges to the maximum range of the log and of the grid of the images.
+MetricOptions make_metric_options(const Config& config, const Log& sequence, const Lpips* lpips_network) {
     MetricOptions options;
     options.max_range_m = with_max_range(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
         options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
+    return options;
+}
+
+/// Computes the metrics of several rendered frames in parallel.
+/// @param lpips_network  if null, the metric LPIPS is left out
+std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
+                                        const Log& sequence, const Lpips* lpips_network) {
     std::vector<RangeImageComparison> comparisons;
     for (const RenderedFrame& rendered : rendered_frames) {
         const ScoredFrame& frame = rendered.frame;
         std::vector<PixelRegion> regions = make_regions(frame.real, rendered.moving);
         if (!rendered.discovered.empty()) regions.push_back({"discovered_boxes", rendered.discovered});
-        comparisons.push_back({&frame.rendered.image, &frame.real, std::move(regions),
-                               ranges_of_points(frame.rendered, config)});
+        comparisons.push_back({.rendered = &frame.rendered.image,
+                               .real = &frame.real,
+                               .regions = std::move(regions),
+                               .point_range_m = ranges_of_points(frame.rendered, config)});
     }
-    std::vector<MetricValues> rows = evaluate_all(comparisons, options);
+    std::vector<MetricValues> rows =
+        evaluate_all(comparisons, make_metric_options(config, sequence, lpips_network));
     const auto is_of_intensity = [](const auto& metric) {
         return metric.first.find("intensity") != std::string::npos;
     };
@@ -187,6 +195,14 @@ struct FrameBatch {
     const ScoredFrameCallback& see;
 };
 
+/// Frees the images of a frame. Keeps the rendering time.
+void release_images(ScoredFrame& frame) {
+    const double trace_ms = frame.rendered.trace_ms;
+    frame.rendered = {};
+    frame.rendered.trace_ms = trace_ms;
+    frame.real = {};
+}
+
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
 /// @param render_one_frame  renders a frame, or predicts it for a baseline
 std::vector<ScoredFrame> score_frames(
@@ -208,13 +224,8 @@ std::vector<ScoredFrame> score_frames(
             add_actor_scores(frame, all.log, all.config);
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (all.see) all.see(frame);
-            // Only the middle frame keeps its images. All frames keep the rendering time.
-            if (scored.size() != n / 2) {
-                const double trace_ms = frame.rendered.trace_ms;
-                frame.rendered = {};
-                frame.rendered.trace_ms = trace_ms;
-                frame.real = {};
-            }
+            // Only the middle frame keeps its images.
+            if (scored.size() != n / 2) release_images(frame);
             scored.push_back(std::move(frame));
         }
     }
@@ -269,8 +280,7 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log&
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
                            const std::vector<int>& frame_indices, const Progress& progress,
                            const ScoredFrameCallback& on_frame) {
-    // The channel has the drop probability before its correction by a network, for
-    // reports.
+    // For reports: the drop probability of the surfels, before the network corrects it.
     if (on_frame && renderer.has_network_for(make_sensor(config, sequence)))
         renderer.add_channels("surfel_drop_prob");
     const auto has_classes = [&](int position) {
@@ -294,15 +304,16 @@ BoxPointMotion parse_baseline(const std::string& baseline_name) {
 Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
                              const Split& split, const Progress& progress,
                              const ScoredFrameCallback& on_frame) {
-    const BoxPointMotion boxes = parse_baseline(baseline_name);
+    const BoxPointMotion box_motion = parse_baseline(baseline_name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = make_real_frame(config, sequence, frame, {});
-        result.frame.rendered.image = project_neighbours(config, sequence, position, split.train, boxes);
+        result.frame.rendered.image = project_neighbours(config, sequence, position, split.train, box_motion);
         return result;
     };
+    const KernelTimes no_kernels;  // a baseline does not use the device
     Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},
                                                    "projecting neighbours of held-out frames", project),
-                                      {});
+                                      no_kernels);
     evaluation.title = "baseline " + baseline_name;
     return evaluation;
 }

@@ -36,20 +36,23 @@ void add_image_metrics(MetricValues& row, const std::string& prefix, const Range
     const PixelMask rendered_mask = undropped_mask(rendered, drop_threshold);
     const PixelMask real_mask = undropped_mask(real, kRealDropThreshold);
     const auto has_edge = [&](int n_pixels) { return real.rows >= n_pixels && real.columns >= n_pixels; };
-    const auto add = [&](const std::string& name, const char* unit, std::vector<float> RangeImage::*values,
-                         double maximum) {
-        const PixelValues a = clamp_masked(rendered.*values, rendered_mask, maximum);
-        const PixelValues b = clamp_masked(real.*values, real_mask, maximum);
-        const double squared = add_errors(row, name, unit, a, b);
-        row[name + "psnr_db"] = 10.0 * std::log10(maximum * maximum / std::max(squared, kMinSquaredError));
-        const auto [low, high] = std::ranges::minmax(b);
+    const auto add_metrics_of = [&](std::vector<float> RangeImage::*values, double maximum,
+                                    const std::string& name, const char* unit) {
+        const PixelValues rendered_values = clamp_masked(rendered.*values, rendered_mask, maximum);
+        const PixelValues real_values = clamp_masked(real.*values, real_mask, maximum);
+        const double squared_error = add_errors(row, name, unit, rendered_values, real_values);
+        row[name + "psnr_db"] =
+            10.0 * std::log10(maximum * maximum / std::max(squared_error, kMinSquaredError));
+        const auto [low, high] = std::ranges::minmax(real_values);
         if (has_edge(kSsimWindow) && high > low)
-            row[name + "ssim"] = compute_ssim(a, b, real.rows, real.columns, high - low);
+            row[name + "ssim"] =
+                compute_ssim(rendered_values, real_values, real.rows, real.columns, high - low);
         if (lpips && has_edge(kLpipsEdge))
-            row[name + "lpips"] = lpips->compute_distance(a, b, real.rows, real.columns);
+            row[name + "lpips"] =
+                lpips->compute_distance(rendered_values, real_values, real.rows, real.columns);
     };
-    add(prefix + "depth_", "_m", &RangeImage::range_m, max_range_m);
-    add(prefix + "intensity_", "", &RangeImage::intensity, kMaxIntensity);
+    add_metrics_of(&RangeImage::range_m, max_range_m, prefix + "depth_", "_m");
+    add_metrics_of(&RangeImage::intensity, kMaxIntensity, prefix + "intensity_", "");
 }
 
 /// Adds the metrics of published papers (docs/method.md section 8): full images in which

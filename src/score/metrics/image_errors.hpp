@@ -39,7 +39,7 @@ double mean_square(const PixelValues& values);
 /// @return mean squared error, or -1 if there are no pixels
 double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                   const PixelValues& first, const PixelValues& second);
-/// Same for the pixels of a mask, whose values are clamped to [1e-6, maximum].
+/// Adds the errors of add_errors() over masked pixels, clamped to [1e-6, maximum].
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum);

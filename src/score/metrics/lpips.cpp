@@ -109,9 +109,9 @@ double feature_distance(const FeatureMap& a, const FeatureMap& b, const std::vec
             .array();
     double sum = 0.0;
     for (Eigen::Index pixel = 0; pixel < fa.cols(); ++pixel) {
-        const double na = std::sqrt(fa.col(pixel).square().sum()) + kNormFloor,
-                     nb = std::sqrt(fb.col(pixel).square().sum()) + kNormFloor;
-        sum += (weight * (fa.col(pixel) / na - fb.col(pixel) / nb).square()).sum();
+        const double length_a = std::sqrt(fa.col(pixel).square().sum()) + kNormFloor;
+        const double length_b = std::sqrt(fb.col(pixel).square().sum()) + kNormFloor;
+        sum += (weight * (fa.col(pixel) / length_a - fb.col(pixel) / length_b).square()).sum();
     }
     return sum / double(fa.cols());
 }

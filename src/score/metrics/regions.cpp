@@ -48,6 +48,44 @@ PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& f
     return moving;
 }
 
+std::ptrdiff_t count_pixels(const PixelMask& mask) { return std::ranges::count(mask, true); }
+
+/// Returns how many pixels of a mask have a range error above 1 m.
+std::size_t count_large_errors(const RangeImage& rendered, const RangeImage& real, const PixelMask& mask) {
+    std::size_t n_large = 0;
+    for (std::size_t i = 0; i < mask.size(); ++i) {
+        const double error_m = std::abs(double(rendered.range_m[i]) - double(real.range_m[i]));
+        if (mask[i] && error_m > kLargeError_m) ++n_large;
+    }
+    return n_large;
+}
+
+/// Adds the scores of one region. The masks are those of the full images.
+void add_region_scores(MetricValues& row, const PixelRegion& region, const RangeImage& rendered,
+                       const PixelMask& rendered_returns, const RangeImage& real,
+                       const PixelMask& real_returns, const MetricOptions& options) {
+    const std::string name = region.name + "/";
+    // Values are compared at all real returns, also if the rendering drops them.
+    const PixelMask compared = intersect_masks(region.pixels, real_returns);
+    const auto n_compared = count_pixels(compared);
+    row[name + "pixels"] = double(n_compared);
+    if (n_compared == 0) return;
+    row[name + "share"] = double(n_compared) / double(count_pixels(real_returns));
+    add_masked_errors(row, name + "depth_", "_m", rendered.range_m, real.range_m, compared,
+                      options.max_range_m);
+    add_masked_errors(row, name + "intensity_", "", rendered.intensity, real.intensity, compared,
+                      kMaxIntensity);
+
+    const PixelMask returned_both = intersect_masks(compared, rendered_returns);
+    const auto n_both = count_pixels(returned_both);
+    row[name + "returned"] = double(n_both) / double(n_compared);
+    if (n_both > 0)
+        row[name + "above_1m"] = double(count_large_errors(rendered, real, returned_both)) / double(n_both);
+    if (region.scores_clouds)
+        add_cloud_metrics(row, name, rendered, intersect_masks(region.pixels, rendered_returns), real,
+                          compared);
+}
+
 }  // namespace
 
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
@@ -55,36 +93,12 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     check_comparable(rendered, real);
     const PixelMask real_returns = return_mask(real, kRealDropThreshold),
                     rendered_returns = return_mask(rendered, options.strict_drop_threshold);
-    const auto count = [](const PixelMask& mask) { return std::ranges::count(mask, true); };
     MetricValues row;
     for (const PixelRegion& region : regions) {
         if (region.pixels.size() != real_returns.size())
             fail("cannot compute scores of region {}: its mask has {} pixels, expected {}", region.name,
                  region.pixels.size(), real_returns.size());
-        // Real returns in the region, also if the rendering drops them.
-        const PixelMask mask = intersect_masks(region.pixels, real_returns);
-        const auto n_real = count(mask);
-        const std::string name = region.name + "/";
-        row[name + "pixels"] = double(n_real);
-        if (n_real == 0) continue;
-        row[name + "share"] = double(n_real) / double(count(real_returns));
-        // Returns in both images, and how many of them have a large range error.
-        const PixelMask returned_both = intersect_masks(mask, rendered_returns);
-        const auto n_both = count(returned_both);
-        row[name + "returned"] = double(n_both) / double(n_real);
-        std::size_t n_large = 0;
-        for (std::size_t i = 0; i < mask.size(); ++i) {
-            const double error_m = std::abs(double(rendered.range_m[i]) - double(real.range_m[i]));
-            if (returned_both[i] && error_m > kLargeError_m) ++n_large;
-        }
-        if (n_both > 0) row[name + "above_1m"] = double(n_large) / double(n_both);
-        if (region.scores_clouds)
-            add_cloud_metrics(row, name, rendered, intersect_masks(region.pixels, rendered_returns), real,
-                              mask);
-        add_masked_errors(row, name + "depth_", "_m", rendered.range_m, real.range_m, mask,
-                          options.max_range_m);
-        add_masked_errors(row, name + "intensity_", "", rendered.intensity, real.intensity, mask,
-                          kMaxIntensity);
+        add_region_scores(row, region, rendered, rendered_returns, real, real_returns, options);
     }
     return row;
 }

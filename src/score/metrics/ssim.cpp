@@ -69,8 +69,7 @@ double compute_ssim(const std::vector<double>& first_image, const std::vector<do
     if (!is_large_enough || !is_complete || !(data_range > 0.0))
         fail(
             "cannot compute the structural similarity: found {} x {} pixels, images of {} and {} values and "
-            "a "
-            "data range of {}, expected at least 7 x 7 pixels, a value for each, and a positive range",
+            "a data range of {}, expected at least 7 x 7 pixels, a value for each, and a positive range",
             rows, columns, first_image.size(), second_image.size(), data_range);
     // C1 = (K1 L)^2 and C2 = (K2 L)^2 avoid a division by zero.
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;

@@ -193,8 +193,8 @@ std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
             "class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
             x_axis.at_low, x_axis.at_high, y_axis.to_svg(tick), x_axis.at_low - 8, y_axis.to_svg(tick) + 4,
             format_tick(tick));
-    // A wide chart has space for ten labels.
-    for (double tick : linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
+    const bool is_wide = x_axis.at_high - x_axis.at_low > 600;  // has space for ten labels
+    for (double tick : linear_ticks(x_axis, is_wide ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/><text "
             "class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",

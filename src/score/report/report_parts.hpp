@@ -10,7 +10,7 @@
 
 namespace relidar::report {
 
-/// For inside an HTML element or a quoted attribute.
+/// Replaces the characters that cannot be in an HTML element or a quoted attribute.
 std::string escape_html(std::string_view text);
 /// Four significant digits, for example 6.458, 0.03402 or 1.2e-07; a dash for NaN.
 std::string format_number(double value);
