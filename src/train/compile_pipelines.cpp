@@ -63,6 +63,7 @@ void compile_traversal(Device& device, const Log& street) {
             options.trace.traversal_mode = traversal_mode;
             for (const HitSortMethod order : {HitSortMethod::chunks, HitSortMethod::lists}) {
                 options.trace.order = order;
+                // The constructors of the renderers compile the kernels.
                 const Renderer renderer(device, scene, config.image, options);
             }
             for (const GradientReduction sums : {GradientReduction::atomics, GradientReduction::gather})

@@ -20,9 +20,9 @@ IterationReports::IterationReports(Device& device)
     while (int(slots_.size()) < kReadbackLag) slots_.emplace_back(device);
 }
 
-void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& from,
+void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& counters,
                                    const std::optional<TrainLogLine>& line) {
-    if (iterations_.empty()) return;
+    if (iterations_.empty()) return;  // nothing new since the last report
     // Each slot is used again after kReadbackLag iterations.
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
     // The next report starts with zeros.
@@ -31,13 +31,14 @@ void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& from
         stream.fill(source);
     };
     record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
-    record_and_clear(slot.pass_cap, from.pass_cap->buffer(), sizeof(std::uint32_t));
-    if (from.most_hits) record_and_clear(slot.most_hits, from.most_hits->buffer(), sizeof(std::uint32_t));
-    record_and_clear(slot.overfull, from.overfull->buffer(), sizeof(std::uint32_t));
+    record_and_clear(slot.pass_cap, counters.pass_cap->buffer(), sizeof(std::uint32_t));
+    if (counters.most_hits)
+        record_and_clear(slot.most_hits, counters.most_hits->buffer(), sizeof(std::uint32_t));
+    record_and_clear(slot.overfull, counters.overfull->buffer(), sizeof(std::uint32_t));
     closed_.push_back({.iterations = std::exchange(iterations_, {}),
-                       .counts_hits = from.most_hits != nullptr,
-                       .hit_capacity = from.hit_capacity,
-                       .stored_hits_per_ray = from.stored_hits_per_ray,
+                       .counts_hits = counters.most_hits != nullptr,
+                       .hit_capacity = counters.hit_capacity,
+                       .stored_hits_per_ray = counters.stored_hits_per_ray,
                        .line = line});
 }
 

@@ -56,7 +56,8 @@ public:
     /// Records a copy of the losses and counters since the last call to the host. Does
     /// not wait. Call after add_iteration(), at most once per iteration.
     /// @param line  added to the training log when the report is read
-    void record_copy(Stream& stream, const DeviceHitCounters& from, const std::optional<TrainLogLine>& line);
+    void record_copy(Stream& stream, const DeviceHitCounters& counters,
+                     const std::optional<TrainLogLine>& line);
 
     struct IterationGroupReport {
         int first_step, last_step;

@@ -304,6 +304,7 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
     std::vector<std::string> movers, extended;
     for (BoxTrack& box :
          discover_tracks(sequence, split.train, interruptible_progress(session), session.group)) {
+        // Numbers of positions that were added before and after the labels of a track.
         const bool is_labelled = box.n_before + box.n_after > 0;
         if (is_labelled) {
             extended.push_back(describe_extension(box));

@@ -241,6 +241,16 @@ Config actor_config(const Config& config, std::size_t n_frames) {
     return result;
 }
 
+/// Copies the surfels of the trained actors to the run. They follow the background, which
+/// was not trained, in both scenes.
+void copy_actors(Run& run, const Scene& trained) {
+    const std::size_t n_background = run.scene.models.front().count;
+    const std::size_t n_actor_surfels = run.scene.surfels.size() - n_background;
+    Surfels surfels = run.scene.surfels.slice(0, n_background);
+    surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actor_surfels, n_actor_surfels));
+    run.scene.surfels = std::move(surfels);
+}
+
 }  // namespace
 
 TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session) {
@@ -251,8 +261,6 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
     for (std::size_t lidar = 0; lidar < run.sequence.lidars.size(); ++lidar)
         tracks.push_back(run.sequence.lidar_track(static_cast<int>(lidar)));
     const std::vector<ActorTrainingSection> sections = divide_log(run, tracks);
-    const std::uint32_t n_background = run.scene.models.front().count;
-    const std::size_t n_actor_surfels = run.scene.surfels.size() - n_background;
     std::size_t n_frames = 0;
     for (const ActorTrainingSection& section : sections) n_frames += section.frames.size();
 
@@ -274,11 +282,7 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
         steps_before += config.train.iterations;
         Scene trained = loop.download_scene();
         fade_far_swings(trained, config.image.alpha_min);
-        // Copies only the trained actors, which are the last surfels of the section.
-        Surfels surfels = run.scene.surfels.slice(0, n_background);
-        surfels.append_surfels(
-            trained.surfels.slice(trained.surfels.size() - n_actor_surfels, n_actor_surfels));
-        run.scene.surfels = std::move(surfels);
+        copy_actors(run, trained);
     }
     return TrainingEndReason::finished;
 }

@@ -163,6 +163,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
                      const Config& config, std::uint32_t n_fixed_surfels, std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed_surfels),
+      // The training frames, batches of their rays, and corrections of their poses.
       frames_(device, sequence, split.train,
               {.unknown = training_mask(sequence, split, initial, config),
                .moves_rays = config.train.refines("sensor"),
@@ -178,6 +179,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
                       {backward_options(config), refiner_.required_gradients(), has_dense_gradients(config)}),
       renderer_(differentiable_.renderer()),
       stream_(renderer_.stream()),
+      // The losses, and everything that changes the surfels.
       losses_(make_losses(device, config.loss, max_frame_rays(frames_.all()))),
       adam_(device, surfel_count(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed_surfels},
             initial.surfels.parameters_used()),

@@ -152,7 +152,7 @@ private:
     /// Increases the capacity of the hit buffer if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void grow_hit_capacity(const IterationReports::IterationGroupReport& report);
-    /// Rays with more hits than stored are slow, because they must be traced twice.
+    /// Stores more hits per ray if many rays had more, because these are traced twice.
     void resize_stored_hits(const IterationReports::IterationGroupReport& report);
     void count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                      const SampledBatch& batch);

@@ -289,7 +289,9 @@ CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Con
 bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
-    return by_count || folder_.is_time_due() || (step == config_.iterations && folder_.newest() > 0);
+    // A training that was too short for a checkpoint also gets none at its end.
+    const bool is_last = step == config_.iterations && folder_.newest() > 0;
+    return by_count || folder_.is_time_due() || is_last;
 }
 
 void CheckpointKeeper::save_state(TrainLoop& loop, const TrainResult& result, double training_time_s) {

@@ -251,7 +251,7 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     TrainingImages training = render_images(device, run, config, session);
     begin_stage(session.stages, "network");
     const std::vector<RayDropImage>& images = training.images;
-    if (images.empty()) return {};
+    if (images.empty()) return {};  // the user stopped
     // The network of the paper does not add its output to the rendered logit.
     const std::vector<float> actor_logits =
         config.refine.network == "paper" || training.actor_pixels.empty()

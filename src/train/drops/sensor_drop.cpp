@@ -95,6 +95,7 @@ RayDropTable RayDropCounts::persistent_rates() const {
                 ++end;
             }
             if (n_rays < kMinRaysPerRate) continue;
+            // The minimum of both rates: an interval can contain bins whose rays return.
             const float interval_rate = float(n_drops) / float(n_rays);
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
@@ -150,6 +151,15 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_in
 
 namespace {
 
+/// Returns the indices of the beams of a LiDAR among the beams of all LiDARs.
+std::vector<std::size_t> list_global_beams(const Log& sequence, std::size_t lidar) {
+    std::vector<std::size_t> beams;
+    for (std::size_t beam = 0; beam < sequence.lidars[lidar].sensor.beams.size(); ++beam)
+        if (const auto global_beam = sequence.find_global_beam(int(lidar), std::uint16_t(beam)))
+            beams.push_back(std::size_t(*global_beam));
+    return beams;
+}
+
 /// Returns the difference between the largest and the smallest azimuth offset of the
 /// beams, in bins.
 int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
@@ -162,15 +172,13 @@ int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
 
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
     const int n_bins = observed_drop_rates.bins;
+    // A bin is an azimuth interval of a beam. In a blind bin, (almost) no ray returned.
     const auto is_blind_at = [&](std::size_t beam, int bin) {
         return observed_drop_rates.probability[wrapped_bin(observed_drop_rates, beam, bin)] >= kMinBlindRate;
     };
     for (std::size_t lidar = 0; lidar < sequence.lidars.size(); ++lidar) {
         const SpinningSensor& sensor = sequence.lidars[lidar].sensor;
-        std::vector<std::size_t> beams;  // indices among the beams of all LiDARs
-        for (std::size_t beam = 0; beam < sensor.beams.size(); ++beam)
-            if (const auto global_beam = sequence.find_global_beam(int(lidar), std::uint16_t(beam)))
-                beams.push_back(std::size_t(*global_beam));
+        const std::vector<std::size_t> beams = list_global_beams(sequence, lidar);
         if (beams.empty()) continue;
         const auto are_all_blind_at = [&](int bin) {
             return std::ranges::all_of(beams, [&](std::size_t beam) { return is_blind_at(beam, bin); });

@@ -78,11 +78,11 @@ std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, const 
 /// Allocates arrays for the largest batch that consists of columns, which a kernel
 /// copies. Other batches use the arrays of their frame.
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
-    : impl_(new Impl{config.train,
-                     config.has_pixel_pair_loss(),
-                     {device, max_column_rays(frames, config), "batch rays"},
-                     {device, max_column_rays(frames, config), "batch targets"},
-                     {device, "train/gather_columns"}}) {
+    : impl_(new Impl{.config = config.train,
+                     .windows = config.has_pixel_pair_loss(),
+                     .rays = {device, max_column_rays(frames, config), "batch rays"},
+                     .targets = {device, max_column_rays(frames, config), "batch targets"},
+                     .gather = {device, "train/gather_columns"}}) {
     const bool needs_images = config.loss.intensity * config.loss.intensity_ssim > 0.0f;
     const auto is_image = [](const TrainingFrameData& frame) { return frame.image.is_image(); };
     if (needs_images && !std::ranges::all_of(frames, is_image))
@@ -144,11 +144,16 @@ SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame
     const std::uint32_t first_ray = (column + index) % stride;
     const RayBatch rays = frame.strided_batch(first_ray, stride);
     return {.rays = rays,
-            .targets = {&frame.loss_targets(), first_ray, stride, rays.n_rays, frame.n_returned / stride,
-                        frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}}};
+            .targets = {.targets = &frame.loss_targets(),
+                        .first = first_ray,
+                        .stride = stride,
+                        .n_rays = rays.n_rays,
+                        .n_returned = frame.n_returned / stride,
+                        .n_known_rays = frame.n_known_rays / stride,
+                        .image = stride == 1 ? frame.image : ImageShape{}}};
 }
 
-/// Records the kernel that copies columns of a frame to the batch arrays.
+/// Copies columns of a frame to the batch arrays, which then contain only these rays.
 SampledBatch BatchSampler::Impl::copy_columns(Stream& stream, const TrainingFrameData& frame,
                                               const StridedColumns& columns, std::uint32_t first_column) {
     const ImageShape image = image_shape(frame);
@@ -164,16 +169,16 @@ SampledBatch BatchSampler::Impl::copy_columns(Stream& stream, const TrainingFram
          .column_stride = columns.stride,
          .n_columns = columns.n});
     const double share = double(n_rays) / frame.n_rays;
-    const std::uint32_t first = 0, stride = 1;  // the batch arrays contain only these rays
-    return {.rays = {&rays, first, stride, n_rays, columns.n, &targets},
-            .targets = {&targets,
-                        first,
-                        stride,
-                        n_rays,
-                        share * frame.n_returned,
-                        share * frame.n_known_rays,
-                        {image.rows, columns.n, false}},
-            .window = {image.columns, first_column, columns.stride, columns.n}};
+    return {.rays = {.rays = &rays, .n_rays = n_rays, .columns = columns.n, .targets = &targets},
+            .targets = {.targets = &targets,
+                        .n_rays = n_rays,
+                        .n_returned = share * frame.n_returned,
+                        .n_known_rays = share * frame.n_known_rays,
+                        .image = {.rows = image.rows, .columns = columns.n}},
+            .window = {.columns = image.columns,
+                       .first = first_column,
+                       .stride = columns.stride,
+                       .n_columns = columns.n}};
 }
 
 }  // namespace relidar

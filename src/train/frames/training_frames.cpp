@@ -16,6 +16,7 @@ namespace relidar {
 Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid) {
     constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
+    // The returns of the scan, and the ray of each.
     std::vector<glm::vec3> points;
     std::vector<float> intensity;
     std::vector<std::size_t> ray_of_point;
@@ -33,8 +34,8 @@ Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGri
     const auto period_ratio = static_cast<float>(sequence.lidar_of(frame).sweep_period_s() / kGridPeriod_s);
     for (std::size_t cell = 0; cell < image.source.size(); ++cell) {
         float& time_s = result.scan.rays.time_offset_s[cell];
-        time_s *= period_ratio;  // remains the time of a cell without a return
-        const int point = image.source[cell];
+        time_s *= period_ratio;                // remains the time of a cell without a return
+        const int point = image.source[cell];  // the nearest return, or -1
         if (point < 0) continue;
         const std::size_t ray = ray_of_point[std::size_t(point)];
         time_s = scan.rays.time_offset_s[ray];
@@ -65,8 +66,19 @@ struct GriddedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-/// Returns the shape, sensor position and vehicle poses (knots) of a frame, without
-/// arrays. The knots are the poses before, during and after the sweep.
+/// Sets the range of vehicle poses (knots) between which the rays of a frame were fired:
+/// from the pose before the first ray to the pose after the last ray.
+void set_knots(TrainingFrameData& data, const Log& log, const Frame& frame) {
+    const PoseTrack& track = log.world_from_vehicle;
+    const ScanArray<float>& offsets_s = frame.scan.rays.time_offset_s;
+    const auto [first, last] = std::minmax_element(offsets_s.begin(), offsets_s.end());
+    data.first_knot = track.find_segment(firing_time_s(log, frame, *first)).left;
+    const std::size_t knot_before_last = track.find_segment(firing_time_s(log, frame, *last)).left;
+    const std::size_t last_knot = std::min(knot_before_last + 1, track.pose.size() - 1);
+    data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
+}
+
+/// Returns the shape, sensor position and vehicle poses of a frame, without arrays.
 /// @throws DataError if the frame has no ray
 TrainingFrameData describe_frame(const Log& log, int index, const std::optional<RangeImageGrid>& grid) {
     const GriddedFrame trained(log, index, grid);
@@ -82,15 +94,10 @@ TrainingFrameData describe_frame(const Log& log, int index, const std::optional<
     if (table.rows > 1)
         data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
                       is_full_turn(table.rows, table.columns, table.direction)};
-    // The poses from the one before the first ray to the one after the last ray.
-    const PoseTrack& track = log.world_from_vehicle;
-    const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot = track.find_segment(firing_time_s(log, frame, *first)).left;
-    const std::size_t knot_before_last = track.find_segment(firing_time_s(log, frame, *last)).left;
-    const std::size_t last_knot = std::min(knot_before_last + 1, track.pose.size() - 1);
-    data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
-    data.sensor_position_m =
-        glm::vec3(track.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor).translation);
+    set_knots(data, log, frame);
+    const Pose world_from_sensor =
+        log.world_from_vehicle.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor);
+    data.sensor_position_m = glm::vec3(world_from_sensor.translation);
     return data;
 }
 

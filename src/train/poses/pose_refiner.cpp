@@ -92,8 +92,8 @@ void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correct
     frame.moved_rays = &moved_;
 }
 
-/// Records GPU commands that sum the gradients of the rays for each pose. Each of the
-/// workgroups of a pose writes one row of partial sums.
+/// Records GPU commands that sum the gradients of the rays for each pose of the frame
+/// (knot). A pose has kGroupsPerPose workgroups, each of which writes one partial sum.
 void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                     const Array<float, shared::DeviceRayGradients>& ray_gradients) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
@@ -106,6 +106,7 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .n_rays = batch.rays.n_rays,
          .first_ray = batch.rays.first,
          .ray_stride = batch.rays.stride,
+         // Columns of the batch in the frame. If `columns` is 0, it has every n-th ray.
          .columns = batch.window.columns,
          .first_column = batch.window.first,
          .column_stride = batch.window.stride,
@@ -202,6 +203,8 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
 }
 
 void TrackCorrection::remove_mean_motion() {
+    // Corrections are [tx ty tz rx ry rz]. For small angles, the motion (t, r) about the
+    // centre c of the track moves a pose at p by t + r x (p - c), and rotates it by r.
     const auto n = double(track_.pose.size());
     glm::dvec3 centre(0.0), mean_translation(0.0), mean_rotation(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -210,7 +213,6 @@ void TrackCorrection::remove_mean_motion() {
         mean_rotation += three_components(stored_correction(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        // A rotation about the centre also translates a pose.
         const glm::dvec3 translation =
             mean_translation + glm::cross(mean_rotation, track_.pose[k].translation - centre);
         for (int i = 0; i < 3; ++i) {
@@ -269,6 +271,7 @@ void PoseRefiner::move_frame(Stream& stream, TrainingFrameData& frame) {
 void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                    const SampledBatch& batch, const DeviceGradients& gradients, int step) {
     if (!is_enabled()) return;
+    // The host reads these copies kReadbackLag iterations later, from their own buffers.
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->record_sums(stream, frame, batch, gradients.rays);
@@ -280,6 +283,7 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
     pending_iterations_.step.push_back(std::uint64_t(step));
     pending_iterations_.frame.push_back(frame_index);
     for (const RefinedActor& actor : actors_) {
+        // First and last time at which the sweep observes the actor.
         const InstancePose& placed = frame.placed[actor.instance];
         pending_iterations_.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
         pending_iterations_.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
