@@ -75,8 +75,8 @@ std::set<std::string> read_track_names(const Json& value, const char* where) {
     return result;
 }
 
-/// Parses the user's changes of the actors (ActorEdits). The limits of the numbers are in
-/// metres, degrees and metres per second.
+/// Parses the user's changes of the actors. A copy has a pose and a speed: x, y, z in
+/// metres; yaw, pitch, roll in degrees; m/s. A move has x, y, z and yaw.
 ActorEdits parse_edits(const Json& json) {
     if (!json.is_object()) reject_request("edits", "a JSON object");
     ActorEdits edits;

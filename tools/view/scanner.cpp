@@ -253,10 +253,11 @@ const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request)
     const Log* log = real_.sequence();
     if (!log || !request.real) return nullptr;
     const Frame* nearest = nullptr;
-    for (const Frame& frame : log->frames)
-        if (frame.lidar == request.lidar && (!nearest || std::abs(frame.time_s - request.time_s) <
-                                                             std::abs(nearest->time_s - request.time_s)))
-            nearest = &frame;
+    const auto distance_s = [&](const Frame& frame) { return std::abs(frame.time_s - request.time_s); };
+    for (const Frame& frame : log->frames) {
+        if (frame.lidar != request.lidar) continue;
+        if (!nearest || distance_s(frame) < distance_s(*nearest)) nearest = &frame;
+    }
     return nearest;
 }
 

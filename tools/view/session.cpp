@@ -11,6 +11,9 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr std::size_t kMaxWaiting = 4;
+constexpr const char* kTooManyRequests =
+    "cannot accept the request: too many requests are pending; wait for the answer before you send the next "
+    "one";
 
 const char* request_name(const BrowserRequest& request) {
     static constexpr const char* kRequestNames[] = {"scan", "sensor", "save", "ground"};
@@ -50,25 +53,24 @@ void ViewerSession::send_error(TabId tab_id, const char* request_name, const std
 }
 
 /// Adds a request to the tab's queue. A newer scan replaces a waiting one, because only
-/// the newest view matters. All other requests are executed in order.
+/// the newest view matters. All other requests are executed in order. If a request is not
+/// accepted, take_job() sends the reason.
 void ViewerSession::handle_message(TabId id, const std::string& message) {
     std::optional<BrowserRequest> request;
-    std::string refusal =
-        "cannot accept the request: too many requests are pending; wait for the answer before you send the "
-        "next one";
+    std::string parse_error;
     try {
         request = parse_request(message);
     } catch (const UsageError& error) {
-        refusal = error.what();
+        parse_error = error.what();
     }
     const std::lock_guard lock(mutex_);
     const auto tab_entry = tabs_.find(id);
     if (tab_entry == tabs_.end() || is_closing_) return;
     BrowserTabState& tab = *tab_entry->second;
-    if (request && std::holds_alternative<LiveScanRequest>(*request))
-        tab.scan = std::get<LiveScanRequest>(std::move(*request));
-    else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
-    else tab.refused = refusal;
+    if (!request) tab.rejection = parse_error;
+    else if (auto* scan = std::get_if<LiveScanRequest>(&*request)) tab.newest_scan = std::move(*scan);
+    else if (tab.other_requests.size() < kMaxWaiting) tab.other_requests.push_back(std::move(*request));
+    else tab.rejection = kTooManyRequests;
     arrived_.notify_one();
 }
 
@@ -80,14 +82,15 @@ ViewerSession::ViewerJob ViewerSession::text_job(TabId tab_id, const char* name,
 
 /// Returns the most urgent job of a tab and removes it from the state of the tab, or no
 /// value if there is none. Scans come last, so that a moving view does not delay other
-/// requests. The caller must hold the mutex. The jobs run later, without the mutex.
+/// requests. The caller must hold the mutex. The jobs run later, without the mutex, and
+/// share the state of the tab, because the tab may close before.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
-    if (!tab->greeted) {
-        tab->greeted = true;
+    if (!tab->has_hello) {
+        tab->has_hello = true;
         return text_job(tab_id, "hello", [this] { return make_hello(); });
     }
-    // Informs the page when the scans of the log are loaded.
+    // Informs the page when the scans of the log are loaded, or cannot be loaded.
     const RecordedScans::State state = scanner_.measured_scans().state();
     if (tab->last_sent_state != state) {
         tab->last_sent_state = state;
@@ -96,22 +99,22 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                 {"kind", "log"}, {"state", state_name(state)}, {"why", scanner_.measured_scans().reason()}};
         });
     }
-    if (tab->refused) {
-        const std::string reason = *std::exchange(tab->refused, std::nullopt);
+    if (tab->rejection) {
+        const std::string reason = *std::exchange(tab->rejection, std::nullopt);
         return ViewerJob{tab_id, "message",
                          [this, tab_id, reason] { send_error(tab_id, "message", reason); }};
     }
-    if (!tab->others.empty()) {
-        const BrowserRequest request = std::move(tab->others.front());
-        tab->others.pop_front();
+    if (!tab->other_requests.empty()) {
+        const BrowserRequest request = std::move(tab->other_requests.front());
+        tab->other_requests.pop_front();
         return text_job(tab_id, request_name(request), [this, tab, request] {
             Json response = execute(tab->cache, request);
             response["kind"] = std::holds_alternative<SaveRequest>(request) ? "saved" : request_name(request);
             return response;
         });
     }
-    if (tab->scan) {
-        const LiveScanRequest request = *std::exchange(tab->scan, std::nullopt);
+    if (tab->newest_scan) {
+        const LiveScanRequest request = *std::exchange(tab->newest_scan, std::nullopt);
         return ViewerJob{tab_id, request_name(request), [this, tab_id, tab, request] {
                              answers_.frame(tab_id, scanner_.render_message(tab->cache, request));
                          }};

@@ -40,11 +40,11 @@ public:
 
 private:
     struct BrowserTabState {
-        bool greeted = false;
+        bool has_hello = false;  ///< The tab has received the description of the run.
         RecordedScans::State last_sent_state = RecordedScans::State::loading;
-        std::optional<LiveScanRequest> scan = {};
-        std::deque<BrowserRequest> others = {};
-        std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
+        std::optional<LiveScanRequest> newest_scan = {};
+        std::deque<BrowserRequest> other_requests = {};  ///< Waiting requests that are not scans.
+        std::optional<std::string> rejection = {};       ///< Reason why the last message was not accepted.
         TabCache cache = {};  ///< State of the tab that only the render thread uses, without the mutex.
     };
     struct ViewerJob {

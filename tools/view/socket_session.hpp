@@ -51,6 +51,8 @@ private:
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub);
+    /// Upgrades the HTTP connection to a WebSocket. Then registers the client and starts
+    /// to read its messages.
     /// @param protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
                           std::string_view protocol);

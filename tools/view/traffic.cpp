@@ -115,13 +115,17 @@ ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& othe
     const Pose pose =
         stand_on_ground({run.scene, run.sequence}, placement, {owner.scene, owner.sequence}, request.of)
             .dataset_from_box;
-    // yaw, pitch and roll; make_rotation() is the inverse of this conversion
+    // The inverse of make_rotation(): R = Rz(yaw) Ry(pitch) Rx(roll). glm stores matrices
+    // by columns, so rotation[c][r] is the element in row r and column c.
     const glm::dmat3 rotation = glm::mat3_cast(pose.rotation);
     const glm::dvec3 angles_rad{std::atan2(rotation[0][1], rotation[0][0]),
                                 std::asin(std::clamp(-rotation[0][2], -1.0, 1.0)),
                                 std::atan2(rotation[1][2], rotation[2][2])};
     const glm::dvec3 p = pose.translation - offset_m, angles_deg = angles_rad / kRadPerDegree;
-    return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
+    constexpr double kSpeed_mps = 0.0;
+    return {.of = request.of,
+            .from = request.from,
+            .at = {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, kSpeed_mps}};
 }
 
 EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, const ActorEdits& edits)
