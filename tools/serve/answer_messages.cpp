@@ -38,6 +38,7 @@ void add_channels(const std::vector<ScanChannel>& channels, Messages& channel_me
     }
 }
 
+/// Writes the points of a scan. Each field holds the values of all points as raw bytes.
 void write_points(const LidarPoints& points, v1::Points& message) {
     message.set_count(std::uint32_t(points.size()));
     copy_bytes(*message.mutable_xyz_m(), points.position_m);
@@ -77,6 +78,7 @@ void write_actor(const Run& run, const std::string& actor_name, v1::Actor& messa
 
 }  // namespace
 
+/// Writes the times and counts of a scan and, if the client wants them, its points.
 void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message) {
     message.set_sensor(request.sensor->name);
     message.set_time_s(scan.points.time_s);
@@ -88,6 +90,8 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
     if (request.points) write_points(scan.points, *message.mutable_points());
 }
 
+/// Writes a scan that was rendered as an image. Adds the parts of the image that the
+/// client wants: ranges with intensities, or drop probabilities.
 void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
                 v1::LidarScan& message) {
     // Points are in the sensor frame at the time points_at_s.
@@ -112,6 +116,7 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
                  v1::LidarScan& message) {
     ScanOutputOptions format = default_options(run, *request.sensor);
     std::map<std::string, std::string> name_of_track;
+    // Replaces the actors of the run by those of the request, at the requested poses.
     // Without poses in the request, actors are visible at their recorded poses.
     if (request.request.dataset_from_actor) {
         format.actors.clear();

@@ -11,7 +11,7 @@ namespace relidar::serve {
 
 class AssetCatalogue {
 public:
-    /// Does not read the surfels.
+    /// Reads the descriptions of all assets in the folders, but not their surfels.
     /// @throws DataError if a folder cannot be read
     /// @throws UsageError if two assets have the same name
     explicit AssetCatalogue(const std::vector<std::string>& folders);

@@ -117,18 +117,17 @@ QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene
     return nullptr;
 }
 
-/// Executes one step of a request without holding the lock: submit() or finish(). Only
-/// requests with a scene need finish(). If a step fails, the request is done.
-/// @param is_last argument of submit(); no value selects finish()
-void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last,
+/// Executes one step of a request without holding the lock, so that other threads can add
+/// requests. If a step fails, the request is done.
+void RenderQueue::process_request(QueuedRequest& request, RequestStep step,
                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
-    const bool is_submission = is_last.has_value();
+    const bool is_submission = step != RequestStep::finish;
     if (is_submission) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (is_submission) request.submit(*is_last);
+        if (is_submission) request.submit(step == RequestStep::submit_last);
         else request.finish();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
@@ -139,6 +138,7 @@ void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is
     request.finished_at_ = QueuedRequest::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
+    // Only requests with a scene have results to read from the device.
     const bool needs_finish = is_submission && request.scene && !failure;
     if (needs_finish) return;
     request.failure_ = failure;
@@ -157,7 +157,7 @@ RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first,
     for (std::size_t n_taken = 1; request; ++n_taken) {
         const bool may_continue = request->scene && n_taken < batch_size_;
         QueuedRequest* next = may_continue ? take_request(request->scene) : nullptr;
-        process_request(*request, !next, lock);
+        process_request(*request, next ? RequestStep::submit_with_next : RequestStep::submit_last, lock);
         if (request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(request);
         request = next;
     }
@@ -165,7 +165,7 @@ RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first,
 }
 
 void RenderQueue::finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock) {
-    for (QueuedRequest* request : batch) process_request(*request, {}, lock);
+    for (QueuedRequest* request : batch) process_request(*request, RequestStep::finish, lock);
 }
 
 /// Processes requests until the queue is closed and empty. Submits the next batch before

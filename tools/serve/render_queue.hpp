@@ -101,8 +101,10 @@ private:
     QueuedRequest* take_request(const std::optional<std::size_t>& scene = {});
     RequestBatch submit_batch(QueuedRequest* first, std::unique_lock<std::mutex>& lock);
     void finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
-    void process_request(QueuedRequest& request, std::optional<bool> is_last,
-                         std::unique_lock<std::mutex>& lock);
+    /// Steps of a request: submit() with or without another request of its batch behind
+    /// it, and finish().
+    enum class RequestStep { submit_with_next, submit_last, finish };
+    void process_request(QueuedRequest& request, RequestStep step, std::unique_lock<std::mutex>& lock);
     void wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
 };
 

@@ -168,9 +168,10 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
                           .surfels = run.scene.models[instance.model].count});
     }
     for (const SpawnSlot& slot : spawned_.list_occupied(scene)) {
-        const auto& [is_asset, source] = slot.actor.source;
-        const std::string category =
-            is_asset ? assets_.find_asset(source)->facts.category : find_actor_box(source).category;
+        const SpawnedModelSource& source = slot.actor.source;
+        const std::string category = source.is_asset ? assets_.find_asset(source.name)->facts.category
+                                                     : find_actor_box(source.name).category;
+        // The renderer adds the slots behind the instances of the run.
         actors.push_back({.name = slot.actor.name,
                           .track = slot_track_name(slot.position),
                           .category = category,

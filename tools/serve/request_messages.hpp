@@ -50,7 +50,7 @@ std::vector<std::string> run_actor_names(const Run& run);
 class RequestReader {
 public:
     explicit RequestReader(SceneSet& scenes);
-    /// Without a SceneSet, which would need a device.
+    /// Reads requests without a SceneSet, which would need a device.
     /// @param outlines [scenes] runs without surfels
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);

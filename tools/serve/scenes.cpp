@@ -120,15 +120,16 @@ void SceneSet::spawn_missing(std::size_t scene) {
 /// models. If this fails, frees the slots, so that the request has no effect.
 std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
-    const std::size_t n_before = spawned_.list_all_slots(scene).size();
+    const std::size_t n_slots_before = spawned_.list_all_slots(scene).size();
     std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
+    // Slots that removed actors have left already have their models.
     const bool reuses_slots = loaded.n_slots == spawned_.list_all_slots(scene).size();
     if (loaded.renderer && reuses_slots) return occupied_slots;
     // Also unloads the scene. The next request loads it again, without the actors that
     // could not be added.
     const auto undo = [&] {
         loaded.renderer.reset();
-        spawned_.undo_assign(scene, occupied_slots, n_before);
+        spawned_.undo_assign(scene, occupied_slots, n_slots_before);
     };
     try {
         if (!loaded.renderer) {
@@ -136,7 +137,7 @@ std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vect
             load_scene(scene, sources_[scene].load());
         }
         spawn_missing(scene);
-        make_room(scene, 0);
+        make_room(scene, 0);  // The scene is larger now, so other scenes may be unloaded.
     } catch (const DataError& error) {
         undo();
         refuse(Code::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(), error.what());

@@ -39,7 +39,8 @@ public:
     /// device memory is too small; the scene is then unchanged
     std::vector<SpawnSlot> spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors);
 
-    /// Loads the scene first if it is not on the device.
+    /// Calls a function with the renderer of a scene. Loads the scene first if it is not
+    /// on the device.
     /// @param weather without a value, the default weather of the scene
     /// @return number of this load
     SceneLoadNumber use_scene(std::size_t scene, const std::optional<Weather>& weather,

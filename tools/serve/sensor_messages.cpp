@@ -205,8 +205,8 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // If the rays change from scan to scan, computes them once. Called only for its
-    // error: invalid rays are reported here instead of during rendering.
+    // Rays that change from scan to scan are computed later, for each scan. Computes them
+    // once here, only to reject invalid rays before rendering.
     if (summarise_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return simulate_sensor(sensor);
 }

@@ -74,7 +74,8 @@ void SensorsimService::get_available_scenes(const ServerContext&, const sensorsi
     for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
 }
 
-/// Lists the scenes that are on the device now.
+/// Lists the scenes that are on the device now. An instance is a loaded copy of a scene;
+/// relidar loads at most one copy, which all calls share.
 void SensorsimService::get_loaded_scenes(const ServerContext&, const sensorsim::Empty&,
                                          sensorsim::LoadedScenes& answer) {
     // Only the render thread may use the scenes, so the queue runs this function.

@@ -152,8 +152,10 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
             options.memory_mib > 0 ? options.memory_mib << 20 : impl_->device->info().memory_bytes / 2;
         impl_->scenes.emplace(*impl_->device, std::move(sources), scene_memory_bytes, *impl_->assets);
     });
+    // Batches are useful only if the device renders several scans at the same time.
     if (ScanRenderer::default_parallel(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
+    // Old and new clients of NVIDIA's interface call the same service by different names.
     if (options.sensorsim)
         for (const char* name : SensorsimService::kNames)
             impl_->sensorsim.push_back(

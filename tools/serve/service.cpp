@@ -134,14 +134,16 @@ Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigReque
         const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
         std::span<const RenderRequest> remaining = render_requests;
         while (!remaining.empty()) {
+            // Selects the next scans: all before the next image, or this image alone.
             const auto first_image = std::ranges::find_if(remaining, has_range_image);
-            const auto n_points = std::size_t(first_image - remaining.begin());
-            const std::size_t n_scans = std::clamp<std::size_t>(n_points, 1, kMostAtOnce);
+            const auto n_before_image = std::size_t(first_image - remaining.begin());
+            const std::size_t n_scans = std::clamp<std::size_t>(n_before_image, 1, kMostAtOnce);
             const std::size_t first_sensor = render_requests.size() - remaining.size();
+
             std::vector<v1::RigScan> scans(n_scans);
             std::vector<v1::LidarScan*> answers;
             for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
-            if (n_points > 0) render_points(slot, remaining.first(n_scans), *context, answers);
+            if (n_before_image > 0) render_points(slot, remaining.first(n_scans), *context, answers);
             else render_scan(slot, remaining.front(), *context, *answers.front());
             for (std::size_t i = 0; i < n_scans; ++i) {
                 scans[i].set_name(request->sensors(int(first_sensor + i)).name());

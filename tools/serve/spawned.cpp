@@ -90,8 +90,9 @@ void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<Spaw
 /// it different from all track names of the run.
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
-/// Adds an actor to the renderer for each slot from index `first` on. If an earlier slot
-/// has the same asset, copies its actor, so that each asset is read only once.
+/// Adds an actor to the renderer for each slot from index `first` on. It is a copy of an
+/// actor of the run, or of an asset. If an earlier slot has the same asset, copies the
+/// actor of that slot, so that each asset is read only once.
 void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, std::size_t first,
                  const AssetCatalogue& assets) {
     for (std::size_t i = first; i < slots.size(); ++i) {
@@ -101,6 +102,7 @@ void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, st
             renderer.spawn(source.name, track);
             continue;
         }
+        // Finds slot i itself if no earlier slot has this asset.
         const auto first_with_asset =
             std::ranges::find_if(slots, [&](const SpawnSlot& slot) { return slot.actor.source == source; });
         const bool is_first = first_with_asset == slots.begin() + std::ptrdiff_t(i);
