@@ -17,27 +17,29 @@ namespace relidar::cli {
 namespace {
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
+constexpr double kHighestBeam_deg = 2.0, kLowestBeam_deg = -24.9;  // elevations of the HDL-64E
 
-/// Returns a scene of actors. They share one model, or each has a copy.
-Scene make_actor_scene(int n_actors, bool copies) {
+/// Returns a scene of actors. They share one model, or each has a copy of it.
+Scene make_actor_scene(int n_actors, bool copy_shared_models) {
     // A test actor is the benchmark street, scaled down to a length of about 4 m.
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_street_surfels(kActorSurfels);
     float longest = 0.0f;
     for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
     for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
+    // Model 0 is the background, which has no surfels. Model 1 has all surfels.
     Scene scene = wrap_background({});
-    scene.models.push_back({"actor", 0, kActorSurfels});
+    scene.models.push_back({.name = "actor", .first = 0, .count = kActorSurfels});
     scene.surfels = actor.reorder(kd_tree_order(actor.mean));
-    for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
-    return copies ? relidar::unshare_models(std::move(scene)) : scene;
+    for (int i = 0; i < n_actors; ++i) scene.instances.push_back({.model = 1, .track = fmt::format("{}", i)});
+    return copy_shared_models ? relidar::unshare_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
 /// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
 std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     constexpr double kGoldenAngle_rad = 2.39996323;
-    std::vector<InstancePose> placed{InstancePose{}};
+    std::vector<InstancePose> placed{InstancePose{}};  // the background
     for (int i = 0; i < n_actors; ++i) {
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
         placed.push_back({Pose{{1.0, 0.0, 0.0, 0.0},
@@ -47,19 +49,21 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     return placed;
 }
 
-/// Returns the input of a benchmark with actors. Spherical harmonics are evaluated per
-/// ray if actors share a model, because the actors differ in direction.
-DevCase make_actor_case(int n_actors, bool copies) {
+/// Returns the input of a benchmark: a scene with actors, and the rays of one scan from the
+/// origin of the world frame.
+DevCase make_actor_case(int n_actors, bool copy_shared_models) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
-    const RayTable table = make_street_rays(kImageRows, kImageColumns, 2.0, -24.9);
+    bench.scene = make_actor_scene(n_actors, copy_shared_models);
+    bench.placed = spiral_poses(n_actors, 0);
+    const RayTable table = make_street_rays(kImageRows, kImageColumns, kHighestBeam_deg, kLowestBeam_deg);
     bench.rows = table.rows;
     bench.columns = table.columns;
-    bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = make_actor_scene(n_actors, copies);
+    bench.rays = {.origin = to_vector(table.origin), .direction = to_vector(table.direction)};
     bench.config = make_preset("paper");
-    bench.config.image.sh_direction = copies ? ShDirection::surfel : ShDirection::ray;
-    bench.placed = spiral_poses(n_actors, 0);
+    // The intensity of a surfel depends on the direction from which it is seen (spherical
+    // harmonics). One value per surfel is enough only if no other actor shows the surfel.
+    bench.config.image.sh_direction = copy_shared_models ? ShDirection::surfel : ShDirection::ray;
     return bench;
 }
 
@@ -107,9 +111,10 @@ std::uint64_t ActorBenchTimes::n_surfels() const {
     return std::uint64_t(copy_shared_models ? n_actors : 1) * kActorSurfels;
 }
 
-ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings) {
-    const DevCase bench = make_actor_case(n_actors, copies);
-    ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = copies};
+ActorBenchTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
+                               const BenchSettings& settings) {
+    const DevCase bench = make_actor_case(n_actors, copy_shared_models);
+    ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = copy_shared_models};
     measure_updates(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;

@@ -36,9 +36,11 @@ struct ActorBenchTimes {
 inline constexpr std::uint32_t kActorSurfels = 1000;
 
 /// Measures build, rendering and training times of a scene with many actors.
+/// @param copy_shared_models see ActorBenchTimes
 /// @throws DeviceError if a ray needs more search passes than allowed, or if the device
 /// has no timestamps
-ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings);
+ActorBenchTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
+                               const BenchSettings& settings);
 
 /// Returns a table with a row for each benchmark.
 std::string format_actors(const std::vector<ActorBenchTimes>& times);

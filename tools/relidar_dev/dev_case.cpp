@@ -81,12 +81,14 @@ void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
     bench.keeps_more_hits = choice.keep_hits.empty();
 }
 
-/// Returns the benchmark street of the options (BenchCaseOptions::street).
+/// Returns the benchmark street of the options. The surfels of the streets B and C are
+/// smaller if there are more of them, and those of C are nearly transparent.
 DevCase make_street_case(const BenchCaseOptions& choice) {
     const std::optional<ImageSize> size = parse_grid_size(choice.rays);
     const RayTable rays = size ? make_street_rays(int(size->rows), int(size->columns), kTop_deg, kBottom_deg)
                                : make_street_rays(choice.rays);
-    DevCase bench{street_case(std::uint32_t(choice.n_surfels), choice.street != "A", rays)};
+    const bool smaller_scales = choice.street != "A";
+    DevCase bench{street_case(std::uint32_t(choice.n_surfels), smaller_scales, rays)};
     bench.name = "street " + choice.street;
     if (choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);

@@ -217,17 +217,33 @@ std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::
     return rows;
 }
 
-/// Returns percentiles of all times, rates in million rays per second, and memory in
-/// bytes.
-/// @throws DeviceError if a ray was not traced completely
-BenchResult BenchRunner::bench_result() {
-    Renderer& renderer = get_renderer();
+/// @throws DeviceError if a ray was not traced completely, because its time would be wrong
+void check_complete_rays(const Renderer& renderer, std::size_t n_rays) {
     const std::uint32_t n_truncated = renderer.forward_pass().n_truncated_rays().download()[0];
     if (n_truncated > 0)
         fail<DeviceError>(
             "cannot trace {} rays: {} of them reached the maximum number of passes or filled the traversal "
             "stack, expected none",
-            rays_.size(), n_truncated);
+            n_rays, n_truncated);
+}
+
+/// Computes the rates of both passes from the median times of their kernels.
+void set_ray_rates(BenchResult& result, std::size_t n_rays) {
+    const double krays = double(n_rays) / 1000.0;  // krays / ms = Mrays / s
+    double forward_ms = 0.0;
+    for (const KernelBenchTime& row : result.kernels) {
+        if (row.name.starts_with("diff/forward/")) forward_ms += row.ms.median;
+        if (row.name == "diff/backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
+    }
+    result.forward_mrays_per_s = krays / forward_ms;
+}
+
+/// Returns percentiles of all times, rates in million rays per second, and memory in
+/// bytes.
+/// @throws DeviceError if a ray was not traced completely
+BenchResult BenchRunner::bench_result() {
+    Renderer& renderer = get_renderer();
+    check_complete_rays(renderer, rays_.size());
     // Adds the kernels that do not run in an iteration, such as the build of the
     // acceleration structure.
     kernels_.merge(rebuild_kernels_);
@@ -236,16 +252,11 @@ BenchResult BenchRunner::bench_result() {
     result.kernels = percentile_rows(kernels_, {std::begin(kRowOrder), std::end(kRowOrder)});
     result.phases = percentile_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
 
-    const double krays = double(rays_.size()) / 1000.0;  // krays / ms = Mrays / s
-    double forward_ms = 0.0;
-    for (const KernelBenchTime& row : result.kernels) {
-        if (row.name.starts_with("diff/forward/")) forward_ms += row.ms.median;
-        if (row.name == "diff/backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
-    }
-    result.forward_mrays_per_s = krays / forward_ms;
+    set_ray_rates(result, rays_.size());
     result.hits_per_ray = sizes_.n_hits / double(rays_.size());
     result.stored_hits_per_ray = renderer.stored_hits_per_ray();
 
+    // The memory of the rays is what the other parts have not allocated.
     result.memory = memory_;
     result.memory.rays =
         device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
@@ -259,23 +270,26 @@ BenchResult BenchRunner::bench_result() {
 
 /// Returns the sizes from which the minimum memory traffic of the kernels is computed.
 MemoryTrafficSizes BenchRunner::traffic_sizes() {
-    MemoryTrafficSizes s = sizes_;
-    s.n_surfels = get_renderer().scene().size();
-    s.n_models = double(case_.scene.models.size());
-    s.n_rays = double(rays_.size());
-    s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
-    s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
-    s.training = training_ != nullptr;
-    s.lists = kernels_.contains("diff/forward/append");
-    s.gather = kernels_.contains("diff/backward/gather");
-    s.only_touched = case_.config.train.only_touched;
-    s.boxes = get_renderer().accel().proxy_shape() == ProxyShape::boxes;
-    s.software = device_.backend() == RayTracingBackend::software;
+    MemoryTrafficSizes sizes = sizes_;
+    sizes.n_surfels = get_renderer().scene().size();
+    sizes.n_models = double(case_.scene.models.size());
+    sizes.n_rays = double(rays_.size());
+    // Spherical harmonics up to degree d have (d + 1)^2 coefficients.
+    sizes.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
+    sizes.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
+    sizes.training = training_ != nullptr;
+    // The measured kernels show which methods the renderer has chosen.
+    sizes.lists = kernels_.contains("diff/forward/append");
+    sizes.gather = kernels_.contains("diff/backward/gather");
+    sizes.only_touched = case_.config.train.only_touched;
+    sizes.boxes = get_renderer().accel().proxy_shape() == ProxyShape::boxes;
+    sizes.software = device_.backend() == RayTracingBackend::software;
+    // Surfels that any ray has hit.
     if (training_)
         for (const std::uint32_t touched :
              training_->differentiable.gradients().touched.download(get_renderer().scene().size()))
-            s.n_touched += touched;
-    return s;
+            sizes.n_touched += touched;
+    return sizes;
 }
 
 }  // namespace

@@ -69,6 +69,7 @@ std::map<std::string, double> lower_bounds_ms(const BenchResult& result) {
     if (!result.copy_bytes_per_s) return floors;
     for (const auto& [kernel, bytes] : min_traffic_bytes(result.sizes))
         floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
+    // An iteration refits the acceleration structure instead of building it.
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
     floors["iteration"] = floors["iteration_wall"] = iteration;
@@ -113,7 +114,8 @@ Json bounds_json(const BenchResult& result) {
     return json;
 }
 
-/// Returns a table with the times of all kernels, followed by those of the phases.
+/// Returns a table with the times of all kernels, followed by those of the phases. The
+/// "floor" of a kernel is the time that it needs at least (lower_bounds_ms).
 TableRows time_rows(const BenchResult& result) {
     TableRows rows{{"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
     const std::map<std::string, double> floors_ms = lower_bounds_ms(result);
@@ -131,6 +133,7 @@ TableRows time_rows(const BenchResult& result) {
     return rows;
 }
 
+/// Returns the device memory of each part in bytes, and its share per surfel or ray.
 Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
     return {{"peak_bytes", memory.peak},
             {"scene_bytes", memory.scene},
