@@ -60,8 +60,9 @@ struct SimulatedRayRanges {
     }
 };
 
-/// Adds test rays around the point of a simulated ray. They fire at the time of this ray,
-/// because cars of the street move.
+/// Adds test rays ("probes") for the point of a simulated ray: from the point in all
+/// directions, and back to it from kOnSurface_m and kFar_m. They fire at the time of this
+/// ray, because cars of the street move.
 void add_probes(RayTable& probes, const SimulatedRayRanges& simulated, std::size_t ray) {
     static const std::array<glm::vec3, kRaysPerPoint> directions = sphere_directions();
     const glm::vec3 point_m = simulated.point_on_ray(ray, simulated.range_m[ray]);
@@ -75,9 +76,9 @@ void add_probes(RayTable& probes, const SimulatedRayRanges& simulated, std::size
 }
 
 /// Returns the distance of each point to the nearest surface of the street at the firing
-/// time of its ray, or infinity. Surfaces are one-sided, and a point may be some
-/// millimetres behind a surface. Therefore test rays are cast from the point in all
-/// directions, and back to it from kOnSurface_m and kFar_m.
+/// time of its ray, or infinity. The surface is where a test ray ends. Surfaces are
+/// one-sided, and a point may be some millimetres behind a surface, so test rays go from
+/// the point and towards it.
 std::vector<float> street_distances(const StreetScanSetup& setup, const SimulatedRayRanges& simulated,
                                     const std::vector<std::size_t>& ray_indices) {
     std::vector<float> nearest_m(ray_indices.size(), std::numeric_limits<float>::infinity());
@@ -86,7 +87,7 @@ std::vector<float> street_distances(const StreetScanSetup& setup, const Simulate
         std::vector<std::size_t> point_of_probe;  // index into `ray_indices`
         for (std::size_t k = first; k < std::min(first + kPointsPerCast, ray_indices.size()); ++k) {
             add_probes(probes, simulated, ray_indices[k]);
-            point_of_probe.resize(probes.size(), k);
+            point_of_probe.resize(probes.size(), k);  // The new probes belong to point k.
         }
         probes.rows = 1;
         probes.columns = int(probes.size());
@@ -130,8 +131,9 @@ struct AirPointCounts {
     }
 };
 
-/// Prints, for each pose of the sensor, the shares of floating points: of the points that
-/// are written to files (median ranges), and of the range image (mean ranges).
+/// Prints, for each pose of the sensor, the shares of points that float in the air, away
+/// from all surfaces of the street: of the points that are written to files (median
+/// ranges), and of the range image (mean ranges).
 void print_air_table(const std::string& run_folder) {
     const Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);

@@ -66,6 +66,7 @@ void print_edited_scores(const std::string& folder) {
     ScanRenderer renderer(device, run);
     std::vector<MetricValues> scores;
     evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) {
+        // Each frame adds a score, so the number of scores is the index of this frame.
         const RangeImage original = measured_image(run.config, before[scores.size()]);
         PixelRegion edited{"edited", std::vector<bool>(original.range_m.size())};
         for (std::size_t i = 0; i < edited.pixels.size(); ++i)

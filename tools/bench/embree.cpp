@@ -270,16 +270,19 @@ private:
 std::vector<RenderedPixel> render_rays(const EmbreeRenderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kRaysPerBlock = 256;
     std::vector<RenderedPixel> image(rays.size());
-    std::atomic<std::size_t> next{0};
-    const auto work = [&] {
-        for (std::size_t begin = next.fetch_add(kRaysPerBlock); begin < image.size();
-             begin = next.fetch_add(kRaysPerBlock))
-            for (std::size_t i = begin; i < std::min(begin + kRaysPerBlock, image.size()); ++i)
+    std::atomic<std::size_t> next_block{0};
+    const auto take_block = [&] { return kRaysPerBlock * next_block++; };
+    const auto render_blocks = [&] {
+        for (std::size_t begin = take_block(); begin < image.size(); begin = take_block()) {
+            const std::size_t end = std::min(begin + kRaysPerBlock, image.size());
+            for (std::size_t i = begin; i < end; ++i)
                 image[i] = renderer.render_ray(rays.origin[i], rays.direction[i]);
+        }
     };
+    // This thread is one of them.
     std::vector<std::thread> threads;
-    for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
-    work();
+    for (int i = 1; i < n_threads; ++i) threads.emplace_back(render_blocks);
+    render_blocks();
     for (std::thread& thread : threads) thread.join();
     return image;
 }

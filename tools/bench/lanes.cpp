@@ -28,8 +28,15 @@ namespace {
 using namespace relidar;
 
 constexpr double kSeen_m = 0.1;  // distance from the nearest training return
-// What is scored: standing or moving objects, with or without unseen surfaces.
-constexpr const char* kParts[] = {"static", "actors", "static, seen", "actors, seen"};
+/// What is scored: standing or moving objects, with or without unseen surfaces.
+struct ScoredPart {
+    const char* name;
+    bool of_actors, only_seen;
+};
+constexpr ScoredPart kParts[] = {{.name = "static", .of_actors = false, .only_seen = false},
+                                 {.name = "actors", .of_actors = true, .only_seen = false},
+                                 {.name = "static, seen", .of_actors = false, .only_seen = true},
+                                 {.name = "actors, seen", .of_actors = true, .only_seen = true}};
 
 /// A scan from a shifted sensor.
 struct LaneScan {
@@ -150,10 +157,12 @@ private:
     }
 };
 
+using ScoresOfParts = std::array<LaneScore, std::size(kParts)>;
+
 /// Renders scans of the first LiDAR from a shifted pose, half a sweep after each frame of
-/// the log, and adds them to the scores.
+/// the log. Compares them with exact scans of the street, and adds them to the scores.
 void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& street,
-                const TrainingReturns& training, const Pose& offset, std::array<LaneScore, 4>& scores) {
+                const TrainingReturns& training, const Pose& offset, ScoresOfParts& scores) {
     for (const Frame& frame : run.sequence.frames) {
         if (frame.lidar != 0) continue;
         const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
@@ -164,6 +173,7 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
             cast_street_rays(street, make_lidar_rays(run.sequence.lidar_of(frame), exact.time_s),
                              mount_track(run.sequence.lidar_track(frame.lidar), offset), exact.time_s);
         limit_ranges(exact.scan, sensor.limits);
+        // The simulated scan has the rays of the exact scan, but the rendered ranges.
         const RenderedScan scan = renderer.render(sensor, exact.time_s, offset);
         const std::vector<float>& points_m = point_ranges(scan, run.config);
         Frame simulated = exact;
@@ -172,16 +182,16 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
                 is_ray_returned(scan.image.drop_prob[ray], points_m[ray]) ? points_m[ray] : 0.0f;
         const LaneScan exact_scan = training.classify_rays(std::move(exact), offset),
                        simulated_scan = training.classify_rays(std::move(simulated), offset);
-        // The order of kParts.
-        for (std::size_t i = 0; i < scores.size(); ++i) {
-            const bool of_actors = i % 2 == 1, only_seen = i / 2 == 1;
-            scores[i].add_scans(exact_scan, simulated_scan, of_actors, only_seen);
-        }
+        for (std::size_t i = 0; i < scores.size(); ++i)
+            scores[i].add_scans(exact_scan, simulated_scan, kParts[i].of_actors, kParts[i].only_seen);
     }
 }
 
 /// Prints the scores of a sensor that is shifted by up to 3 m to either side.
 void print_lane_table(const std::string& run_folder) {
+    const double kFineThreshold_m = 0.05;
+    // LiDAR-RT compares squared distances with 0.05.
+    const double kPeerThreshold_m = std::sqrt(0.05);
     Run run = load_run(run_folder);
     run.config = with_max_range(std::move(run.config), run.sequence);
     run.config.sensor.grid = "native";  // the rays that are cast into the street
@@ -195,14 +205,17 @@ void print_lane_table(const std::string& run_folder) {
         "| "
         "correct drops |\n|--:|---|--:|--:|--:|--:|--:|--:|\n");
     for (const double left_m : {0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0}) {
-        std::array<LaneScore, 4> scores;
-        score_lane(renderer, run, street, training, {{1, 0, 0, 0}, {0.0, left_m, 0.0}}, scores);
-        for (std::size_t i = 0; i < scores.size(); ++i)
-            if (LaneScore& score = scores[i]; !score.errors_m.empty())
-                fmt::print("| {:+g} | {} | {} | {:.4f} m | {:.4f} m | {:.3f} | {:.3f} | {:.1f} % |\n", left_m,
-                           kParts[i], score.n_rays, score.median_error_m(), score.chamfer_m(),
-                           score.compute_f_score(0.05), score.compute_f_score(std::sqrt(0.05)),
-                           100.0 * double(score.n_right) / double(score.n_rays));
+        const Pose offset{{1, 0, 0, 0}, {0.0, left_m, 0.0}};
+        ScoresOfParts scores;
+        score_lane(renderer, run, street, training, offset, scores);
+        for (std::size_t i = 0; i < scores.size(); ++i) {
+            LaneScore& score = scores[i];
+            if (score.errors_m.empty()) continue;
+            fmt::print("| {:+g} | {} | {} | {:.4f} m | {:.4f} m | {:.3f} | {:.3f} | {:.1f} % |\n", left_m,
+                       kParts[i].name, score.n_rays, score.median_error_m(), score.chamfer_m(),
+                       score.compute_f_score(kFineThreshold_m), score.compute_f_score(kPeerThreshold_m),
+                       100.0 * double(score.n_right) / double(score.n_rays));
+        }
     }
 }
 

@@ -48,8 +48,9 @@ Cloud::Ptr downsample(const Cloud::Ptr& cloud) {
     return result;
 }
 
-// Registers each scan with the scan before it. The first guess is the motion of the
-// last step.
+// Registers each scan with the scan before it by GICP. Prints the first three rows of the
+// matrix that transforms points of a scan to the previous scan. The first guess is the
+// motion of the last step.
 void run_odometry(const std::vector<std::string>& files) {
     Eigen::Matrix4f motion = Eigen::Matrix4f::Identity();
     Cloud::Ptr last = downsample(read_bin(files.at(0)));
@@ -120,7 +121,8 @@ void label_points(const std::string& path) {
     write_ints(path + ".labels", labels);
 }
 
-// Writes the index of the nearest real point of each point of a scan.
+// Writes the index of the nearest real point of each point of a scan, or -1 if no real
+// point is near.
 void find_nearest(const std::string& real, const std::string& path) {
     pcl::KdTreeFLANN<pcl::PointXYZ> tree;
     tree.setInputCloud(read_bin(real));
@@ -128,11 +130,11 @@ void find_nearest(const std::string& real, const std::string& path) {
     std::vector<std::int32_t> nearest;
     pcl::Indices index(1);
     std::vector<float> distance_sq(1);
-    for (const auto& point : *cloud)
-        nearest.push_back(tree.nearestKSearch(point, 1, index, distance_sq) == 1 &&
-                                  distance_sq[0] < kMaxPairM * kMaxPairM
-                              ? index[0]
-                              : -1);
+    for (const auto& point : *cloud) {
+        const bool is_near =
+            tree.nearestKSearch(point, 1, index, distance_sq) == 1 && distance_sq[0] < kMaxPairM * kMaxPairM;
+        nearest.push_back(is_near ? index[0] : -1);
+    }
     write_ints(path + ".nearest", nearest);
 }
 

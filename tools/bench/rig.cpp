@@ -101,15 +101,15 @@ void add_comparison(RigScanScore& score, const ScanRanges& rendered_returns,
 std::string format_row(const std::string& name, RigScanScore& score) {
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty()) return fmt::format("| {} | {} | no ray returned |\n", name, score.rays);
-    std::string seconds = "– | – | –";
+    std::string second_return_cells = "– | – | –";
     if (score.second_returns > 0)
-        seconds = fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
-                              percentage(score.detected, score.second_returns),
-                              percentage(score.invented, score.reported));
-    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, score.rays,
-                       score.errors_m[score.errors_m.size() / 2],
-                       std::sqrt(score.squares / double(score.errors_m.size())),
-                       percentage(score.drops_right, score.rays), seconds);
+        second_return_cells = fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
+                                          percentage(score.detected, score.second_returns),
+                                          percentage(score.invented, score.reported));
+    const double median_m = score.errors_m[score.errors_m.size() / 2],
+                 root_mean_square_m = std::sqrt(score.squares / double(score.errors_m.size()));
+    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, score.rays, median_m,
+                       root_mean_square_m, percentage(score.drops_right, score.rays), second_return_cells);
 }
 
 /// Casts rays into the synthetic street and returns their exact ranges. If the sensor
