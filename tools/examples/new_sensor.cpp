@@ -8,7 +8,9 @@
 
 using namespace relidar;
 
+/// Renders RUN along TRAJECTORY.csv, and writes the scans to the folder OUT.
 int main(int argc, char** argv) try {
+    constexpr double kScanPeriod_s = 0.1;
     if (argc != 4) {
         std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]);
         return 2;
@@ -26,11 +28,11 @@ int main(int argc, char** argv) try {
     format.formats = {"pcd", "png"};
     format.trajectory = argv[2];
     ScanFolderWriter scans(argv[3], format);
-    int n = 0;
-    for (double t = trajectory.time_s.front(); t <= trajectory.time_s.back(); t += 0.1)
-        scans.write_scan(n++, renderer.render(sensor, {t, trajectory}));
+    int n_scans = 0;
+    for (double t = trajectory.time_s.front(); t <= trajectory.time_s.back(); t += kScanPeriod_s)
+        scans.write_scan(n_scans++, renderer.render(sensor, {t, trajectory}));
     scans.finish();
-    std::printf("%d scans of %zu rays in %s\n", n, sensor.rays.size(), argv[3]);
+    std::printf("%d scans of %zu rays in %s\n", n_scans, sensor.rays.size(), argv[3]);
 } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());
     return 1;
