@@ -75,6 +75,7 @@ std::string format_duration(double seconds) {
     return fmt::format("{}:{:02}:{:02}", s / 3600, s / 60 % 60, s % 60);
 }
 
+/// Formats a size in the largest unit in which it is at least 1, such as "1.3 GiB".
 std::string format_bytes(std::uint64_t n_bytes) {
     constexpr const char* kByteUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
     auto value = static_cast<double>(n_bytes);

@@ -18,9 +18,9 @@ using TableRows = std::vector<std::vector<std::string>>;
 /// Aligned columns; columns of numbers to the right. The first row is the header.
 std::string format_table(const TableRows& rows);
 
-std::string format_duration(double seconds);      ///< For example "0:42" or "1:54:00".
-std::string format_bytes(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
-std::string format_number(double value);          ///< Formats a number with four significant digits.
+std::string format_duration(double seconds);  ///< For example "0:42" or "1:54:00".
+std::string format_bytes(std::uint64_t n_bytes);
+std::string format_number(double value);  ///< Formats a number with four significant digits.
 std::string make_one_line(std::string text);
 std::string quote_for_shell(const std::string& word);
 

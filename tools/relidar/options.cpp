@@ -57,6 +57,7 @@ DeviceOptions to_device_options(const DeviceCommandOptions& device_choice) {
                          device_choice.index);
     options.index = device_choice.index;
     options.traversal = parse_backend(device_choice.traversal);
+    // The library tests a device when this machine opens it for the first time.
     set_open_callbacks({test_device, print_warning});
     return apply_environment(options);
 }

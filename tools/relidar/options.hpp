@@ -91,7 +91,7 @@ void apply_selection(Config& config, const LogSelection& log_selection);
 FrameRange parse_frames(const std::string& text);
 void note_missing_frames(const FrameRange& requested, int last, const std::string& source);
 std::optional<double> parse_finite(const std::string& text);
-/// Separated by commas.
+/// Parses finite numbers that are separated by commas.
 /// @throws UsageError that names the option if a word is not a number
 std::vector<double> parse_list(const std::string& option_name, const std::string& text);
 std::vector<std::string> split_text(const std::string& text, char separator);

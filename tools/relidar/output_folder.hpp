@@ -37,6 +37,7 @@ private:
 /// effect if the file system does not support locks.
 class FolderLock {
 public:
+    /// Locks the folder, so that no other relidar process writes to it.
     /// @param max_wait longest waiting time for another process
     /// @throws DataError after this time, or if the folder cannot be written
     explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds max_wait = {});
@@ -113,8 +114,8 @@ private:
 class RunFolderWriter {
 public:
     RunFolderWriter(const std::filesystem::path& path, bool replace_existing);
-    /// If the folder contains only an earlier run, exchanges both folders, so that a
-    /// killed process leaves one of the two runs complete.
+    /// Saves a run in the folder. If the folder contains only an earlier run, exchanges
+    /// both folders, so that a killed process leaves one of the two runs complete.
     void save_run_in(Run& run) const;
 
 private:

@@ -86,8 +86,8 @@ std::string format_help(const CLI::App& app) {
     return text + "\n" + app.get_footer() + "\n";
 }
 
-/// Parsing only selects a command. The command runs later, so that its errors are not
-/// handled as errors of the command line.
+/// Parses the command line and runs the selected command. It runs after the parser has
+/// ended, so that its errors are not handled as errors of the command line.
 void parse_and_run(const ProgramDescription& program, int argc, char** argv) {
     CLI::App app(program.description, program.name);
     std::string args = program.name;

@@ -50,6 +50,7 @@ void check_same_build(int rank) {
 /// Concatenates the texts of all MPI processes in the order of their ranks. Every process
 /// receives the complete text.
 std::string gather_text(const std::string& text, int n_ranks) {
+    // The processes exchange their sizes, and then their texts.
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
     MPI_Request request;
@@ -62,6 +63,7 @@ std::string gather_text(const std::string& text, int n_ranks) {
         throw Error(
             ExitCode::bug,
             "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 GiB");
+    // The text of a rank begins at its displacement in the joined text.
     std::vector<int> counts(sizes.begin(), sizes.end()), displacements(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), displacements.begin(), 0);
     std::string all(total, '\0');

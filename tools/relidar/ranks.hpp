@@ -33,6 +33,7 @@ public:
     int size() const { return group_.size; }
     bool is_first() const { return group_.is_first(); }
     const ProcessGroup& group() const { return group_; }
+    /// Collects the texts of all processes in the first process.
     /// @return in the first process, the texts in the order of ranks; elsewhere, an empty
     /// list
     std::vector<std::string> gather_texts(const std::string& text) const;

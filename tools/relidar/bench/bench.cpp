@@ -97,7 +97,10 @@ BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
         device, bench_case, options,
         noisy_targets(render_case(device, bench_case), bench_case.config.loss.normalised_depth));
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");
-    const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench_case.columns), &step.targets};
+    const RayBatch batch{.rays = &rays,
+                         .n_rays = n_rays,
+                         .columns = static_cast<std::uint32_t>(bench_case.columns),
+                         .targets = &step.targets};
 
     // The first launches compile kernels, and a GPU raises its clock rate only under
     // load.

@@ -38,7 +38,8 @@ TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const Re
       adam_(device, renderer.scene().size(), {.only_touched = bench_case.config.train.only_touched},
             renderer.scene().surfel_parameters().parameters_used()),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
-    for (const DeviceTarget& target : target_values) n_returned_ += target.range_m > 0.0f;
+    for (const DeviceTarget& target : target_values)
+        if (target.range_m > 0.0f) ++n_returned_;
     if (bench_case.config.loss.likelihood > 0.0f) likelihood_loss_.emplace(device, bench_case.config.loss);
 }
 

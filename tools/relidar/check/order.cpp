@@ -42,7 +42,9 @@ bool is_sorted_right(Device& device, std::uint32_t n_keys, std::uint32_t capacit
     Stream stream(device);
     sort.run(stream, {unsorted_keys.address(), scratch_order.address()},
              {sorted_keys.address(), sorted_order.address()}, kSortedBits, count.address());
-    stream.submit_and_wait();  // Three passes of 8 bits: the result is in the second arrays.
+    // A pass sorts by 8 bits and writes to the other arrays. There are three passes, so
+    // the result is in the second arrays.
+    stream.submit_and_wait();
 
     Words expected_order(n_keys);
     std::iota(expected_order.begin(), expected_order.end(), 0u);

@@ -60,7 +60,7 @@ RenderAndGradients run_passes(Device& device) {
         device, std::span<const DeviceRay>(to_device_rays(test::to_world_rays(pass.scene.rays))), "rays");
     differentiable.last_batch().upstream->upload(to_ray_gradients(pass.upstream));
     renderer.update(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
-    renderer.record_forward({&rays, 0, 1, n_rays});
+    renderer.record_forward({.rays = &rays, .n_rays = n_rays});
     differentiable.record_backward();
     pass.rendering = renderer.download_rays();
     pass.gradients = differentiable.gradients().surfels.download();
@@ -95,16 +95,16 @@ double gradient_error(const RenderAndGradients& pass) {
 }
 
 /// Returns the root mean square error of the rendered values, relative to the root mean
-/// square of the exact values.
+/// square of the exact values: sqrt(sum (rendered - exact)^2 / sum exact^2).
 double image_error(const RenderAndGradients& pass) {
     const std::vector<reference::Pixel> pixels =
         reference::render(pass.scene.world, pass.settings, pass.scene.rays);
-    double error = 0.0, power = 0.0;
+    double sum_squared_errors = 0.0, sum_squares = 0.0;
     for (std::size_t i = 0; i < pixels.size(); ++i) {
         const reference::Pixel& p = pixels[i];
         const auto add_value = [&](double actual, double expected) {
-            error += (actual - expected) * (actual - expected);
-            power += expected * expected;
+            sum_squared_errors += (actual - expected) * (actual - expected);
+            sum_squares += expected * expected;
         };
         // A call for each value that is blended along a ray, such as the depth.
 #define RELIDAR_ADD(name, built, value, input, slope, meaning) add_value(pass.rendering.name[i], p.name);
@@ -112,7 +112,7 @@ double image_error(const RenderAndGradients& pass) {
 #undef RELIDAR_ADD
         add_value(pass.rendering.transmittance[i], p.transmittance);
     }
-    return std::sqrt(error / power);
+    return std::sqrt(sum_squared_errors / sum_squares);
 }
 
 }  // namespace

@@ -18,8 +18,8 @@ namespace relidar::cli {
 namespace {
 
 constexpr std::size_t kRunRays = 512;
-constexpr double kValueTolerance = 1e-3;  ///< see ray_difference()
-/// Maximum share of wrong rays, because rounding decides at edges and at equal distances.
+constexpr double kValueTolerance = 1e-3;  // relative, for values above 1
+// Maximum share of wrong rays, because rounding decides at edges and at equal distances.
 constexpr double kEdgeShare = 0.02;
 
 /// Selects at most kRunRays evenly spaced rays, because the reference renderer is slow.
@@ -27,6 +27,7 @@ WorldRays thin_out_rays(const WorldRays& rays) {
     WorldRays selected;
     const std::size_t n = std::min(kRunRays, rays.size());
     for (std::size_t k = 0; k < n; ++k) {
+        // The middle of part k, if the rays are divided into n equal parts.
         const std::size_t i = (2 * k + 1) * rays.size() / (2 * n);
         selected.origin.push_back(rays.origin[i]);
         selected.direction.push_back(rays.direction[i]);
@@ -84,6 +85,7 @@ double ray_difference(const RenderedRayValues& rendered, std::size_t ray, const 
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
         worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
     };
+    // A call for each value that is blended along a ray, such as the depth.
 #define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
     compare_value(rendered.name[ray], expected.name);
     RELIDAR_IMAGE_VALUES(RELIDAR_COMPARE)
@@ -116,6 +118,7 @@ CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, co
         differences.push_back(ray_difference(rendering, i, pixels[i]));
     // The negated comparison also counts NaN.
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
+    // Rounding decides what a ray at an edge hits, so some rays may differ.
     const double max_wrong = kEdgeShare * double(rays.size());
     std::ranges::sort(differences);
     return {

@@ -152,16 +152,20 @@ Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurfa
 
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
-    const int second_column = 2 * kViewGap_px + columns(kLeftView);
+    // Pixel positions of the pictures. The left and the right picture have equal sizes.
+    constexpr int kFirstRow = kViewGap_px, kFirstColumn = kViewGap_px;
+    const int second_column = kFirstColumn + columns(kLeftView) + kViewGap_px;
     const int third_column = second_column + columns(kRightView) + kViewGap_px;
-    const int second_row = 2 * kViewGap_px + std::max(rows(kLeftView), rows(kTopView));
-    const CanvasPosition top_left_of_view[] = {{kViewGap_px, kViewGap_px},
-                                               {kViewGap_px, second_column},
-                                               {kViewGap_px, third_column},
-                                               {second_row, kViewGap_px},
-                                               {second_row, second_column}};
-    Image canvas{
-        second_row + rows(kBackView) + kViewGap_px, third_column + columns(kTopView) + kViewGap_px, {}};
+    const int second_row = kFirstRow + std::max(rows(kLeftView), rows(kTopView)) + kViewGap_px;
+    // In the order of kCameraViews: left, right, top, back, front.
+    const CanvasPosition top_left_of_view[] = {{.row = kFirstRow, .column = kFirstColumn},
+                                               {.row = kFirstRow, .column = second_column},
+                                               {.row = kFirstRow, .column = third_column},
+                                               {.row = second_row, .column = kFirstColumn},
+                                               {.row = second_row, .column = second_column}};
+    Image canvas{.rows = second_row + rows(kBackView) + kViewGap_px,
+                 .columns = third_column + columns(kTopView) + kViewGap_px,
+                 .rgb = {}};
     canvas.rgb.assign(3 * std::size_t(canvas.rows) * std::size_t(canvas.columns), kBackdropGrey);
     const float brightest = bright_intensity(scans);
     for (std::size_t view = 0; view < scans.size(); ++view)

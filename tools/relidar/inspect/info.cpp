@@ -32,7 +32,7 @@ void print_summary(const Summary& summary, bool json) {
 
 void print_run_info(const InfoOptions& options) {
     const Run run = load_run(options.path);
-    print_summary(summarise(run), options.json);
+    print_summary(summarise_run(run), options.json);
 }
 
 /// Prints the state of a run that has no scene yet, and how to continue its training.
@@ -55,7 +55,7 @@ void print_log_info(const InfoOptions& options) {
     config.dataset.path = options.path;
     apply_selection(config, options.part);
     const Log log = load_dataset(config, false, options.all ? 0 : int(kMaxSampledScans));
-    LogSummary summary = summarise(log, config.init);
+    LogSummary summary = summarise_log(log, config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMaxSampledScans; });
     // Some readers read all scans even if fewer are requested.

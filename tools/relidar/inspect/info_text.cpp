@@ -152,7 +152,7 @@ std::string dump_json(const Json& json) {
 }
 
 /// Summarises a box: when it is present, where it starts, how far and fast it moves.
-BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
+BoxSummary summarise_box(const Log& sequence, const BoxTrack& box) {
     BoxSummary summary{box};
     for (const Frame& frame : sequence.frames) {
         if (!box.is_observed(frame.time_s)) continue;
@@ -173,7 +173,7 @@ BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
 }
 
 /// Summarises a LiDAR of a log: its pattern of rays and its numbers of scans and returns.
-LidarSummary summarise(const Log& sequence, int lidar_index) {
+LidarSummary summarise_lidar(const Log& sequence, int lidar_index) {
     const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
     LidarSummary summary;
@@ -253,21 +253,21 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
 
 }  // namespace
 
-LogSummary summarise(const Log& sequence, const InitOptions& options) {
+LogSummary summarise_log(const Log& sequence, const InitOptions& options) {
     LogSummary summary{sequence, {sequence.notes.begin(), sequence.notes.end()}};
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i)
-        summary.lidars.push_back(summarise(sequence, int(i)));
+        summary.lidars.push_back(summarise_lidar(sequence, int(i)));
     summary.path_m = path_length_m(sequence.world_from_vehicle);
     summary.returns_share = return_share(sequence);
     summary.n_scans_read = std::size_t(
         std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
-    for (const BoxTrack& box : sequence.boxes) summary.boxes.push_back(summarise(sequence, box));
+    for (const BoxTrack& box : sequence.boxes) summary.boxes.push_back(summarise_box(sequence, box));
     summary.masked = format_box_list(find_unselected(sequence, options));
     return summary;
 }
 
-RunSummary summarise(const Run& run) {
-    RunSummary summary{run, summarise(run.sequence, run.config.init)};
+RunSummary summarise_run(const Run& run) {
+    RunSummary summary{run, summarise_log(run.sequence, run.config.init)};
     if (!run.refined_poses.empty() && run.refined_poses != "none")
         summary.log.notes.push_back(fmt::format(
             "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "

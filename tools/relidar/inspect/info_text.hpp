@@ -51,7 +51,7 @@ struct LogSummary {
 
 /// Summarises a log for `relidar info`.
 /// @param options which moving objects get a model
-LogSummary summarise(const Log& sequence, const InitOptions& options);
+LogSummary summarise_log(const Log& sequence, const InitOptions& options);
 
 struct RenderedSensorSummary {
     std::string name;
@@ -69,7 +69,7 @@ struct RunSummary {
     std::vector<std::pair<std::string, std::uint64_t>> files = {};  ///< Name and size in bytes of each file.
 };
 /// Summarises a run and its log for `relidar info`.
-RunSummary summarise(const Run& run);
+RunSummary summarise_run(const Run& run);
 
 // What `relidar info` prints, as lines of text or, with --json, as JSON.
 std::string format_as_text(const LogSummary& log);

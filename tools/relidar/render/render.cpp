@@ -94,6 +94,7 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
     check_dataset_folder(options.out, options.layout);
     if (ranks.size() > 1)
         fail<UsageError>("--layout {}: found {} MPI processes; expected one", options.layout, ranks.size());
+    // An option that differs from its default was set by the user.
     if (options.formats != "npz" || options.merge || options.deskew || options.point_frame != "sensor")
         fail<UsageError>(
             "--layout {}: found --format, --merge, --deskew or --frame; the layout decides these",
@@ -226,7 +227,7 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
     else formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
 
     RenderOutputs output;
-    if (!ranks.is_first()) ranks.barrier();
+    if (!ranks.is_first()) ranks.barrier();  // waits for the folders
     if (ranks.is_first() && has_subfolders) {
         // Checks all folders before files of an earlier rendering are removed.
         for (const RenderedSensor& sensor : rendered_sensors)
@@ -244,7 +245,7 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
             output.folders.push_back(ScanFolderWriter::join_folder(folder, formats[i]));
         }
     }
-    if (ranks.is_first()) ranks.barrier();
+    if (ranks.is_first()) ranks.barrier();  // The other processes continue.
     return output;
 }
 

@@ -92,12 +92,13 @@ std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack
     // Negated comparisons, so that NaN is rejected too.
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", options.times);
-    const double slack_s = kStepSlack * steps.step;
+    const double slack_s = kStepSlack * steps.step;  // for rounding errors of the times
     if (steps.first < begin - slack_s || steps.last > end + slack_s) {
         fail<UsageError>(
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
             steps.first, steps.last, begin, end);
     }
+    // A scan at the first time, and one after each complete step.
     const double n_scans = std::floor((steps.last - steps.first) / steps.step + kStepSlack) + 1.0;
     if (n_scans > kMostScans)
         fail<UsageError>(
@@ -131,17 +132,18 @@ void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::v
         print_warning(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor (`relidar export {}`)",
             distance_m, run.folder.string()));
-    const double begin = log.frames.front().time_s, end = log.frames.back().time_s;
-    // Actors exist for half a time step longer than the log (BoxTrack).
-    const double slack_s =
-        0.5 * (end - begin) / std::max<double>(1.0, log.world_from_vehicle.time_s.size() - 1.0);
-    const auto n_outside = std::ranges::count_if(
-        times_s, [&](double time_s) { return time_s < begin - slack_s || time_s > end + slack_s; });
+    const double begin_s = log.frames.front().time_s, end_s = log.frames.back().time_s;
+    // Actors exist for half a time step longer than the log, at both ends (BoxTrack).
+    const double n_steps = std::max<double>(1.0, log.world_from_vehicle.time_s.size() - 1.0);
+    const double half_step_s = 0.5 * (end_s - begin_s) / n_steps;
+    const auto n_outside = std::ranges::count_if(times_s, [&](double time_s) {
+        return time_s < begin_s - half_step_s || time_s > end_s + half_step_s;
+    });
     const bool has_actors = run.scene.instances.size() > 1;  // besides the background
     if (n_outside > 0 && has_actors)
         print_warning(
             fmt::format("{} of {} scans are outside the time of the log ({} to {} s), so they show no actors",
-                        n_outside, times_s.size(), begin, end));
+                        n_outside, times_s.size(), begin_s, end_s));
 }
 
 }  // namespace relidar::cli

@@ -118,11 +118,12 @@ bool is_group_equal(const Config& first, const Config& second, std::string_view 
 }
 
 /// Checks that a finished run agrees with the settings of the command line, because
-/// nothing is trained. Only settings outside of find_fixed_setting() may differ.
+/// nothing is trained. Settings without effect on the result may differ.
 /// @throws UsageError that names the first other setting
 void check_same_settings(const fs::path& run_folder, const Config& current_config) {
     const Config trained = load_settings(run_folder / kConfigFile);
     std::string key = find_fixed_setting(trained, current_config);
+    // find_fixed_setting() allows these, because a training that continues applies them.
     if (key.empty() && trained.dataset.path != current_config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != current_config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render."})

@@ -26,6 +26,7 @@ struct BlockTrainingOptions {
 /// @throws DataError if a block was trained with other settings or frames
 TrainResult train_blocks(Device& device, Run& run, const BlockTrainingOptions& block_options);
 
+/// Checks that all trained blocks of a run have these settings.
 /// @throws DataError that names the first block with other settings
 void check_blocks(const std::filesystem::path& folder, const Config& config);
 
