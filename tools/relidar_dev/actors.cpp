@@ -49,8 +49,8 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     return placed;
 }
 
-/// Returns the input of a benchmark: a scene with actors, and the rays of one scan from the
-/// origin of the world frame.
+/// Returns the input of a benchmark: a scene with actors, and the rays of one scan from
+/// the origin of the world frame.
 DevCase make_actor_case(int n_actors, bool copy_shared_models) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);

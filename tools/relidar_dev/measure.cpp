@@ -217,7 +217,7 @@ std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::
     return rows;
 }
 
-/// @throws DeviceError if a ray was not traced completely, because its time would be wrong
+/// Checks that all rays were traced completely, because the times would be wrong.
 void check_complete_rays(const Renderer& renderer, std::size_t n_rays) {
     const std::uint32_t n_truncated = renderer.forward_pass().n_truncated_rays().download()[0];
     if (n_truncated > 0)
