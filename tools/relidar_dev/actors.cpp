@@ -116,6 +116,7 @@ ActorBenchTimes measure_actors(Device& device, int n_actors, bool copy_shared_mo
     const DevCase bench = make_actor_case(n_actors, copy_shared_models);
     ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = copy_shared_models};
     measure_updates(device, bench, settings.repeat, times);
+    // A scan needs only the forward pass, a training step also the backward pass.
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
     step.backward = true;

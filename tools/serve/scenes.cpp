@@ -84,7 +84,7 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     SceneInMemory& loaded = loaded_[scene];
     loaded.bytes = 0;
     loaded.n_slots = 0;
-    loaded.used = ++clock_;
+    loaded.used = ++clock_;  // The scene with the lowest number is unloaded first.
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
     count_bytes(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
