@@ -46,41 +46,64 @@ std::vector<bool> read_valid(const Component& lidar, const std::string& frame, s
     return valid;
 }
 
-/// Returns the number of columns of a full turn, if the columns of the model are in
-/// nearly equal steps. A model can have fewer columns than a turn.
+/// Returns the number of columns in a full turn of the head, or nothing if the columns of
+/// the model are not in nearly equal steps. A model can cover only a part of the turn.
 std::optional<int> count_columns(const SpinningModel& model) {
-    const double sign = model.is_clockwise ? -1.0 : 1.0, first = model.azimuth_rad.front();
-    const std::size_t n = model.azimuth_rad.size();
-    std::vector<double> steps;
-    for (std::size_t j = 1; j < n; ++j)
-        steps.push_back(std::remainder(sign * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
-    const double step = steps.empty() ? 0.0 : compute_median(std::move(steps));
-    const double least_step = 2.0 * kPi * double(model.elevation_rad.size()) / double(kMaxRays);
-    if (!(step > least_step)) return std::nullopt;
-    const int columns = int(std::lround(2.0 * kPi / step));
-    if (n > std::size_t(columns)) return std::nullopt;
-    const double even_step = 2.0 * kPi / columns;
-    for (std::size_t j = 0; j < n; ++j) {
-        const double expected = first + sign * double(j) * even_step;
-        if (std::abs(std::remainder(model.azimuth_rad[j] - expected, 2.0 * kPi)) > kMostUneven * even_step)
-            return std::nullopt;
+    const double sign = model.is_clockwise ? -1.0 : 1.0, first_rad = model.azimuth_rad.front();
+    const std::size_t n_columns = model.azimuth_rad.size();
+    std::vector<double> steps_rad;
+    for (std::size_t j = 1; j < n_columns; ++j)
+        steps_rad.push_back(
+            std::remainder(sign * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
+    const double step_rad = steps_rad.empty() ? 0.0 : compute_median(std::move(steps_rad));
+    // With smaller steps, the image of a full turn would have more than kMaxRays rays.
+    const double least_step_rad = 2.0 * kPi * double(model.elevation_rad.size()) / double(kMaxRays);
+    if (!(step_rad > least_step_rad)) return std::nullopt;
+    const int turn_columns = int(std::lround(2.0 * kPi / step_rad));
+    if (n_columns > std::size_t(turn_columns)) return std::nullopt;
+    const double even_step_rad = 2.0 * kPi / turn_columns;
+    for (std::size_t j = 0; j < n_columns; ++j) {
+        const double expected_rad = first_rad + sign * double(j) * even_step_rad;
+        const double error_rad = std::remainder(model.azimuth_rad[j] - expected_rad, 2.0 * kPi);
+        if (std::abs(error_rad) > kMostUneven * even_step_rad) return std::nullopt;
     }
-    return columns;
+    return turn_columns;
 }
 
 /// Limits the field of view of a sensor to the azimuths of the model, unless the model
-/// has a full turn. The offsets of the rows shift their image columns, so the field of
-/// view contains the columns of all rows.
+/// has a full turn. The rays of row r in a column point to the azimuth of the column plus
+/// the azimuth offset of row r. The field of view contains the rays of all rows.
 void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
-    const double sign = model.is_clockwise ? -1.0 : 1.0, even_step = 2.0 * kPi / sensor.columns;
+    const double sign = model.is_clockwise ? -1.0 : 1.0, step_rad = 2.0 * kPi / sensor.columns;
     const auto [low, high] = std::ranges::minmax_element(
         sensor.beams, {}, [&](const Beam& beam) { return offset_columns(beam, sensor.columns); });
-    const double least = even_step * offset_columns(*low, sensor.columns),
-                 most = even_step * offset_columns(*high, sensor.columns);
-    const double wide_rad = double(model.azimuth_rad.size() - 1) * even_step + most - least;
-    if (wide_rad >= 2.0 * kPi - 1.5 * even_step) return;
-    const double begin = model.azimuth_rad.front() + (model.is_clockwise ? most : least);
-    sensor.azimuth_rad = {{begin, begin + sign * wide_rad}};
+    const double least_offset_rad = step_rad * offset_columns(*low, sensor.columns),
+                 most_offset_rad = step_rad * offset_columns(*high, sensor.columns);
+    const double width_rad =
+        double(model.azimuth_rad.size() - 1) * step_rad + most_offset_rad - least_offset_rad;
+    // From the first to the last column, a full turn is one step less than 2 pi.
+    const bool is_full_turn = width_rad >= 2.0 * kPi - 1.5 * step_rad;
+    if (is_full_turn) return;
+    const double begin_rad =
+        model.azimuth_rad.front() + (model.is_clockwise ? most_offset_rad : least_offset_rad);
+    sensor.azimuth_rad = {{begin_rad, begin_rad + sign * width_rad}};
+}
+
+/// Returns the delay of each column: the mean of its rays' measured minus nominal times.
+/// A column without a ray gets the delay of the column before, or of the first column
+/// with a ray. Returns an empty list if no column has a ray.
+/// @param delay_sum_s, n_rays  [columns] sum over the rays of a column, and their number
+std::vector<double> fill_column_delays(const std::vector<double>& delay_sum_s,
+                                       const std::vector<double>& n_rays) {
+    const auto first = std::ranges::find_if(n_rays, [](double n) { return n > 0.0; });
+    if (first == n_rays.end()) return {};
+    std::vector<double> delay_s;
+    auto last_with_ray = std::size_t(first - n_rays.begin());
+    for (std::size_t column = 0; column < n_rays.size(); ++column) {
+        if (n_rays[column] > 0.0) last_with_ray = column;
+        delay_s.push_back(delay_sum_s[last_with_ray] / n_rays[last_with_ray]);
+    }
+    return delay_s;
 }
 
 }  // namespace
@@ -115,9 +138,9 @@ std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<
     sensor.clockwise = model.is_clockwise;
     sensor.period_s = model.period_s;
     sensor.columns = *columns;
-    // Column 0 is the first column at or below +180 degrees.
-    const double even_step = 2.0 * kPi / sensor.columns, below = kPi - model.azimuth_rad.front();
-    sensor.first_azimuth_rad = kPi - (below - even_step * std::floor(below / even_step));
+    // Column 0 is the first column at or below +180 degrees: less than a step below.
+    const double step_rad = 2.0 * kPi / sensor.columns, below_rad = kPi - model.azimuth_rad.front();
+    sensor.first_azimuth_rad = kPi - (below_rad - step_rad * std::floor(below_rad / step_rad));
 
     // The sensor has its beams from the highest to the lowest.
     std::vector<std::size_t> rows(beams.size());
@@ -149,8 +172,10 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar) {
 
 namespace {
 
-/// Reads the directions and times of all rays of a frame.
+/// Reads the directions and times of all rays of a frame. Times become seconds after
+/// `time_us`, the reference time of the frame in the log.
 /// @param rays  name of the group in the store
+/// @param n  number of rays
 void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::string& rays, std::size_t n,
                      const StoredFrame& frame, std::int64_t time_us, const std::string& where) {
     const auto directions = read_zarr_array<float>(store, rays + "/direction", {n, 3});
@@ -161,13 +186,13 @@ void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::strin
             fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
                  d.z);
         bundle.direction.push_back(glm::normalize(d));
-        // Wraps like signed numbers, so a ray before `time_us` has a negative value.
-        const auto late_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
+        // Unsigned numbers wrap, so the value of a ray before `time_us` becomes negative.
+        const auto offset_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
         if (times_us[i] > std::uint64_t(frame.end_us + kMostLate_us) ||
             std::int64_t(times_us[i]) < frame.start_us - kMostLate_us)
             fail("{}: the time of ray {} is {}, expected {} to {}", where, i, times_us[i], frame.start_us,
                  frame.end_us);
-        bundle.time_offset_s.push_back(float(1e-6 * double(late_us)));
+        bundle.time_offset_s.push_back(float(1e-6 * double(offset_us)));
     }
 }
 
@@ -274,8 +299,10 @@ std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundl
     return rows;
 }
 
-/// Fits the direction and the origin of a beam to its points, with the two lines over
-/// 1 / rho above. Keeps values whose line is not determined well.
+/// Fits the direction and the origin of a beam to its points: the lines over 1 / rho
+///   z / rho = tan(elevation) + (origin_up / cos(elevation)) / rho,
+///   azimuth = azimuth_offset + origin_left / rho.
+/// Keeps the values of a line that is not determined well.
 void fit_beam(Beam& beam, const std::vector<RowPoint>& points) {
     std::vector<glm::dvec2> heights, azimuths;
     for (const RowPoint& point : points) {
@@ -304,7 +331,7 @@ FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const Spinni
     const std::vector<std::vector<RowPoint>> rows = collect_row_points(bundles, model);
     FittedBeams fitted{.beams = model_beams};
     for (std::size_t row = 0; row < rows.size(); ++row) {
-        fit_beam(fitted.beams[row], rows[row]);
+        fit_beam(fitted.beams[row], rows[row]);  // changes the beam
         fitted.n_returns += rows[row].size();
     }
     fitted.model_misfit_rad = median_misfit(model_beams, rows);
@@ -329,8 +356,8 @@ NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vecto
 
 void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
     const SpinningModel& model = *models_[lidar];
-    const std::size_t n_columns = model.azimuth_rad.size();  // of the model, maybe not a full turn
-    const int n = sensor.columns;
+    const std::size_t model_columns = model.azimuth_rad.size();  // maybe not a full turn
+    const int turn_columns = sensor.columns;
     const double sign = model.is_clockwise ? -1.0 : 1.0, first_rad = model.azimuth_rad.front();
     std::vector<std::size_t> row_of_beam(sensor.beams.size());
     for (std::size_t row = 0; row < row_of_beam.size(); ++row) row_of_beam[model.beam_of_row[row]] = row;
@@ -338,22 +365,24 @@ void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
     beams_[lidar] = make_generators(sensor.beams);
     RayTable& image = images_[lidar] = make_rays(sensor);
     std::vector<int>& ray_of_element = ray_of_element_[lidar];
-    ray_of_element.assign(model.elevation_rad.size() * n_columns, -1);
+    ray_of_element.assign(model.elevation_rad.size() * model_columns, -1);
     for (std::size_t ray = 0; ray < image.size(); ++ray) {
         // The column of the model follows from the azimuth without the beam's offset.
         const std::size_t beam = image.channel[ray];
         const glm::dvec3 d(image.direction[ray]);
-        const double turned =
+        const double turned_rad =
             sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad - first_rad);
-        const auto column = std::size_t((std::lround(turned / (2.0 * kPi) * n) % n + n) % n);
-        if (column >= n_columns) continue;
-        ray_of_element[row_of_beam[beam] * n_columns + column] = int(ray);
-        // The columns of the sensor are in equal steps, those of the model nearly.
-        const double even_rad = first_rad + sign * 2.0 * kPi * double(column) / n;
-        const glm::dquat turn =
+        const auto turned_columns = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
+        const auto column = std::size_t((turned_columns % turn_columns + turn_columns) % turn_columns);
+        if (column >= model_columns) continue;
+        ray_of_element[row_of_beam[beam] * model_columns + column] = int(ray);
+        // The columns of the sensor are in equal steps, those of the model only nearly.
+        // The small rotation from one to the other corrects the ray.
+        const double even_rad = first_rad + sign * 2.0 * kPi * double(column) / turn_columns;
+        const glm::dquat correction =
             make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
-        image.direction[ray] = glm::vec3(turn * d);
-        image.origin[ray] = glm::vec3(turn * glm::dvec3(image.origin[ray]));
+        image.direction[ray] = glm::vec3(correction * d);
+        image.origin[ray] = glm::vec3(correction * glm::dvec3(image.origin[ray]));
     }
 }
 
@@ -395,44 +424,40 @@ Scan NcoreScans::read_rays(std::size_t frame) const {
     return scan;
 }
 
-/// Copies the stored rays to their places in the image. A ray that is not stored gets the
-/// time of its column. Of two rays in the same place, the ray with a return stays.
+/// Copies the stored rays to their places in the image: row and column in the model give
+/// the ray (ray_of_element_). A ray that is not stored gets the delay of its column. Of
+/// two rays in the same place, the ray with a return stays.
 void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar,
                             const std::string& where) const {
-    const std::size_t n_rows = models_[lidar]->elevation_rad.size(), n = models_[lidar]->azimuth_rad.size();
+    const std::size_t n_rows = models_[lidar]->elevation_rad.size(),
+                      n_columns = models_[lidar]->azimuth_rad.size();
     std::vector<bool> is_stored(scan.rays.size(), false);
-    std::vector<double> delay_sum_s(n, 0.0), count(n, 0.0);  // [columns] measured minus nominal times
+    std::vector<double> delay_sum_s(n_columns, 0.0), n_rays(n_columns, 0.0);  // [columns]
     for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
         const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
-        if (row >= n_rows || column >= n)
+        if (row >= n_rows || column >= n_columns)
             fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row,
-                 column, n_rows, n);
-        const int ray = ray_of_element_[lidar][row * n + column];
-        if (ray < 0) continue;
-        const auto at = std::size_t(ray);
-        if (is_stored[at] && scan.range_m[at] > 0.0f) continue;
-        delay_sum_s[column] += double(bundle.time_offset_s[i]) - double(images_[lidar].time_offset_s[at]);
-        count[column] += 1.0;
-        is_stored[at] = true;
-        scan.rays.direction[at] = glm::vec3(bundle.direction[i]);
-        scan.rays.time_offset_s[at] = bundle.time_offset_s[i];
-        place_returns(scan, at, bundle, i, beams_[lidar][models_[lidar]->beam_of_row[row]]);
+                 column, n_rows, n_columns);
+        const int image_ray = ray_of_element_[lidar][row * n_columns + column];
+        if (image_ray < 0) continue;
+        const auto ray = std::size_t(image_ray);
+        if (is_stored[ray] && scan.range_m[ray] > 0.0f) continue;
+        const double nominal_s = images_[lidar].time_offset_s[ray];
+        delay_sum_s[column] += double(bundle.time_offset_s[i]) - nominal_s;
+        n_rays[column] += 1.0;
+        is_stored[ray] = true;
+        scan.rays.direction[ray] = glm::vec3(bundle.direction[i]);
+        scan.rays.time_offset_s[ray] = bundle.time_offset_s[i];
+        place_returns(scan, ray, bundle, i, beams_[lidar][models_[lidar]->beam_of_row[row]]);
     }
 
-    // A column without a ray has the delay of the column before, or of the first column
-    // with a ray.
-    const auto first = std::ranges::find_if(count, [](double n_rays) { return n_rays > 0.0; });
-    if (first == count.end()) return;
-    auto last_with_ray = std::size_t(first - count.begin());
-    for (std::size_t j = 0; j < n; ++j) {
-        if (count[j] > 0.0) last_with_ray = j;
-        const double delay_s = delay_sum_s[last_with_ray] / count[last_with_ray];
+    const std::vector<double> delay_s = fill_column_delays(delay_sum_s, n_rays);
+    for (std::size_t column = 0; column < delay_s.size(); ++column)
         for (std::size_t row = 0; row < n_rows; ++row) {
-            const int ray = ray_of_element_[lidar][row * n + j];
+            const int ray = ray_of_element_[lidar][row * n_columns + column];
             if (ray >= 0 && !is_stored[std::size_t(ray)])
-                scan.rays.time_offset_s[std::size_t(ray)] += float(delay_s);
+                scan.rays.time_offset_s[std::size_t(ray)] += float(delay_s[column]);
         }
-    }
 }
 
 /// Copies the returns of a stored ray to a ray of the image, which starts at the origin
@@ -445,6 +470,7 @@ void NcoreScans::place_returns(Scan& scan, std::size_t ray, const RayBundle& bun
         if (!(stored_range_m > 0.0f)) break;
         const glm::dvec3 point = double(stored_range_m) * bundle.direction[stored_ray];
         if (r == 0) {
+            // The beam has another origin for each azimuth. It must face the point.
             const glm::dvec3 origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
             const double range_m = glm::distance(point, origin);
             if (!(range_m > kNearest_m)) break;

@@ -30,9 +30,10 @@ struct SpinningModel {
 /// Reads the model of a LiDAR, or nothing if the sequence has none.
 std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name);
 
-/// Returns the columns of a model, and a sensor with given beams. Returns nothing if the
-/// columns are not in equal steps. The sensor has no name and no range limits.
-/// @param beams  [rows] beams of the rows; the order of the sensor's beams can differ
+/// Converts a model to a sensor without a name and range limits. Returns nothing if the
+/// columns of the model are not in equal steps. Sets model.beam_of_row, because the
+/// sensor has the beams in the order of their elevations.
+/// @param beams  [rows] beams of the rows of the model
 std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams);
 
 /// Rays and returns of a frame, as they are stored.
@@ -64,7 +65,8 @@ struct FittedBeams {
     bool is_better = false;
     std::size_t n_returns = 0;  ///< number of returns with an element of the model
 };
-/// Fits directions and origins of beams to the returns of some frames.
+/// Fits the beam of each row of a model, direction and origin, to the returns of some
+/// frames. Keeps the beams of the model if the fit is not clearly better.
 FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model);
 
 /// Where a scan of the log is stored.
@@ -97,8 +99,9 @@ private:
     /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image
     std::vector<std::vector<int>> ray_of_element_;
 
-    /// Computes the rays of a LiDAR's image and `ray_of_element_`. Turns the rays of each
-    /// column to its azimuth in the model.
+    /// Computes the rays of a LiDAR's image, and which of them is the ray of an element
+    /// (row and column) of the model. Turns the rays of each column to its azimuth in the
+    /// model.
     void make_image(std::size_t lidar, const SpinningSensor& sensor);
     RayBundle read_bundle(std::size_t frame) const;
     void place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar, const std::string& where) const;

@@ -43,13 +43,13 @@ std::vector<fs::path> find_stores(const fs::path& path) {
     // Keeps the name of a link, because the file that it names can have any name.
     fs::path full = fs::absolute(path).lexically_normal();
     if (!full.has_filename()) full = full.parent_path();
-    std::optional<std::string> found_name = sequence_name(full);
+    std::optional<std::string> found_name = sequence_name(full);  // no value for a folder of stores
     const bool is_store = found_name.has_value(), is_folder = fs::is_directory(full);
     std::vector<fs::path> stores;
     for (const fs::path& entry : list_folder(is_store ? full.parent_path() : full)) {
         const auto name = sequence_name(entry);
         if (!name) continue;
-        // A folder can have the same sequence as files and as folders.
+        // A folder can have the same sequence as files and as folders. Only one is read.
         const bool is_same_form = fs::is_directory(entry) == is_folder;
         if (is_store && !(name == found_name && is_same_form)) continue;
         if (found_name && name != found_name)
@@ -107,11 +107,32 @@ PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence)
     return edge;
 }
 
+/// Returns the kinds of components in a store that are not read, each with the names of
+/// its instances.
+std::vector<std::string> list_unread(const ZarrStore& store) {
+    std::vector<std::string> unread;
+    for (const std::string& kind : store.list_children(""))
+        if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
+            unread.push_back(fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
+    return unread;
+}
+
+/// Adds a note with the free text that the creator of a sequence has stored, if any.
+void note_meta_data(Notes& notes, const ZarrJson& attributes) {
+    constexpr const char* kKey = "generic_meta_data";
+    if (!attributes.root().has_member(kKey) || attributes.json[kKey].empty()) return;
+    // `replace` prevents an exception if the text is not valid UTF-8.
+    const std::string text =
+        attributes.json[kKey].dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
+    notes.push_back("meta data of the sequence: " + quote(text));
+}
+
 }  // namespace
 
 std::int64_t read_time_us(const JsonField& field) { return field.integer_in(0, kLatestTime_us); }
 
-/// Opens all stores of a sequence. Adds notes about components that are not read.
+/// Opens all stores of a sequence and checks that they belong together. Adds notes about
+/// components that are not read. Each store has the id and the start of the sequence.
 NcoreSequence::NcoreSequence(const fs::path& path) {
     for (const fs::path& store : find_stores(path)) stores_.emplace_back(store);
     std::vector<std::string> unread;
@@ -126,15 +147,9 @@ NcoreSequence::NcoreSequence(const fs::path& path) {
                  quote(id));
         id = name;
         start_us = read_time_us(root.at("sequence_timestamp_interval_us").at("start"));
-        for (const std::string& kind : store.list_children(""))
-            if (kind != "poses" && kind != "intrinsics" && kind != "lidars" && kind != "cuboids")
-                unread.push_back(
-                    fmt::format("{} ({})", quote(kind), fmt::join(store.list_children(kind), ", ")));
-        if (&store == &stores_.front() && root.has_member("generic_meta_data") &&
-            !attributes.json["generic_meta_data"].empty())
-            notes.push_back("meta data of the sequence: " +
-                            quote(attributes.json["generic_meta_data"].dump(
-                                -1, ' ', true, nlohmann::json::error_handler_t::replace)));
+        std::ranges::copy(list_unread(store), std::back_inserter(unread));
+        // Only the text of the first store is shown.
+        if (&store == &stores_.front()) note_meta_data(notes, attributes);
     }
     if (!unread.empty())
         notes.push_back(fmt::format("these components are not read: {}", fmt::join(unread, ", ")));
@@ -189,14 +204,14 @@ bool PoseGraph::has_frame(const std::string& name) const {
 std::optional<PoseGraph::Path> PoseGraph::find_path(const std::string& source,
                                                     const std::string& target) const {
     // breadth-first search
-    std::map<std::string, Path> path_to{{source, {}}};  // frames that were reached
-    std::deque<std::string> queue{source};              // reached frames whose edges were not followed
+    std::map<std::string, Path> path_to{{source, {}}};  // path from `source` to each reached frame
+    std::deque<std::string> queue{source};              // reached frames whose edges were not followed yet
     for (; !queue.empty(); queue.pop_front()) {
         const std::string frame = queue.front();
         if (frame == target) return path_to[target];
         for (const Edge& edge : edges_)
             for (const bool is_reverse : {false, true}) {
-                const Step step{&edge, is_reverse};
+                const Step step{&edge, is_reverse};  // leads from step.begin() to `next`
                 const std::string& next = is_reverse ? edge.source : edge.target;
                 if (step.begin() != frame || path_to.contains(next)) continue;
                 Path path = path_to[frame];
