@@ -275,7 +275,8 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
                                                       ActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
-    // Shapes are sorted by cluster. A cluster is skipped if the ray misses its sphere.
+    // Shapes at rest are sorted by cluster. A cluster is skipped if the ray misses its
+    // sphere.
     std::size_t begin = 0;
     for (const Cluster& cluster : clusters_) {
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
@@ -292,12 +293,14 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
         const Pose& box_from_world = car_pose_cache.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
-        for (const RayCastShape& s : car.solids) search.hit_solid(s, origin, direction);
+        for (const RayCastShape& solid : car.solids) search.hit_solid(solid, origin, direction);
         if (car.moving.limbs.empty()) continue;
         // Each stride is one period, in which every limb swings forth and back.
         const double stride_rad = 2.0 * kPi * car.moving.walked_m(time_s) / car.moving.stride_m;
-        for (const SwingingLimb& l : car.moving.limbs)
-            search.hit_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+        for (const SwingingLimb& limb : car.moving.limbs) {
+            const double angle_rad = limb.swing_rad * std::sin(stride_rad + limb.phase_rad);
+            search.hit_limb(limb, angle_rad, origin, direction);
+        }
     }
     return search.nearest_hit();
 }
@@ -354,8 +357,9 @@ std::vector<ConeHit> group_hits(const std::vector<ConeHit>& hits) {
 }
 
 /// Chooses the second return of a beam: the last one, or the next strongest one if the
-/// strongest return is the last. Returns an empty hit if it is too weak: the light
-/// that it needs grows with the square of its range.
+/// strongest return is the last. Returns an empty hit if its light is below
+///   kConeRays * max(0.8 (range / maximum range)^2, 0.0025).
+/// @param returns  sorted by range; `strongest` is the index of the first return
 ConeHit choose_second(const std::vector<ConeHit>& returns, std::size_t strongest, double max_range_m) {
     ConeHit second;
     if (strongest + 1 < returns.size()) {

@@ -112,13 +112,15 @@ std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
 /// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
 /// a roof, but no walls.
 std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
-    std::vector<StreetShape> shapes{
-        make_car_shapes(paint_reflectance)[0],
-        make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, paint_reflectance),
-        make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.3)};
-    for (const double x : {-1.2, -0.1, 0.8})
-        for (const double y : {-0.75, 0.75})
-            shapes.push_back(make_box({x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, paint_reflectance));
+    const StreetShape body = make_car_shapes(paint_reflectance)[0],
+                      roof = make_box({-0.2, 0.0, 1.42 - kBoxCentre_m},
+                                      {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, paint_reflectance),
+                      seats = make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.3);
+    std::vector<StreetShape> shapes{body, roof, seats};
+    for (const double pillar_x : {-1.2, -0.1, 0.8})
+        for (const double pillar_y : {-0.75, 0.75})
+            shapes.push_back(
+                make_box({pillar_x, pillar_y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, paint_reflectance));
     return shapes;
 }
 
@@ -151,6 +153,7 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 /// so a moving sensor sees other parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
+    // The fence consists of boards with gaps.
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform(0.4, 1.2))
         street.shapes.push_back(make_wall({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.4, SurfaceClass::fence));
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform(2.6, 4.0)) {
@@ -159,8 +162,9 @@ void add_yard(SyntheticStreet& street, Random& random) {
         const double y_m = fence_y + random.sample_uniform(3.0, 4.0);
         add_parked_car(street, x, y_m, yaw_rad, make_glazed_car(paint_reflectance));
     }
-    street.shapes.push_back(make_wall({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
-                                      {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, 0.5));
+    const double middle_x = 0.5 * (kYardBegin_m + kYardEnd_m),
+                 half_length_m = 0.5 * (kYardEnd_m - kYardBegin_m);
+    street.shapes.push_back(make_wall({middle_x, fence_y + 12.0, 3.0}, {half_length_m, 1.0, 3.0}, 0.5));
 }
 
 /// Returns a car that drives straight at constant speed. In the middle of the log, the
@@ -218,6 +222,8 @@ MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2
     const glm::dvec2 start = position_at_middle_time_m - speed_mps * middle_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
+    // The bottom of the box is at z = -kHalf_m. The legs are 0 to 0.8 m above it, the
+    // body 0.8 to 1.7 m.
     const StreetShape legs = make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, 0.35),
                       body = make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, 0.5);
     walker.shapes = {legs, body};
@@ -237,12 +243,14 @@ void add_swinging_limbs(MovingStreetActor& pedestrian) {
         const double phase = side > 0.0 ? 0.0 : kPi;
         const glm::dvec3 hip(0.0, side * kHip_m, hip_z),
             shoulder(0.0, side * kShoulder_m, half - kShoulderBelowTop_m);
+        // joint, length, radius, largest angle, phase, reflectance
         pedestrian.limbs.push_back({hip, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
         pedestrian.limbs.push_back({shoulder, kArm_m, kArmRadius_m, kSwing_rad, phase + kPi, 0.5});
     }
     // In each of the two steps of a stride, one foot swings from front to back.
-    pedestrian.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
-    pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
+    const double foot_forward_m = kLeg_m * std::sin(kSwing_rad);
+    pedestrian.stride_m = 4.0 * foot_forward_m;
+    pedestrian.size_m.x = 2.0 * (foot_forward_m + kLegRadius_m) + 0.04;
 }
 
 MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& middle_m, double speed_mps) {
@@ -260,8 +268,9 @@ void add_people(SyntheticStreet& street, Random& random, const StreetOptions& op
     struct Walk {
         double min_x_m, max_x_m, y_m, yaw_rad;  // position and heading in the middle of the log
     };
-    for (const Walk& walk : {Walk{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
-                             Walk{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, Walk{24.0, 30.0, 4.5, -0.5 * kPi}}) {
+    constexpr Walk kRightPavement{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
+        kLeftPavement{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, kAcross{24.0, 30.0, 4.5, -0.5 * kPi};
+    for (const Walk& walk : {kRightPavement, kLeftPavement, kAcross}) {
         const double speed_mps = random.sample_uniform(1.0, 1.6);
         const double x_m = random.sample_uniform(walk.min_x_m, walk.max_x_m);
         street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
@@ -280,7 +289,8 @@ SyntheticStreet make_street(const StreetOptions& options) {
     // The street continues beyond both ends of the sensor's path, even for a long log.
     const bool is_long = driven_m(options) > kLongDrive_m;
     const double half_length_m = is_long ? 0.5 * driven_m(options) + kHalfLength_m : kHalfLength_m;
-    const StreetSide left{1.0, kLeftKerb_m, half_length_m}, right{-1.0, kRightKerb_m, half_length_m};
+    const StreetSide left{.left = 1.0, .kerb_m = kLeftKerb_m, .half_m = half_length_m},
+        right{.left = -1.0, .kerb_m = kRightKerb_m, .half_m = half_length_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
     add_poles(street, random, left);

@@ -104,8 +104,9 @@ void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& wor
     // One cache of car poses per column, because rays of a column usually have the same
     // time.
     std::vector<street::ActorPoses> actor_poses_by_column(columns);
+    constexpr bool kRollingShutter = true;  // each ray starts at the pose of its firing time
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-        WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
+        WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, kRollingShutter);
         in_street.origin_m += world_origin_in_street_m;
         const double t_s = scan_time_s + double(rays.time_offset_s[ray]);
         if (const std::optional<StreetHit> hit =
@@ -221,8 +222,9 @@ std::vector<BoxTrack> make_car_tracks(const street::SyntheticStreet& street,
 /// returns the default sensor.
 std::vector<MountedSensor> read_street_rig(const StreetOptions& options) {
     if (options.rig.empty()) {
-        const SpinningSensor default_sensor = make_default_sensor(options);
-        return {{"", {default_sensor.name, "", default_sensor.range_limits(), default_sensor}, {}, 1}};
+        const SpinningSensor spinning = make_default_sensor(options);
+        const SensorModel sensor{spinning.name, "", spinning.range_limits(), spinning};
+        return {{.name = "", .sensor = sensor, .rig_from_sensor = {}, .returns = 1}};
     }
     std::optional<std::vector<MountedSensor>> rig = read_sensor_rig(options.rig);
     if (!rig)
@@ -296,14 +298,16 @@ void replace_cars(street::SyntheticStreet& street, const std::vector<SyntheticCa
     const std::vector<street::MovingStreetActor> original_cars = std::move(street.cars);
     street.cars.clear();
     for (const SyntheticCar& car : edited_cars) {
-        if (car.shapes_of >= original_cars.size())
+        // A car of an edit has the shapes of one of the original cars.
+        const std::size_t original = car.shapes_of;
+        if (original >= original_cars.size())
             fail(
                 "cannot cast rays into the edited street: track {} refers to car {} of the street, but the "
                 "street has only {} cars, which are numbered from 0; expected the street that the run was "
                 "trained with",
-                car.track.id, car.shapes_of, original_cars.size());
+                car.track.id, original, original_cars.size());
         if (!car.track.is_observed(time_s)) continue;
-        street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);
+        street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[original]);
         moved.track = car.track.world_from_box;
         for (Pose& pose : moved.track.pose) pose.translation += world_origin_in_street_m;
     }
