@@ -99,6 +99,16 @@ fs::path find_imu_file(const fs::path& drive) {
         (drive.parent_path() / name).string(), date);
 }
 
+/// Returns the frames whose poses a pose file must contain: one frame per time, because
+/// LiDARs that sweep simultaneously share a pose.
+std::vector<read::LogFrame> list_posed_frames(const Log& sequence) {
+    std::vector<read::LogFrame> frames;
+    for (const Frame& frame : sequence.frames)
+        if (frames.empty() || frames.back().time_s != frame.time_s)
+            frames.push_back({frame.index, frame.time_s, frame.lidar, {}});
+    return frames;
+}
+
 }  // namespace
 
 Pose read_calibration(const fs::path& file) {
@@ -140,14 +150,14 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>&
 
 Georeference read_oxts_place(const fs::path& drive) {
     const fs::path file = oxts_path(drive, find_first_oxts(drive));
-    const std::vector<double> v = read_oxts(file);
-    std::optional<double> scale;
+    const std::vector<double> oxts = read_oxts(file);
+    const double latitude_deg = oxts[0], longitude_deg = oxts[1], height_m = oxts[2];
+    std::optional<double> scale;  // read_imu_pose() sets it
     const glm::dvec3 origin_m = read_imu_pose(file, scale).translation;
     // Mercator projection, scaled at this latitude and shifted to the world's origin.
-    return {{v[0], v[1], v[2]},
-            {},
-            fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m, v[0], -origin_m.x,
-                        -origin_m.y)};
+    const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
+                                               latitude_deg, -origin_m.x, -origin_m.y);
+    return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
 }
 
 std::vector<FrameLine> read_frame_lines(const fs::path& file, const std::vector<int>& frame_numbers) {
@@ -174,17 +184,15 @@ void replace_poses(Log& sequence, const fs::path& pose_file, const read::ScanPai
     if (pose_file.empty()) return;
     const std::vector<double>& times_s = sequence.world_from_vehicle.time_s;
     if (pose_file == kNoPoses) {
+        // Identity poses, until they are estimated from the scans.
         sequence.notes.push_back(kNoPosesNote);
         set_trajectory(sequence, {times_s, std::vector<Pose>(times_s.size())});
         return;
     }
-    // LiDARs that sweep simultaneously share a pose, as in add_frame().
-    std::vector<read::LogFrame> sweeps;
-    for (const Frame& frame : sequence.frames)
-        if (sweeps.empty() || sweeps.back().time_s != frame.time_s)
-            sweeps.push_back({frame.index, frame.time_s, frame.lidar, {}});
-    const auto poses = read::load_poses(pose_file, sweeps, read_scan_pairs, sequence.notes);
+    const auto poses =
+        read::load_poses(pose_file, list_posed_frames(sequence), read_scan_pairs, sequence.notes);
     if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
+    // The file has poses in the world of the dataset, which the log shifts.
     set_trajectory(sequence, shift_track({times_s, *poses}, -sequence.world_offset_m));
 }
 

@@ -90,9 +90,9 @@ inline const Note kNoPosesNote{
     "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
 
 /// Replaces the vehicle poses of a log by the poses in a file of the user: a matrix for
-/// each frame, or poses with times. The boxes move with the vehicle. Does nothing if no
-/// file is given.
-/// @param read_scan_pairs  see load_poses()
+/// each frame, or poses with times. The boxes move with the vehicle.
+/// @param pose_file  empty: does nothing; "none": sets identity poses
+/// @param read_scan_pairs  reads scans that show which meaning of the poses fits
 void replace_poses(Log& sequence, const std::filesystem::path& pose_file,
                    const read::ScanPairReader& read_scan_pairs = nullptr);
 
