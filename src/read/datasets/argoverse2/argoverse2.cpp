@@ -126,11 +126,14 @@ SpinningSensor make_vlp32c(bool clockwise) {
     sensor.clockwise = clockwise;
     sensor.period_s = 1.0 / kRate_hz;
     sensor.beams = nominal_beams();  // of a head that rotates clockwise
+    if (clockwise) return sensor;
     const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
-    for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
+    for (std::size_t row = 0; row < firings.size(); ++row) {
         // The offset of a laser contains the clockwise (negative) rotation of the head
         // since the first pair. Adding twice its size reverses its sign.
-        sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
+        const double rotated_rad = 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
+        sensor.beams[row].azimuth_offset_rad += 2.0 * rotated_rad;
+    }
     return sensor;
 }
 
@@ -277,11 +280,11 @@ using SweepPairs = std::vector<std::array<read::FiredSweep, 2>>;
 
 /// Reads all sweeps and splits each into the points of both LiDARs. The first readable
 /// sweep shows which laser numbers belong to which LiDAR.
+/// @param broken_scans  its guard() skips a broken sweep, or throws its error
 SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
                        ScanErrorCollector& broken_scans) {
-    // guard() skips a broken sweep, or throws its error.
-    std::optional<std::array<int, 2>> laser_groups;
+    std::optional<std::array<int, 2>> laser_groups;  // [LiDARs] 0: lasers 0 to 31, 1: lasers 32 to 63
     for (std::size_t i = 0; i < files.size() && !laser_groups; ++i)
         broken_scans.guard(i, [&] {
             laser_groups = match_laser_groups(read_sweep(files[i].file),

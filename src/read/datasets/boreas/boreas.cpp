@@ -75,15 +75,15 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
     PoseTrack track;
     for (const read::PoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
-        const double *position = v.data(), *angle = v.data() + kFirstAngle;
-        const double roll_rad = angle[0], pitch_rad = angle[1], yaw_rad = angle[2];
+        const glm::dvec3 position_m(v[0], v[1], v[2]);
+        const double roll_rad = v[kFirstAngle], pitch_rad = v[kFirstAngle + 1], yaw_rad = v[kFirstAngle + 2];
         // make_rotation() returns R_z(yaw) R_y(pitch) R_x(roll). The conjugate of the
         // rotation by the negated angles is R_x(roll) R_y(pitch) R_z(yaw).
         const glm::dquat enu_from_lidar =
             angle_convention.yaw_first
                 ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
                 : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
-        track.append(log.seconds_of(row.stamp), {enu_from_lidar, {position[0], position[1], position[2]}});
+        track.append(log.seconds_of(row.stamp), {enu_from_lidar, position_m});
     }
     return track;
 }
@@ -100,7 +100,7 @@ double score_motion(const read::DrivingDirection& driving, const ForwardDirectio
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
-    // The first convention is the documented one.
+    // Starts with the documented convention. A better one replaces it.
     const EulerAngleConvention* best_order = &kAngleOrders[0];
     PoseTrack best_track = make_lidar_track(rows, log, *best_order);
     read::DrivingDirection best = read::driving_direction(best_track);

@@ -222,7 +222,8 @@ std::string unit_hint(double pose_span_s, double frame_span_s) {
 }
 
 /// Returns a hint if the poses would cover all frames after a shift by the difference of
-/// two common clocks. Otherwise returns an empty string.
+/// two common clocks, for example poses with GPS time and frames with UTC. Otherwise
+/// returns an empty string.
 std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>& frames) {
     // These clocks differ by a constant number of seconds, because only UTC has leap
     // seconds and the others began in different years.
@@ -240,13 +241,15 @@ std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>
 }
 
 /// Returns a hint for the user why poses do not cover the frames: times in another unit,
-/// leap seconds, or another clock. Returns an empty string if poses cover some frames.
+/// leap seconds, or (if they cover no frame) another clock. May return an empty string.
+/// @param is_plain_folder  if true, the advice names keys of sequence.json
 std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
     std::string hint =
         unit_hint(track.time_s.back() - track.time_s.front(), frames.back().time_s - frames.front().time_s);
     if (hint.empty()) hint = leap_second_hint(track, frames);
     if (!hint.empty()) return hint;
-    if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
+    const auto is_covered = [&](const LogFrame& frame) { return track.contains_time(frame.time_s); };
+    if (std::ranges::any_of(frames, is_covered)) return "";
     if (!is_plain_folder)
         return fmt::format(
             "; poses and frames must have the same clock: correct the times of the poses by the difference "

@@ -106,6 +106,7 @@ TickGridPhase fit_beam_phase(const PolarPoints& polar, double encoder_tick_rad) 
         const std::complex<double> mean = mean_tick_phase(polar, encoder_tick_rad, left_m, stride);
         return TickGridPhase{left_m, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     };
+    // The concentration is 1 if all azimuths have the same distance from a tick.
     TickGridPhase best{.concentration = -1.0};
     for (int mm = -60; mm <= 60; mm += 2) {
         const TickGridPhase phase = fit_phase(mm * 1e-3);
@@ -248,14 +249,15 @@ std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, 
     const int max_shift = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     const std::size_t fullest_ring = std::size_t(
         std::ranges::max_element(ticks_of_scans[0], {}, std::ranges::size) - ticks_of_scans[0].begin());
-    std::vector<BeamTicks> one_ring(ticks_of_scans.size(), BeamTicks(kRings));
-    for (std::size_t s = 0; s < one_ring.size(); ++s)
-        one_ring[s][fullest_ring] = ticks_of_scans[s][fullest_ring];
+    std::vector<BeamTicks> only_fullest(ticks_of_scans.size(), BeamTicks(kRings));
+    for (std::size_t s = 0; s < only_fullest.size(); ++s)
+        only_fullest[s][fullest_ring] = ticks_of_scans[s][fullest_ring];
     std::vector<int> shifts(kRings, 0);
-    auto is_fired = flag_fired_ticks(one_ring, shifts, n_ticks, 1);
+    auto is_fired = flag_fired_ticks(only_fullest, shifts, n_ticks, 1);
     // Each pass shifts each beam in azimuth, so that its returns are at fired ticks. Pass
-    // 1 uses the ticks of the beam with the most points. Pass 2 uses the ticks at which
-    // at least kMinLasers beams have returns after pass 1.
+    // 1 uses the ticks of one beam, the beam with the most points, because the offsets
+    // between beams are not known yet. Pass 2 uses the ticks at which at least kMinLasers
+    // beams have returns after pass 1.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shifts[std::size_t(k)] =
@@ -320,6 +322,7 @@ std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing
     std::vector<int> firings;
     for (int t = 0; t < firing_grid.head.n_ticks; ++t)
         if (firing_grid.every_tick || is_fired[std::size_t(t)]) firings.push_back(t);
+    // The head turns clockwise, so azimuths decrease with time.
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
         return firing_grid.head.tick_azimuth_rad(first) > firing_grid.head.tick_azimuth_rad(second);
     });

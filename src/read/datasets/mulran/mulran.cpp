@@ -150,7 +150,7 @@ read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& s
     format.units.intensity_max = brightness.max;
     if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
     format.sweep_duration_s = kRevolution_s;
-    format.turned_rad = kPi;
+    format.turned_rad = kPi;  // x points backward in the files, and forward in relidar
     const MulranPointOrder order = detect_order(scan_files);
     sequence.notes.push_back(
         "the points have no times; relidar computes the times from the order of the points in the file; the "

@@ -118,6 +118,19 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
     return mount_track(is_w_first ? w_first : w_last, {make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}});
 }
 
+/// Returns how to read the scan files of a Pandar40P. Adds a note about the scale of
+/// their intensities.
+read::FileFormat make_once_format(Log& sequence, const std::vector<fs::path>& scan_files) {
+    read::FileFormat format;
+    const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
+    format.units.intensity_max = brightness.max;
+    if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
+    format.sweep_duration_s = kRevolution_s;
+    format.turned_rad = kAxesTurn_rad;
+    format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
+    return format;
+}
+
 }  // namespace
 
 /// Loads a ONCE sequence: poses and scans. ONCE's LiDAR frame has x left and y back, so
@@ -150,14 +163,7 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = read::add_frames(sequence, log, options);
-    read::FileFormat format;
-    const read::IntensityScale brightness = read::estimate_dataset_scale(files, {});
-    format.units.intensity_max = brightness.max;
-    if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
-    format.sweep_duration_s = kRevolution_s;
-    format.turned_rad = kAxesTurn_rad;
-    format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
-    read::read_frame_scans(sequence, files, format, options);
+    read::read_frame_scans(sequence, files, make_once_format(sequence, files), options);
     return sequence;
 }
 

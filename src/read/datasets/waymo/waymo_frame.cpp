@@ -287,13 +287,14 @@ InflatedImage inflate_image(std::string_view compressed_image, int n_channels, c
     const bool is_complete =
         has_valid_size &&
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(n_channels);
-    if (!is_complete)
+    if (!is_complete) {
+        const std::string size =
+            dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "";
         fail(
             "{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} values, "
             "with at most {} rows and {} columns",
-            where, image.values.size(), dims.size(),
-            dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "", n_channels,
-            kMostRows, kMostColumns);
+            where, image.values.size(), dims.size(), size, n_channels, kMostRows, kMostColumns);
+    }
     image.rows = dims[0];
     image.columns = dims[1];
     image.channels = n_channels;

@@ -59,6 +59,7 @@ struct InflatedImage {
 };
 enum class PixelType { real, integer };
 /// Decompresses and parses an image: a protobuf matrix in a zlib stream.
+/// @param pixel_type  type of the values in the stream; the image has floats
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
 InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
