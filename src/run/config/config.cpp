@@ -124,8 +124,8 @@ std::string unknown_key(const std::string& key) {
 template <class T>
 void assign_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
                   const ParsedValue& parsed_value) {
-    // Not known on the command line; is_quoted then has no value and equals neither.
-    const bool wrong_kind = parsed_value.is_quoted == !is_text<T>;
+    // On the command line, it is not known whether the value had quotes.
+    const bool wrong_kind = parsed_value.is_quoted && *parsed_value.is_quoted != is_text<T>;
     const std::optional<T> parsed = parse_setting<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
         const char* hint = "";

@@ -82,11 +82,14 @@ void append_scatter(std::vector<NamedArray>& arrays, std::size_t lidar, const In
     add("step", std::vector{model.step});
 }
 
-/// Reads the noise of a LiDAR's intensities, as append_scatter() stores it. Checks every
-/// node, so that a search in the tree ends and reads existing values.
+/// Reads the noise of a LiDAR's intensities, as append_scatter() stores it: a decision
+/// tree, with an array per member of a node. A branch compares the input `feature` with
+/// `at` and continues with node `child` or the next node. A leaf (`feature` -1) has
+/// `count` values from `first` on. Checks every node, so that each search in the tree
+/// ends and reads existing values.
 IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
-    const auto read = [&](const char* member, const char* dtype, std::size_t count = kAnyLength) {
-        return file.find_numbers(fmt::format("{}.{}", lidar, member), dtype, count);
+    const auto read = [&](const char* member, const char* dtype, std::size_t n_numbers = kAnyLength) {
+        return file.find_numbers(fmt::format("{}.{}", lidar, member), dtype, n_numbers);
     };
     const std::vector<double> feature = read("feature", "i4"), values = read("values", "f4");
     const std::size_t n = feature.size();
@@ -97,7 +100,7 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
     for (std::size_t i = 0; i < n; ++i) {
         const bool is_leaf = feature[i] == -1.0;
         const bool has_feature = feature[i] >= 0.0 && feature[i] < double(count_features());
-        // Both children are stored one after the other, behind their parent. This makes
+        // Both children (child and child + 1) are stored behind their parent. This makes
         // cycles impossible.
         const bool has_children = child[i] > double(i) && child[i] + 1.0 < double(n);
         const bool has_values =
@@ -109,8 +112,11 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
                 "{3}, first child {4}, first value {5}, {6} values); expected a file that relidar has "
                 "written",
                 file.path, lidar, i, feature[i], child[i], first[i], count[i]);
-        result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
-                                std::uint32_t(first[i]), std::uint32_t(count[i])});
+        result.nodes.push_back({.feature = std::int32_t(feature[i]),
+                                .at = float(at[i]),
+                                .child = std::int32_t(child[i]),
+                                .first = std::uint32_t(first[i]),
+                                .count = std::uint32_t(count[i])});
     }
     result.step = read("step", "f8", 1)[0];
     if (result.step < 0.0)

@@ -42,9 +42,9 @@ void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& 
     const nlohmann::ordered_json shape = {{"image", network.image},   {"inputs", network.inputs},
                                           {"widths", network.widths}, {"heads", network.heads},
                                           {"taps", network.taps},     {"residual", int(network.residual)}};
-    std::vector arrays{make_vector_array("normalisation", network.normalisation),
-                       make_vector_array("parameters", network.parameters),
-                       make_vector_array("running", network.running)};
+    std::vector<NamedArray> arrays = {make_vector_array("normalisation", network.normalisation),
+                                      make_vector_array("parameters", network.parameters),
+                                      make_vector_array("running", network.running)};
     if (!network.actor_logits.empty())
         arrays.push_back(make_vector_array(kActorLogits, network.actor_logits));
     files::write_array_file(path, arrays, kNetworkFormat, {{"shape", shape.dump()}});

@@ -156,13 +156,14 @@ void move_files(const fs::path& staging, const fs::path& folder, const std::func
     const bool is_same_config = does_path_exist(folder / kConfigFile) &&
                                 read_file(folder / kConfigFile) == read_file(staging / kConfigFile);
     const bool keeps_config = is_same_config && !remove_old;
+    // From here on, the folder does not look complete.
     if (!keeps_config) fs::remove(folder / kConfigFile);
     fs::remove(folder / kSceneFile);
     if (remove_old) remove_old();
     // Optional files of an earlier save that the new run does not have.
     for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
         if (!does_path_exist(staging / name)) fs::remove(folder / name);
-    std::vector<fs::path> files;
+    std::vector<fs::path> files;  // listed before the moves change the folder
     for (const auto& entry : fs::recursive_directory_iterator(staging))
         if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staging));
     std::erase(files, kSceneFile);
