@@ -21,25 +21,30 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
     ActorModelResolution detail{.nearest_m = glm::length(box_from_sensor.translation), .surfels = n_surfels};
     // The bounding sphere of the box rejects most rays quickly. It is a little larger,
     // because this test is in single precision.
-    const glm::vec3 centre_m(inverse(box_from_sensor).translation);
+    const glm::vec3 centre_m(inverse(box_from_sensor).translation);  // of the box, in the sensor frame
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
     for (std::size_t i = 0; i < ray_directions.size(); ++i) {
+        // The ray is nearest to the centre after along_m. The square of its distance from
+        // the centre is there |to_centre|^2 - along_m^2 (Pythagoras).
         const glm::vec3 to_centre = centre_m - ray_origins[i];
         const float along_m = glm::dot(to_centre, ray_directions[i]),
-                    distance2 = glm::dot(to_centre, to_centre);
-        const bool starts_in_sphere = distance2 <= radius_m * radius_m;
-        const bool enters_sphere = along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m;
+                    start_distance2 = glm::dot(to_centre, to_centre);
+        const bool starts_in_sphere = start_distance2 <= radius_m * radius_m;
+        const bool enters_sphere =
+            along_m > 0.0f && start_distance2 - along_m * along_m <= radius_m * radius_m;
         if (!starts_in_sphere && !enters_sphere) continue;
-        const auto inside =
+        const auto crossing =
             cross_box(box_from_sensor * glm::dvec3(ray_origins[i]),
                       box_from_sensor.rotation * glm::dvec3(ray_directions[i]), -0.5 * size_m, 0.5 * size_m);
-        if (inside && inside->leave >= 0.0) ++detail.rays;
+        const bool is_ahead = crossing && crossing->leave >= 0.0;  // false: the box is behind the ray
+        if (is_ahead) ++detail.rays;
     }
     return detail;
 }
 
 /// Finds the frame in which the actor is nearest to the LiDAR, and counts the rays of
-/// this sweep that hit its box.
+/// this sweep that hit its box. Counts 0 rays if no frame has both.
+/// @throws UsageError if the scene has no such actor
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
     const auto instance = std::ranges::find(edited.scene.instances, track, &ModelInstance::track);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/run/edit.hpp>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -55,15 +56,16 @@ FieldColumnIndices parse_header(const std::vector<std::string_view>& header, con
     const auto require = [&](int field) {
         if (!has(field)) fail("{}: the column '{}' is missing", where, kColumnNames[std::size_t(field)]);
     };
-    const bool is_geodetic = has(kLatitude) || has(kLongitude) || has(kHeight);
     require(kTime);
-    for (const int field : {kX, kY, kZ})
-        if (!is_geodetic) require(field);
-        else if (has(field))
+
+    const std::array local_fields{kX, kY, kZ}, geodetic_fields{kLatitude, kLongitude, kHeight};
+    const bool is_geodetic = std::ranges::any_of(geodetic_fields, has);
+    for (const int field : local_fields)
+        if (is_geodetic && has(field))
             fail("{}: found the columns '{}' and 'latitude_deg', expected only one kind of place", where,
                  kColumnNames[std::size_t(field)]);
-    for (const int field : {kLatitude, kLongitude, kHeight})
-        if (is_geodetic) require(field);
+    for (const int field : is_geodetic ? geodetic_fields : local_fields) require(field);
+
     if (!has(kYaw) && !has(kYawRad)) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);
     for (const auto& [degrees, radians] : {std::pair(kYaw, kYawRad), {kPitch, kPitchRad}, {kRoll, kRollRad}})
         if (has(degrees) && has(radians))

@@ -186,9 +186,11 @@ void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, b
         instance.model = *earlier_copy;
         return;
     }
+    // Adds mirrored surfels and marks their side in `surface` as completed.
     ObservedBoxSurface surface = *observed;
     Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);
-    if (mirror_unobserved(completed, surface) == 0) return;
+    const std::size_t n_mirrored = mirror_unobserved(completed, surface);
+    if (n_mirrored == 0) return;
     if (is_shared) instance.model = append_model(scene, scene, instance.model);
     scene.models[instance.model].surface = surface;
     replace_surfels(scene, instance.model, completed);
@@ -217,6 +219,21 @@ void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const
     box.n_before = box.n_after = 0;
     edited.scene.instances.push_back({model, box.id});
     edited.sequence.boxes.push_back(std::move(box));
+}
+
+/// Returns the ids of the actors whose tracks the edits have changed. An actor that was
+/// moved there and back gets exactly its old track, without the rounding errors.
+std::set<std::string> find_moved_actors(SceneWithLog& edited, const std::vector<BoxTrack>& boxes_before) {
+    std::set<std::string> moved;
+    for (const ModelInstance& instance : edited.scene.instances) {
+        const auto box = std::ranges::find(edited.sequence.boxes, instance.track, &BoxTrack::id);
+        if (instance.track.empty() || box == edited.sequence.boxes.end()) continue;
+        const auto before = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
+        if (before == boxes_before.end() || !is_same_track(box->world_from_box, before->world_from_box))
+            moved.insert(instance.track);
+        else box->world_from_box = before->world_from_box;
+    }
+    return moved;
 }
 
 }  // namespace
@@ -279,22 +296,14 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
-    // Finds the actors whose tracks differ from before the edits.
-    std::set<std::string> moved;
-    for (const ModelInstance& instance : instances) {
-        const auto box = std::ranges::find(scene_and_log.sequence.boxes, instance.track, &BoxTrack::id);
-        if (instance.track.empty() || box == scene_and_log.sequence.boxes.end()) continue;
-        const auto before = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
-        if (before == boxes_before.end() || !is_same_track(box->world_from_box, before->world_from_box))
-            moved.insert(instance.track);
-        else box->world_from_box = before->world_from_box;  // removes the rounding errors of the moves
-    }
+    const std::set<std::string> moved = find_moved_actors(scene_and_log, boxes_before);
     for (ModelInstance& instance : instances) {
+        if (!moved.contains(instance.track)) continue;
         // Actors that were not moved keep a shared model; moved actors then get a copy.
         const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {
             return other.model == instance.model && !moved.contains(other.track);
         });
-        if (moved.contains(instance.track)) mirror_unseen_sides(scene_and_log, instance, is_shared);
+        mirror_unseen_sides(scene_and_log, instance, is_shared);
     }
     return scene_and_log;
 }
@@ -340,7 +349,7 @@ SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, co
 
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start) {
-    SceneWithLog source = source_scene;
+    SceneWithLog source = source_scene;  // a copy, because mutable_box() does not accept const
     BoxTrack box = mutable_box(source, track);
     if (find_box(scene_and_log.sequence, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
     const std::uint32_t source_model = source.scene.instances[find_instance(source, track)].model;

@@ -326,35 +326,36 @@ struct PathGround {
 };
 
 /// Adds points between `start` and the points of a path, so that they are at most
-/// kGroundStep_m apart. Returns all points, and the index of each path point in them.
+/// kGroundStep_m apart. Returns all points, and the index in them of each path point.
 std::pair<std::vector<PathPoint>, std::vector<std::size_t>> subdivide_path(
     const PathPoint& start, const std::vector<PathPoint>& path) {
     std::vector<PathPoint> points{start};
-    std::vector<std::size_t> index;
+    std::vector<std::size_t> index_of_path_point;
     for (const PathPoint& next : path) {
         const glm::dvec2 from_m = points.back().position_m, offset_m = next.position_m - from_m;
-        const int n = int(std::ceil(glm::length(offset_m) / kGroundStep_m));
-        for (int k = 1; k <= n; ++k) points.push_back({from_m + offset_m * (double(k) / n), next.yaw_rad});
-        index.push_back(points.size() - 1);
+        const int n_steps = int(std::ceil(glm::length(offset_m) / kGroundStep_m));
+        for (int k = 1; k <= n_steps; ++k)
+            points.push_back({from_m + offset_m * (double(k) / n_steps), next.yaw_rad});
+        index_of_path_point.push_back(points.size() - 1);
     }
-    return {points, index};
+    return {points, index_of_path_point};
 }
 
 /// Interpolates the ground linearly where it was not observed between two observed
 /// points, so that the path has no step where the ground appears again.
 void join_gaps(std::vector<PathGround>& ground, const std::vector<PathPoint>& points) {
-    std::size_t begin = 0;  // last observed point before `end`; point 0 may be unobserved
-    for (std::size_t end = 1; end < ground.size(); ++end) {
-        if (!ground[end].is_observed) continue;
-        for (std::size_t k = begin + 1; k < end && ground[begin].is_observed; ++k) {
-            const GroundPlane &first = *ground[begin].plane, &last = *ground[end].plane;
-            const double share = double(k - begin) / double(end - begin);
-            const double z = glm::mix(first.height_at(points[begin].position_m),
-                                      last.height_at(points[end].position_m), share);
+    std::optional<std::size_t> before;  // last observed point before `after`
+    for (std::size_t after = 0; after < ground.size(); ++after) {
+        if (!ground[after].is_observed) continue;
+        for (std::size_t k = before.value_or(after) + 1; k < after; ++k) {
+            const GroundPlane &first = *ground[*before].plane, &last = *ground[after].plane;
+            const double share = double(k - *before) / double(after - *before);
+            const double z = glm::mix(first.height_at(points[*before].position_m),
+                                      last.height_at(points[after].position_m), share);
             ground[k].plane = GroundPlane{{points[k].position_m, z},
                                           glm::normalize(glm::mix(first.normal, last.normal, share))};
         }
-        begin = end;
+        before = after;
     }
 }
 
@@ -457,8 +458,8 @@ std::vector<PathPoint> list_path_points(const PoseTrack& dataset_path, const glm
 }
 
 /// Returns the motion of an actor whose box follows the height and the slope of the
-/// ground along a path. follow_ground() describes the ground.
-/// @param path  positions (x, y) and headings in the dataset's world
+/// ground along a path. Heights in the path are ignored.
+/// @param path  positions and headings in the dataset's world
 /// @param clearance_m  height of the box above the ground; default: as in its scene
 NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack& path,
                           std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
@@ -482,9 +483,10 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec2& position_m = points[i].position_m;
         const GroundPlane& plane = *ground[i].plane;
-        const glm::dvec3 centre_m(position_m, plane.height_at(position_m) + centre_height_m / plane.normal.z);
-        motion.dataset_path.append(path.time_s[i],
-                                   {rotate_to_plane(plane, points[i].yaw_rad), centre_m + offset_m});
+        // The height is along the normal, so the vertical distance is longer.
+        const double z_m = plane.height_at(position_m) + centre_height_m / plane.normal.z;
+        motion.dataset_path.append(path.time_s[i], {rotate_to_plane(plane, points[i].yaw_rad),
+                                                    glm::dvec3(position_m, z_m) + offset_m});
         if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
     }
     motion.dataset_from_box = motion.dataset_path.pose.front();
@@ -531,7 +533,7 @@ NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const Groun
         placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
     const glm::dquat rotation = make_rotation(yaw_rad, 0.0, 0.0);
     const glm::dvec3 start_m(placement.dataset_m, 0.0), ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
-    PoseTrack path;  // straight, with a position at the time of each sweep
+    PoseTrack path;  // straight, with a position at the time of each sweep; place_path() sets z
     for (const Frame& frame : sequence.frames) {
         // LiDARs that sweep together have the same time.
         if (!path.time_s.empty() && !(frame.time_s > path.time_s.back())) continue;

@@ -51,13 +51,14 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
     const auto is_floating = [](const std::optional<double>& gap_m) { return gap_m > kMaxGap_m; };
     const auto n_floating = std::ranges::count_if(gaps_m, is_floating);
     if (n_floating == 0) return;
-    // A missing height compares below every number.
+    // A missing height compares below every number, so `largest` has a value.
     const auto largest = std::ranges::max_element(gaps_m);
-    const double time_s = path.time_s[std::size_t(largest - gaps_m.begin())];
+    const double largest_gap_m = largest->value(),
+                 time_s = path.time_s[std::size_t(largest - gaps_m.begin())];
     notes.emplace_back("floating", kNoLidar,
                        fmt::format("actor {} is {:.2f} m above the ground at {:.2f} s, and more than {} m in "
                                    "{} of {} frames",
-                                   box.id, **largest, time_s, kMaxGap_m, n_floating, gaps_m.size()));
+                                   box.id, largest_gap_m, time_s, kMaxGap_m, n_floating, gaps_m.size()));
 }
 
 /// Adds a note if the boxes of two actors overlap by more than kMinOverlap_m in a frame.
@@ -96,10 +97,11 @@ Notes check_placement(const SceneWithLogView& edited, const std::vector<std::str
         const BoxTrack* box = find_box(edited.sequence, *track);
         if (!box) continue;
         add_gap_note(notes, edited, *box);
-        // Only once for two placed actors: skips actors up to this one in the list.
-        for (const BoxTrack& other : boxes)
-            if (std::find(tracks.begin(), track + 1, other.id) == track + 1)
-                add_overlap_note(notes, edited.sequence, *box, other);
+        for (const BoxTrack& other : boxes) {
+            // A pair of placed actors was checked with the first of them.
+            const bool is_checked = std::find(tracks.begin(), track, other.id) != track;
+            if (!is_checked && other.id != *track) add_overlap_note(notes, edited.sequence, *box, other);
+        }
     }
     return notes;
 }
