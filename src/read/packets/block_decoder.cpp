@@ -279,12 +279,15 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
         PacketBeam beam{.laser = std::size_t(table[line].channel - layout.first_channel),
                         .line = line,
                         .offset_us = table[line].offset_us};
+        // Without a list of firing sequences, each laser fires once, as in the table.
         if (layout.loops.empty()) beams.push_back(beam);
-        for (; beam.part < layout.loops.size(); ++beam.part) {
-            // A negative time means that the laser does not fire in this sequence.
-            const std::int32_t time_ns = layout.loops[beam.part][beam.laser];
-            beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(beam.part);
-            if (time_ns >= 0) beams.push_back(beam);
+        for (std::size_t part = 0; part < layout.loops.size(); ++part) {
+            const std::int32_t time_ns = layout.loops[part][beam.laser];
+            const bool fires_in_sequence = time_ns >= 0;
+            if (!fires_in_sequence) continue;
+            beam.part = part;
+            beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(part);
+            beams.push_back(beam);
         }
     }
     return beams;

@@ -73,10 +73,8 @@ double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vecto
     return sum_us;
 }
 
-/// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
-/// return, because their directions are measured. Uses all rays if none has a return.
-FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
-                       const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
+/// Returns a firing with the returns of its rays, without time and azimuth.
+FiringColumn copy_returns(const Scan& scan, const FiringRays& firing_rays, int firing_index) {
     FiringColumn column{.returns = {}};
     column.returns.resize(firing_rays.n_rings());
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
@@ -89,6 +87,15 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
             second = {scan.second_returns[0].range_m[*ray], scan.second_returns[0].intensity[*ray]};
         if (first.range_m > 0.0f) column.has_returns = true;
     }
+    return column;
+}
+
+/// Joins the rays of a firing. Its time and azimuth are the mean over its rays. Uses only
+/// rays with a return, because their directions are measured. Uses all rays if none has a
+/// return.
+FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
+                       const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
+    FiringColumn column = copy_returns(scan, firing_rays, firing_index);
     // The mean azimuth is the direction of the sum of unit vectors.
     double sum_x = 0.0, sum_y = 0.0;
     std::size_t n_used = 0;
@@ -130,6 +137,18 @@ void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_peri
     }
 }
 
+/// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
+/// only decide in which turn a firing is.
+void sort_by_rotation(std::vector<FiringColumn>& firings, double rotation_period_s) {
+    const FiringColumn middle = firings[firings.size() / 2];
+    const auto turns_since_middle = [&](const FiringColumn& firing) {
+        const double by_angle = (firing.azimuth_deg - middle.azimuth_deg) / 360.0;  // without full turns
+        const double by_time = (firing.time_s - middle.time_s) / rotation_period_s;
+        return by_angle + std::round(by_time - by_angle);
+    };
+    std::ranges::stable_sort(firings, {}, turns_since_middle);
+}
+
 }  // namespace
 
 std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
@@ -143,30 +162,23 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             sensor.name, last - first, sensor.period_s);
     // In a recorded scan, ray times include the firing delay of each laser. In a rendered
     // scan, all lasers fire simultaneously. Uses what fits this scan better.
-    const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
+    const std::vector<double> no_delays(beam_delays_us.size(), 0.0);
     const bool has_laser_times =
-        time_spread_us(scan, image, beam_delays_us) < time_spread_us(scan, image, no_offset);
+        time_spread_us(scan, image, beam_delays_us) < time_spread_us(scan, image, no_delays);
+    const std::vector<double>& delays_us = has_laser_times ? beam_delays_us : no_delays;
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
-        columns.push_back(
-            join_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
+        columns.push_back(join_rays(scan, image, firing, beams, delays_us));
     std::erase_if(columns, [](const FiringColumn& column) { return !column.is_measured; });
     if (has_laser_times) time_empty_firings(columns, sensor.period_s);
-    // Sorts firings by the rotation angle of the head. Times in a log are not exact, so
-    // they only decide in which turn a firing is.
-    const FiringColumn middle = columns[columns.size() / 2];
-    const auto turns_since_middle = [&](const FiringColumn& column) {
-        const double by_angle = (column.azimuth_deg - middle.azimuth_deg) / 360.0;  // without full turns
-        const double by_time = (column.time_s - middle.time_s) / sensor.period_s;
-        return by_angle + std::round(by_time - by_angle);
-    };
-    std::ranges::stable_sort(columns, {}, turns_since_middle);
+    sort_by_rotation(columns, sensor.period_s);
     // A log may contain the same firing in two columns. Removes the second copy.
     const auto repeats = std::ranges::unique(columns, [](const FiringColumn& a, const FiringColumn& b) {
         return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
     });
     columns.erase(repeats.begin(), repeats.end());
+    // Times of rays are relative to the scan.
     for (FiringColumn& column : columns) column.time_s += scan_time_s;
     return columns;
 }

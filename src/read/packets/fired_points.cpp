@@ -16,8 +16,8 @@ namespace relidar::packets {
 /// Points of a revolution, and the firings that measured them.
 struct RevolutionPoints {
     LidarPoints points;
-    std::vector<int> numbers;        ///< [points] number of the firing that measured the point
-    std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
+    std::vector<int> firing_numbers;  ///< [points] number of the firing that measured the point
+    std::map<int, double> head_rad;   ///< azimuth of each received firing, by its number
 };
 
 namespace {
@@ -53,8 +53,18 @@ void fill_long_gaps(std::vector<bool>& column_has_fired, const std::vector<bool>
     }
 }
 
-/// Converts the returns of a firing to points. If a ray has two returns, the brighter one
-/// is the first return.
+/// Sorts the two returns of a ray, so that the brighter one is first. A missing second
+/// return has the range 0.
+std::array<DecodedReturn, 2> sort_by_brightness(std::array<DecodedReturn, 2> returns) {
+    auto& [first, second] = returns;
+    // A sensor repeats the only return of a ray.
+    if (second.range_m == first.range_m) second.range_m = 0.0f;
+    const bool is_second_brighter = second.range_m != 0.0f && second.intensity > first.intensity;
+    if (first.range_m == 0.0f || is_second_brighter) std::swap(first, second);
+    return returns;
+}
+
+/// Converts the returns of a firing (one shot of all lasers) to points of a revolution.
 /// @param returns_of_each_ring  [rings] first and second return in the order of the
 /// packet
 /// @param beam_offsets_us  [rings] time after the first beam of the firing
@@ -65,6 +75,8 @@ void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing
     revolution_points.head_rad.try_emplace(firing.number,
                                            -std::remainder(firing.azimuth_deg, 360.0) * kPi / 180.0);
     for (std::size_t ring = 0; ring < beams.size(); ++ring) {
+        // The beam's angles contain the rotation at the mean rate until the beam fires.
+        // So only the deviation from this rate is added.
         const double head_deg = firing.azimuth_deg + firing.ahead_deg_us * beam_offsets_us[ring];
         const BeamRay ray = beams[ring].compute_ray(-head_deg * kPi / 180.0);
         const auto add = [&](const DecodedReturn& echo, std::uint8_t return_number) {
@@ -74,19 +86,15 @@ void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing
             points.ring.push_back(std::uint16_t(ring));
             points.time_offset_s.push_back(float(firing.time_s + 1e-6 * beam_offsets_us[ring]));
             points.return_number.push_back(return_number);
-            revolution_points.numbers.push_back(firing.number);
+            revolution_points.firing_numbers.push_back(firing.number);
         };
-        auto [first, second] = returns_of_each_ring[ring];
-        // A sensor repeats the only return of a ray.
-        if (second.range_m == first.range_m) second.range_m = 0.0f;
-        const bool is_second_brighter = second.range_m != 0.0f && second.intensity > first.intensity;
-        if (first.range_m == 0.0f || is_second_brighter) std::swap(first, second);
+        const auto [first, second] = sort_by_brightness(returns_of_each_ring[ring]);
         add(first, 1);
         add(second, 2);
     }
 }
 
-/// Creates the scan of a sensor that fires at fixed azimuths.
+/// Creates the scan of a sensor that fires at fixed azimuths (columns).
 /// @param column_is_enabled  [columns per revolution] true if the sensor fires at the
 /// column
 /// @param column_is_lost  [columns per revolution] true if the packet with the column
@@ -96,18 +104,20 @@ Scan make_fixed_scan(RevolutionPoints& revolution_points, const std::vector<bool
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
     fill_long_gaps(has_fired, column_is_enabled, column_is_lost);
-    SweepFirings sweep{{int(has_fired.size()), kPi}, {}};
+    // Column 0 is at the rear. Columns count clockwise, azimuth steps counterclockwise.
+    SweepFirings sweep{.lattice = {.n_ticks = int(has_fired.size()), .zero_rad = kPi}, .firings = {}};
     std::vector<std::uint32_t> firing_index_of_column(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {
         firing_index_of_column[c] = std::uint32_t(sweep.firings.size());
         if (has_fired[c]) sweep.firings.push_back(int((has_fired.size() - c) % has_fired.size()));
     }
-    for (const int column : revolution_points.numbers)
+    for (const int column : revolution_points.firing_numbers)
         revolution_points.points.firing.push_back(firing_index_of_column[std::size_t(column)]);
     // If packets were lost, the scan has only the columns that were received.
-    const bool has_gaps = std::ranges::count(column_is_lost, true) > 0;
-    sensor.columns =
-        std::max(has_gaps ? 0 : int(std::ranges::count(column_is_enabled, true)), int(sweep.firings.size()));
+    sensor.columns = int(sweep.firings.size());
+    const bool is_complete = std::ranges::count(column_is_lost, true) == 0;
+    if (is_complete)
+        sensor.columns = std::max(sensor.columns, int(std::ranges::count(column_is_enabled, true)));
     return spinning_scan(revolution_points.points, sensor, sweep);
 }
 
@@ -137,17 +147,22 @@ int PacketIndex::column_of(const PacketRevolution& revolution, double azimuth_de
 
 /// Returns for each column of a revolution whether its packet was lost. Returns an empty
 /// list if the sensor can fire at any azimuth.
-std::vector<bool> PacketIndex::find_lost(const PacketRevolution& revolution) const {
+std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
-    const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
-    for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
+    if (fires.empty()) return is_lost;
+    // A packet stores n_slots_ consecutive columns. Its azimuth is that of its first
+    // column with a firing, which is `first_slot` columns after its first column.
+    const auto first_column_of = [&](const Entry& packet) {
+        return column_of(revolution, packet.azimuth_deg) - packet.first_slot;
+    };
+    // The packet after the revolution shows the losses at the end.
+    const std::size_t last_tested = std::min(revolution.last + 1, packets_.size() - 1);
+    for (std::size_t i = revolution.first + 1; i <= last_tested; ++i) {
         if (count_lost_packets(i) == 0) continue;
-        const Entry &entry = packets_[i], &before = packets_[i - 1];
-        const int begin = column_of(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
-        const int end =
-            std::min(column_of(revolution, entry.azimuth_deg) - entry.first_slot, int(fires.size()));
-        for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
+        const int first_lost = std::max(first_column_of(packets_[i - 1]) + n_slots_, 0);
+        const int end_of_lost = std::min(first_column_of(packets_[i]), int(fires.size()));
+        for (int c = first_lost; c < end_of_lost; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
     }
     return is_lost;
 }
@@ -216,18 +231,19 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
 }
 
 /// Assigns the points of a revolution to rays.
-Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& points,
+Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& fired,
                             const SpinningSensor& sensor) const {
-    if (points.points.size() == 0) return scan_of_points(points.points);
-    if (!decoder_->timing().fires.empty())
-        return make_fixed_scan(points, decoder_->timing().fires, find_lost(revolution), sensor);
-    const SweepFirings sweep = sort_firings(points.points, points.numbers, points.head_rad);
-    // A revolution has no columns in the sector `skipped_`. If packets were lost, the
-    // scan has only the received columns.
+    if (fired.points.size() == 0) return scan_of_points(fired.points);
+    const std::vector<bool>& column_is_enabled = decoder_->timing().fires;
+    if (!column_is_enabled.empty())  // the sensor fires at fixed azimuths
+        return make_fixed_scan(fired, column_is_enabled, find_lost_columns(revolution), sensor);
+    const SweepFirings sweep = sort_firings(fired.points, fired.firing_numbers, fired.head_rad);
+    // A revolution has no columns in the sector in which the sensor never fires. If
+    // packets were lost, the scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
-    return spinning_scan(points.points, scan_sensor, sweep);
+    return spinning_scan(fired.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

@@ -43,6 +43,8 @@ unsigned compute_checksum(const std::string& header) {
 std::string wrap_ethernet(const std::string& payload, int udp_port, unsigned ip_identification) {
     const unsigned udp_length = unsigned(kUdpBytes + payload.size());
     constexpr unsigned kVersionAndLength = 0x4500, kNotFragmented = 0x4000, kTtlAndUdp = 0x4011;
+    // version and length, length of the packet, identification, flags, time to live and
+    // protocol, checksum, sender, receiver
     std::string ip;
     for (const unsigned value : {kVersionAndLength, unsigned(kIpBytes) + udp_length, ip_identification,
                                  kNotFragmented, kTtlAndUdp, 0u})

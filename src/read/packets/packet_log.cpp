@@ -22,8 +22,8 @@ constexpr std::int64_t kMaxRevolution_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 // Revolutions begin at the rear, so that no scan is split in front of the vehicle.
 constexpr double kRear_deg = 180.0;
-// Largest 16-bit reflectivity, in units of 1/255.
-constexpr double kMostBright = 65535.0;
+// Largest 16-bit reflectivity, in units of 1/255: bin of the histogram of intensities.
+constexpr double kMaxIntensityBin = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kMinAzimuthJump_deg = 5.0;
 // The user gets a note about an incomplete revolution at the start or end of the
@@ -34,6 +34,19 @@ constexpr double kCutOff = 0.02;
 bool is_enabled(const std::vector<bool>& column_is_enabled, std::int64_t column) {
     const auto n = std::int64_t(column_is_enabled.size());
     return column_is_enabled[std::size_t((column % n + n) % n)];
+}
+
+/// Extends a range of head azimuths by the adjacent columns at which the sensor never
+/// fires. Columns count from the rear.
+std::pair<double, double> extend_to_firings(const std::vector<bool>& column_is_enabled, double first_deg,
+                                            double last_deg) {
+    const std::size_t n = column_is_enabled.size();
+    const double step_deg = 360.0 / double(n);
+    std::int64_t begin = std::llround((first_deg - kRear_deg) / step_deg);
+    std::int64_t end = std::llround((last_deg - kRear_deg) / step_deg) + 1;
+    for (std::size_t k = 0; k < n && !is_enabled(column_is_enabled, begin - 1); ++k) --begin;
+    for (std::size_t k = 0; k < n && !is_enabled(column_is_enabled, end); ++k) ++end;
+    return {kRear_deg + step_deg * double(begin), kRear_deg + step_deg * double(end)};
 }
 
 }  // namespace
@@ -139,16 +152,17 @@ void PacketIndex::unwrap_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
-/// Adds the returns of a packet to the histogram from which full_scale() computes the
-/// scale.
+/// Adds the returns of a packet to the histogram of intensities, whose bins are 1/255
+/// wide. Intensities above 1 are later divided by a percentile of this histogram.
 void PacketIndex::count_intensities(const DecodedPacket& packet) {
-    n_bright_.resize(kMostBright + 1);
+    n_returns_of_bin_.resize(kMaxIntensityBin + 1);
     for (const auto& returns : packet.echoes)
         for (const DecodedReturn& echo : returns) {
-            if (!(echo.range_m > 0.0f)) continue;
-            const double bright = std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright);
-            ++n_bright_[std::size_t(bright)];
-            most_bright_ = std::max(most_bright_, bright);
+            const bool has_return = echo.range_m > 0.0f;
+            if (!has_return) continue;
+            const double bin = std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMaxIntensityBin);
+            ++n_returns_of_bin_[std::size_t(bin)];
+            highest_bin_ = std::max(highest_bin_, bin);
         }
 }
 
@@ -171,7 +185,7 @@ std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     if (!decoder_->timing().fires.empty()) return count_lost_columns(before, entry);
     // The elapsed time, without the time in which the head passes the skipped sector,
-    // shows how many firings were lost.
+    // shows how many firings were lost. A slot is the time of one firing.
     const double cycle_us = decoder_->timing().cycle_us;
     const double skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
     const double skipped_slots = skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0;
@@ -184,6 +198,8 @@ std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
 /// sensor that fires at fixed azimuths. The azimuths show how many packets it has sent.
 std::size_t PacketIndex::count_lost_columns(const Entry& before, const Entry& entry) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
+    // Each packet stores n_slots_ consecutive columns, beginning `first_slot` columns
+    // before its azimuth. So the distance of the two packets gives the packets sent.
     const double n_sent = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
                            before.first_slot) /
                           double(n_slots_);
@@ -191,14 +207,14 @@ std::size_t PacketIndex::count_lost_columns(const Entry& before, const Entry& en
     // After more than two revolutions, counts all packets, because the loop below would
     // be slow.
     if (n_between * std::size_t(n_slots_) > 2 * fires.size()) return n_between;
-    std::int64_t column =
+    std::int64_t first_column =  // of the packet, counted from the rear
         std::llround((before.azimuth_deg - kRear_deg) / column_step_deg()) - before.first_slot;
     std::size_t n_with_firing = 0;
     for (std::size_t k = 0; k < n_between; ++k) {
-        column += n_slots_;
+        first_column += n_slots_;
         bool has_firing = false;
         for (int slot = 0; slot < n_slots_; ++slot)
-            has_firing = has_firing || is_enabled(fires, column + slot);
+            has_firing = has_firing || is_enabled(fires, first_column + slot);
         if (has_firing) ++n_with_firing;
     }
     // A received packet without a firing is not lost.
@@ -210,12 +226,13 @@ std::size_t PacketIndex::count_lost_columns(const Entry& before, const Entry& en
 /// counts only the part that belongs to this revolution.
 void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
     double n_missing = 0.0;
-    const double slot_deg = deg_us_ * decoder_->timing().cycle_us;
-    const std::size_t end = std::min(revolution.last + 2, packets_.size());
-    for (std::size_t i = revolution.first + 1; i < end; ++i) {
+    const double firing_step_deg = deg_us_ * decoder_->timing().cycle_us;
+    // The packet after the revolution shows the losses at the end.
+    const std::size_t last_tested = std::min(revolution.last + 1, packets_.size() - 1);
+    for (std::size_t i = revolution.first + 1; i <= last_tested; ++i) {
         const Entry& before = packets_[i - 1];
         // The lost packets are evenly spread over the gap between the two packets.
-        const double from_deg = before.azimuth_deg + double(before.turned_deg) + slot_deg;
+        const double from_deg = before.azimuth_deg + double(before.turned_deg) + firing_step_deg;
         const double to_deg = packets_[i].azimuth_deg, gap_deg = std::max(to_deg - from_deg, 1e-6);
         const double within_deg =
             std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
@@ -229,25 +246,37 @@ void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
 /// azimuths just before and after it at which the sensor never fires, because no packets
 /// are missing there.
 std::pair<double, double> PacketIndex::azimuth_range_deg() const {
-    const std::vector<bool>& fires = decoder_->timing().fires;
+    const FiringTiming& timing = decoder_->timing();
     const double first_deg = packets_.front().azimuth_deg, begin_of_last_deg = packets_.back().azimuth_deg;
     const double last_deg = begin_of_last_deg + double(packets_.back().turned_deg);
-    if (fires.empty()) {
-        if (!(skipped_.width_deg > 0.0)) return {first_deg, begin_of_last_deg};
-        // Includes the sector `skipped_` if the recording starts or ends within the
-        // rotation of one firing cycle of it. The sector begins one cycle after the last
-        // firing before it.
-        const double cycle_deg = deg_us_ * decoder_->timing().cycle_us;
-        const bool starts_behind = skipped_.overlap_deg(first_deg - cycle_deg, first_deg) > 0.0;
-        const bool ends_before = skipped_.overlap_deg(last_deg, last_deg + 2.0 * cycle_deg) > 0.0;
-        return {first_deg - (starts_behind ? skipped_.width_deg : 0.0),
-                ends_before ? last_deg + skipped_.width_deg : begin_of_last_deg};
-    }
-    std::int64_t begin = std::llround((first_deg - kRear_deg) / column_step_deg());
-    std::int64_t end = std::llround((last_deg - kRear_deg) / column_step_deg()) + 1;
-    for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, begin - 1); ++k) --begin;
-    for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, end); ++k) ++end;
-    return {kRear_deg + column_step_deg() * double(begin), kRear_deg + column_step_deg() * double(end)};
+    const bool fires_at_fixed_azimuths = !timing.fires.empty();
+    if (fires_at_fixed_azimuths) return extend_to_firings(timing.fires, first_deg, last_deg);
+    const bool has_skipped_sector = skipped_.width_deg > 0.0;
+    if (!has_skipped_sector) return {first_deg, begin_of_last_deg};
+    // Includes the skipped sector if the recording starts or ends within the rotation of
+    // one firing cycle of it. The sector begins one cycle after the last firing.
+    const double cycle_deg = deg_us_ * timing.cycle_us;
+    const bool starts_behind = skipped_.overlap_deg(first_deg - cycle_deg, first_deg) > 0.0;
+    const bool ends_before = skipped_.overlap_deg(last_deg, last_deg + 2.0 * cycle_deg) > 0.0;
+    return {first_deg - (starts_behind ? skipped_.width_deg : 0.0),
+            ends_before ? last_deg + skipped_.width_deg : begin_of_last_deg};
+}
+
+/// Returns the index of the first packet that begins after an azimuth.
+std::size_t PacketIndex::packet_behind(double azimuth_deg) const {
+    return std::size_t(std::ranges::upper_bound(packets_, azimuth_deg, {}, &Entry::azimuth_deg) -
+                       packets_.begin());
+}
+
+/// Returns the revolution that begins at an azimuth, with its first and last packet. Its
+/// first packet can begin before the revolution.
+PacketRevolution PacketIndex::make_revolution(double begin_deg) const {
+    PacketRevolution revolution{.first = std::max(packet_behind(begin_deg), std::size_t(1)) - 1,
+                                .last = packet_behind(begin_deg + 360.0) - 1,
+                                .begin_deg = begin_deg};
+    // The second firing sequence of the last column can be in the next packet.
+    if (decoder_->timing().parts > 1) revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
+    return revolution;
 }
 
 /// Divides the recording into revolutions that begin when the head faces backward, and
@@ -258,27 +287,17 @@ void PacketIndex::find_revolutions() {
     const auto is_cut_off = [&](double from_deg, double to_deg) {
         return to_deg - from_deg - skipped_.overlap_deg(from_deg, to_deg) > 360.0 * kCutOff;
     };
-    // returns the first packet that begins after an azimuth
-    const auto first_behind = [&](double azimuth_deg) {
-        return std::size_t(std::ranges::upper_bound(packets_, azimuth_deg, {}, &Entry::azimuth_deg) -
-                           packets_.begin());
-    };
     if (is_cut_off(first_deg, begin_deg)) ++left_out_.n_cut_off;
-    std::size_t last = 0;  // last packet of the revolution
-    for (; last < packets_.size() && begin_deg + 360.0 <= end_deg; begin_deg += 360.0) {
-        last = std::min(first_behind(begin_deg + 360.0), packets_.size()) - 1;
-        PacketRevolution revolution{.first = std::max(first_behind(begin_deg), std::size_t(1)) - 1,
-                                    .last = last,
-                                    .begin_deg = begin_deg};
-        // The second firing sequence of the last column can be in the next packet.
-        if (decoder_->timing().parts > 1) revolution.last = std::min(last + 1, packets_.size() - 1);
-        // All packets of this revolution were lost. Continues at the next packet.
-        if (revolution.first == revolution.last) {
-            const double next_deg = packets_[std::min(last + 1, packets_.size() - 1)].azimuth_deg;
-            const double lost_deg = begin_deg;
-            begin_deg =
-                std::max(begin_deg, kRear_deg + 360.0 * (std::floor((next_deg - kRear_deg) / 360.0) - 1.0));
-            left_out_.n_lost += std::size_t(std::llround((begin_deg - lost_deg) / 360.0)) + 1;
+    for (; begin_deg + 360.0 <= end_deg; begin_deg += 360.0) {
+        PacketRevolution revolution = make_revolution(begin_deg);
+        const bool are_all_lost = revolution.first == revolution.last;
+        if (are_all_lost) {
+            // Continues with the revolution of the next packet.
+            const std::size_t next = std::min(packet_behind(begin_deg + 360.0), packets_.size() - 1);
+            const double next_turn = std::floor((packets_[next].azimuth_deg - kRear_deg) / 360.0);
+            const double last_lost_deg = std::max(begin_deg, kRear_deg + 360.0 * (next_turn - 1.0));
+            left_out_.n_lost += std::size_t(std::llround((last_lost_deg - begin_deg) / 360.0)) + 1;
+            begin_deg = last_lost_deg;
             continue;
         }
         store_lost_packets(revolution);
@@ -324,26 +343,28 @@ std::string PacketIndex::describe_faults() const {
 void PacketIndex::set_times(PacketRevolution& revolution) const {
     // Interpolates between the packets before and after this moment.
     const double forward_deg = revolution.begin_deg + 180.0;
-    const auto behind =
-        std::ranges::upper_bound(packets_, forward_deg, {}, &Entry::azimuth_deg) - packets_.begin();
-    const std::size_t k = std::clamp(std::size_t(behind), std::size_t(1), packets_.size() - 1);
+    const std::size_t k = std::clamp(packet_behind(forward_deg), std::size_t(1), packets_.size() - 1);
     const Entry &before = packets_[k - 1], &after = packets_[k];
     const double share =
         (forward_deg - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
     revolution.forward_ns = before.stamp_ns + std::int64_t(share * double(after.clock_ns - before.clock_ns));
     revolution.log_ns = messages_[before.message].log_ns;
     const FiringTiming& timing = decoder_->timing();
-    if (timing.fires.empty() && timing.wrap_us > 0.0)
-        revolution.stamp_less_clock_ns =
-            std::llround(std::remainder(double(before.stamp_ns - before.clock_ns), 1e3 * timing.wrap_us));
-    if (timing.fires.empty()) return;
-    // The packet with the least network delay shows the difference between the clocks
-    // best.
-    revolution.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
+    const std::int64_t offset_before_ns = before.stamp_ns - before.clock_ns;
+    const bool fires_at_fixed_azimuths = !timing.fires.empty();
+    if (!fires_at_fixed_azimuths) {
+        if (timing.wrap_us > 0.0)
+            revolution.stamp_less_clock_ns =
+                std::llround(std::remainder(double(offset_before_ns), 1e3 * timing.wrap_us));
+        return;
+    }
+    // A network delay makes a time stamp later. So the smallest offset shows the
+    // difference between the clocks best.
+    revolution.stamp_less_clock_ns = offset_before_ns;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         revolution.stamp_less_clock_ns =
             std::min(revolution.stamp_less_clock_ns, packets_[i].stamp_ns - packets_[i].clock_ns);
-    revolution.forward_ns += before.clock_ns + revolution.stamp_less_clock_ns - before.stamp_ns;
+    revolution.forward_ns += revolution.stamp_less_clock_ns - offset_before_ns;
 }
 
 /// Returns true if the sensor's clock advances in each packet by at least half of the
@@ -397,23 +418,23 @@ SpinningSensor PacketIndex::make_sensor() const {
     return decoder_->make_sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the value by which intensities are divided: 1 if no intensity exceeds 1,
-/// otherwise their 99.5th percentile.
+/// Returns the value by which intensities are divided: 1 if no intensity exceeds 1 (bin
+/// 255), otherwise the 99.5th percentile of all returns.
 double PacketIndex::full_scale() const {
-    if (most_bright_ <= 255.0) return 1.0;
+    if (highest_bin_ <= 255.0) return 1.0;
     std::uint64_t n_returns = 0;
-    for (const std::uint32_t count : n_bright_) n_returns += count;
+    for (const std::uint32_t count : n_returns_of_bin_) n_returns += count;
     // Skips so many returns in the histogram, from the darkest.
     auto n_skipped = std::uint64_t(0.995 * double(n_returns - 1));
     std::size_t bin = 0;
-    for (; n_bright_[bin] <= n_skipped; ++bin) n_skipped -= n_bright_[bin];
+    for (; n_returns_of_bin_[bin] <= n_skipped; ++bin) n_skipped -= n_returns_of_bin_[bin];
     return std::max(double(bin), 1.0) / 255.0;
 }
 
 std::string PacketIndex::describe_product() const {
-    if (most_bright_ <= 255.0) return decoder_->describe_product();
+    if (highest_bin_ <= 255.0) return decoder_->describe_product();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
-                       decoder_->describe_product(), most_bright_, 255.0 * full_scale());
+                       decoder_->describe_product(), highest_bin_, 255.0 * full_scale());
 }
 
 }  // namespace relidar::packets

@@ -152,8 +152,8 @@ private:
     SkippedSector skipped_;
     /// Number of returns by intensity in units of 1/255. Used only for sensors whose
     /// intensities can exceed 1.
-    std::vector<std::uint32_t> n_bright_;
-    double most_bright_ = 0.0;  ///< highest intensity of all packets, in units of 1/255
+    std::vector<std::uint32_t> n_returns_of_bin_;
+    double highest_bin_ = 0.0;  ///< highest intensity of all packets, in units of 1/255
 
     void set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
     void index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
@@ -161,11 +161,13 @@ private:
     void count_intensities(const DecodedPacket& packet);
     double column_step_deg() const;
     std::pair<double, double> azimuth_range_deg() const;
-    std::vector<bool> find_lost(const PacketRevolution& revolution) const;
+    std::vector<bool> find_lost_columns(const PacketRevolution& revolution) const;
     bool is_inside(const PacketRevolution& revolution, int number, double azimuth_deg) const;
-    Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& points,
+    Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& fired,
                    const SpinningSensor& sensor) const;
     int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
+    std::size_t packet_behind(double azimuth_deg) const;
+    PacketRevolution make_revolution(double begin_deg) const;
     void find_revolutions();
     std::size_t count_lost_packets(std::size_t packet_index) const;
     std::size_t count_lost_columns(const Entry& before, const Entry& entry) const;

@@ -78,6 +78,7 @@ std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string
                                          std::int64_t recording_time_ns, bag::MessageHeader& header) {
     const PacketMessageType& type = *find_type(topic.type);
     std::vector<ReceivedPacket> packets;
+    // a message that is one packet of an Ouster
     if (type.form == PacketMessageLayout::alone) {
         header = {recording_time_ns, topic.name};
         MessageReader reader(message_bytes, topic.encoding == "ros1");
@@ -86,6 +87,7 @@ std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string
         if (packet.size() != kImuBytes) packets.push_back({recording_time_ns, packet});
         return packets;
     }
+    // packets from a network capture: time stamp, length and bytes of each
     if (type.form == PacketMessageLayout::bare) {
         header = {0, topic.name};
         for (codecs::ByteReader reader(message_bytes); reader.remaining() > 0;) {

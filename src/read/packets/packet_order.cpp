@@ -37,7 +37,7 @@ double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
 }
 
 /// Returns true if one of the packets before index `end` has the same time and the same
-/// bytes, of which the index has the hash.
+/// bytes (the same hash).
 bool is_repeated(const std::vector<PacketIndexEntry>& packets, std::size_t end,
                  const PacketIndexEntry& entry) {
     // Limits the comparison, because many packets have the same time if the sensor's
@@ -47,6 +47,45 @@ bool is_repeated(const std::vector<PacketIndexEntry>& packets, std::size_t end,
     for (std::size_t k = end; k > begin && packets[k - 1].clock_ns == entry.clock_ns; --k)
         if (packets[k - 1].hash == entry.hash && packets[k - 1].first_slot == entry.first_slot) return true;
     return false;
+}
+
+/// Returns where a packet belongs in the sorted packets [0, n): before the packets with a
+/// later sensor clock. If its clock is earlier by more than a network delay, the clock
+/// was set back, so the packet stays last.
+std::size_t find_sorted_index(const std::vector<PacketIndexEntry>& packets, std::size_t n,
+                              const PacketIndexEntry& entry) {
+    const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
+    std::size_t at = n;
+    while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kMaxDelay_ns) --at;
+    const bool was_set_back = at > 0 && is_later(at - 1);
+    return was_set_back ? n : at;
+}
+
+/// Corrects the receive time of a late packet, which belongs at index `at` of the sorted
+/// packets [0, n). The new time is its clock plus stamp_ns - clock_ns of a neighbour.
+/// Raises the stamps of later packets to at least the time that this rule gives.
+void correct_late_stamp(std::vector<PacketIndexEntry>& packets, std::size_t n, std::size_t at,
+                        PacketIndexEntry& late) {
+    const PacketIndexEntry& neighbour = packets[at > 0 ? at - 1 : at];
+    const std::int64_t stamp_less_clock_ns = neighbour.stamp_ns - neighbour.clock_ns;
+    late.stamp_ns = late.clock_ns + stamp_less_clock_ns;
+    for (std::size_t k = at; at > 0 && k < n; ++k)
+        packets[k].stamp_ns = std::max(packets[k].stamp_ns, packets[k].clock_ns + stamp_less_clock_ns);
+}
+
+/// Returns for each azimuth bin whether the sensor has fired in it.
+std::array<bool, kSectorBins> mark_fired_bins(const std::vector<PacketIndexEntry>& packets,
+                                              double firing_step_deg) {
+    constexpr double kTestStep_deg = 0.4;  // narrower than a bin, so that no bin is missed
+    std::array<bool, kSectorBins> has_firings{};
+    for (const PacketIndexEntry& entry : packets) {
+        const double covered_deg = std::min(double(entry.turned_deg), 360.0) + firing_step_deg;
+        for (double offset_deg = 0.0; offset_deg <= covered_deg; offset_deg += kTestStep_deg) {
+            const double azimuth_deg = std::max(entry.azimuth_deg + offset_deg, 0.0);
+            has_firings[std::size_t(azimuth_deg / 360.0 * kSectorBins) % kSectorBins] = true;
+        }
+    }
+    return has_firings;
 }
 
 }  // namespace
@@ -61,30 +100,17 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
     std::size_t n = 0;  // packets[0, n) are already sorted
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketIndexEntry entry = packets[p];
-        const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
-        // Moves the packet before packets with a later sensor clock. If its clock is
-        // earlier by more than a network delay, the clock was set back, so it stays last.
-        std::size_t at = n;  // where the packet belongs
-        while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kMaxDelay_ns) --at;
-        if (at > 0 && is_later(at - 1)) at = n;
-
-        const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
+        const std::size_t at = find_sorted_index(packets, n, entry);
+        // A packet with two entries is counted only once.
+        const bool is_first_entry = entry.first_firing == 0;
         if (is_repeated(packets, at, entry)) {
-            if (counts) ++faults.n_repeated;
+            if (is_first_entry) ++faults.n_repeated;
             continue;
         }
-        if (at < n) {
-            // The receive time of a late packet is wrong. Replaces it with clock_ns +
-            // offset, where the offset is stamp_ns - clock_ns of a neighbour. Raises the
-            // stamps of later packets to at least clock_ns + offset.
-            const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
-            const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
-            entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
-            for (std::size_t k = at; at > 0 && k < n; ++k)
-                packets[k].stamp_ns =
-                    std::max(packets[k].stamp_ns, packets[k].clock_ns + stamp_less_clock_ns);
-            if (counts) ++faults.n_late;
-        }
+        const bool is_late = at < n;
+        if (is_late) correct_late_stamp(packets, n, at, entry);
+        if (is_late && is_first_entry) ++faults.n_late;
+        // Inserts the packet at its place.
         std::move_backward(packets.begin() + std::ptrdiff_t(at), packets.begin() + std::ptrdiff_t(n),
                            packets.begin() + std::ptrdiff_t(n) + 1);
         packets[at] = entry;
@@ -148,20 +174,13 @@ double SkippedSector::overlap_deg(double from_deg, double to_deg) const {
 }
 
 SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg) {
-    constexpr double kBin_deg = 360.0 / kSectorBins, kTestStep_deg = 0.4;  // below a bin
-    std::array<bool, kSectorBins> has_firings{};
-    for (const PacketIndexEntry& entry : packets) {
-        const double covered_deg = std::min(double(entry.turned_deg), 360.0) + firing_step_deg;
-        for (double offset_deg = 0.0; offset_deg <= covered_deg; offset_deg += kTestStep_deg) {
-            const double azimuth_deg = std::max(entry.azimuth_deg + offset_deg, 0.0);
-            has_firings[std::size_t(azimuth_deg / 360.0 * kSectorBins) % kSectorBins] = true;
-        }
-    }
+    constexpr double kBin_deg = 360.0 / kSectorBins;
+    const std::array<bool, kSectorBins> has_firings = mark_fired_bins(packets, firing_step_deg);
     const CircularGap gap = find_widest_gap(kSectorBins, [&](std::size_t bin) { return has_firings[bin]; });
     if (double(gap.length) * kBin_deg < kLeastSector_deg || gap.length >= kSectorBins) return {};
 
-    // Angles relative to the middle of the sector without firings. before_deg: from the
-    // last firing before the sector. behind_deg: to the first firing after the sector.
+    // Bins are coarse. Measures the exact ends from the middle of the sector. before_deg:
+    // from the last firing before the sector. behind_deg: to the first firing after it.
     const double middle_deg = (double(gap.end) - 0.5 * double(gap.length)) * kBin_deg;
     double before_deg = 360.0, behind_deg = 360.0;
     // Number of revolutions in which the head passes the middle of the sector.
