@@ -24,23 +24,23 @@ constexpr const char* kNoCategory = "unknown";
 void unify_labels(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<BoxLabel*>> labels_of_object;
     for (BoxLabel& label : labels) labels_of_object[label.id].push_back(&label);
-    for (auto& [id, seen] : labels_of_object) {
-        glm::dvec3 size_m;
+    for (auto& [id, labels_of_id] : labels_of_object) {
+        glm::dvec3 median_size_m;
         for (int axis = 0; axis < 3; ++axis) {
-            const auto middle = seen.begin() + std::ptrdiff_t(seen.size() / 2);
-            std::ranges::nth_element(seen, middle, {},
+            const auto middle = labels_of_id.begin() + std::ptrdiff_t(labels_of_id.size() / 2);
+            std::ranges::nth_element(labels_of_id, middle, {},
                                      [axis](const BoxLabel* label) { return label->size_m[axis]; });
-            size_m[axis] = (*middle)->size_m[axis];
+            median_size_m[axis] = (*middle)->size_m[axis];
         }
-        std::map<std::string, std::size_t> n_of_category;
-        for (const BoxLabel* label : seen) ++n_of_category[label->category];
-        if (n_of_category.size() > 1) n_of_category.erase(kNoCategory);
-        const std::string category = std::ranges::max_element(n_of_category, {}, [](const auto& entry) {
-                                         return entry.second;
-                                     })->first;
-        for (BoxLabel* label : seen) {
-            label->size_m = size_m;
-            label->category = category;
+        std::map<std::string, std::size_t> n_labels_of_category;
+        for (const BoxLabel* label : labels_of_id) ++n_labels_of_category[label->category];
+        // Any known category is better than none.
+        if (n_labels_of_category.size() > 1) n_labels_of_category.erase(kNoCategory);
+        const auto n_labels = [](const auto& category_and_count) { return category_and_count.second; };
+        const auto most_frequent = std::ranges::max_element(n_labels_of_category, {}, n_labels);
+        for (BoxLabel* label : labels_of_id) {
+            label->size_m = median_size_m;
+            label->category = most_frequent->first;
         }
     }
 }

@@ -82,6 +82,7 @@ std::vector<fs::path> list_recording_files(const fs::path& folder) {
         const bool is_bag = std::ranges::find(kBagExtensions, unpacked.extension()) != kBagExtensions.end();
         if (is_pcap_file(file) || (is_bag && !is_copy)) files.push_back(file);
     }
+    // list_folder() sorts by name. Short names first puts NAME_2 before NAME_10.
     std::ranges::stable_sort(files, {}, [](const fs::path& file) { return file.filename().string().size(); });
     return files;
 }
@@ -123,6 +124,7 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
         const UnpackedFile unpacked(file);
         const std::string problem =
             fmt::format("{}: the compressed data (gzip or zstd) are truncated", file.string());
+        // A part of a database (.db3) cannot be read. Other formats are read in order.
         if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
         if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
         if (is_pcap_file(file)) files_.push_back(open_pcap_file(unpacked.path(), file));
@@ -170,8 +172,9 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
         std::int64_t last_ns = 0;
         const MessageCallback pass_message = [&](BagMessage message) {
             const BagTopic& topic = topics_.topics()[message.topic];
-            const std::int64_t log_ns = message.log_ns;
-            const bool is_possible = log_ns >= 0 && log_ns <= kMaxRosTime_ns;
+            message.message_position.file = std::uint32_t(f);
+            const std::int64_t stored_ns = message.log_ns;
+            const bool is_possible = stored_ns >= 0 && stored_ns <= kMaxRosTime_ns;
             // The time of the previous message replaces an impossible one.
             if (!is_possible) message.log_ns = last_ns;
             last_ns = message.log_ns;
@@ -180,10 +183,9 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
                 add_note_once(
                     fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
                                 "the time of the previous message is used",
-                                quote(topic.name), log_ns, kMaxRosTime_ns));
+                                quote(topic.name), stored_ns, kMaxRosTime_ns));
             std::string unpacked;
             if (is_requested) message.bytes = unpack_bytes(message, unpacked);
-            message.message_position.file = std::uint32_t(f);
             callback(message);
         };
         const auto add_note = [&](const std::string& text) { add_note_once(text); };

@@ -61,7 +61,7 @@ using MessageCallback = std::function<void(const BagMessage&)>;
 /// The topics of all files of a bag, in the order in which they first occur.
 class TopicTable {
 public:
-    /// Returns the index of a topic. Adds a new topic.
+    /// Returns the index of a topic in this table. Adds the topic if it is not known.
     std::size_t topic_index(BagTopic topic);
     const std::vector<BagTopic>& topics() const { return topics_; }
 

@@ -61,6 +61,7 @@ LidarPoints BagScans::read_points(std::size_t frame) const {
     if (revolution.parts.empty()) return read_cloud_points(frame, revolution, frame_cloud.cloud_s);
     LidarPoints all;
     for (const RevolutionPart& part : revolution.parts) {
+        // A part has the time stamp of its message, which the correction changes.
         CloudEntry cloud;
         cloud.stamp_ns = part.stamp_ns - revolution.correction_ns;
         cloud.log_ns = part.log_ns;
@@ -124,6 +125,7 @@ LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& clo
         .time_zero = are_offsets ? frame_on_point_clock_s / units.time_unit_s : 0.0};
     LidarPoints points = read::convert_table(table, point_units, frame_on_point_clock_s, frame_name(frame));
 
+    // deskewed_by_ returns the LiDAR poses with which the driver compensated the motion.
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(frame_cloud.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
@@ -142,7 +144,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
     const BagTopic& topic = bag_.topics()[clouds.topic];
     const packets::PacketRevolution& revolution = clouds.revolutions[frame_cloud.entry.revolution_index];
     const std::vector<packets::PacketIndex::MessageSource> sources = clouds.packets.messages_of(revolution);
-    // The packets are views of the messages.
+    // The packets are views of the messages, so the messages must stay in memory.
     std::vector<SharedBytes> messages;
     for (const auto& source : sources) messages.push_back(bag_.read_message(topic, source.message_position));
     std::vector<std::vector<packets::ReceivedPacket>> packets;

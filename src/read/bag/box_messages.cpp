@@ -73,7 +73,9 @@ BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout
     BoxListMessage list{read_header(reader), {}, 0};
     const std::size_t n = reader.read_length(kLeastDetection);
     for (std::size_t i = 0; i < n; ++i) {
-        BoxMessage box{read_header(reader), {}, read_best_class(reader, layout), {}, {}};
+        BoxMessage box;
+        box.header = read_header(reader);
+        box.category = read_best_class(reader, layout);
         const PoseComponents pose = read_pose(reader);
         box.size_m = read_vector3(reader);
         // Also skips is_dense, the last field of source_cloud, because read_ros_cloud()
@@ -86,7 +88,7 @@ BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout
         if (layout.has_identity) box.id = reader.read_string();
         if (box.header.frame.empty()) box.header = list.header;
         if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
-        list.add_if_valid(std::move(box), pose);
+        list.add_valid_box(std::move(box), pose);
     }
     if (reader.remaining() > (reader.is_ros1() ? 0 : kMaxPaddingBytes))
         fail("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
@@ -97,16 +99,16 @@ BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout
 /// Reads a vision_msgs/Detection3DArray. The message does not state its version, so this
 /// tries all versions until one fits exactly.
 BoxListMessage read_detections(const MessageReader& reader) {
-    std::string why;
+    std::string first_error;
     for (const DetectionMessageLayout& layout : kDetectionLayouts) {
         try {
             return read_by_layout(reader, layout);
         } catch (const DataError& error) {
-            if (why.empty()) why = error.what();
+            if (first_error.empty()) first_error = error.what();
         }
     }
     fail("the message matches no version of vision_msgs/Detection3DArray; the error with the newest is: {}",
-         why);
+         first_error);
 }
 
 /// Names of Autoware's ObjectClassification labels, indexed by label number.
@@ -160,7 +162,7 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     // The box has its centre in the middle of the polygon, which is in the object's
     // frame.
     const glm::dvec2 middle = 0.5 * (least + most);
-    const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
+    const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);  // w, x, y, z
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
     for (int a = 0; a < 3; ++a) pose[std::size_t(a)] += shift[a];
     box.size_m = {most - least, box.size_m.z};
@@ -184,14 +186,14 @@ BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {
         if (!is_autoware_auto) reader.read_number<std::uint8_t>();  // skips the orientation flag
         reader.read_number<std::uint8_t>();                         // skips the flag is_stationary
         read_shape(reader, box, pose);
-        list.add_if_valid(std::move(box), pose);
+        list.add_valid_box(std::move(box), pose);
     }
     return list;
 }
 
 }  // namespace
 
-void BoxListMessage::add_if_valid(BoxMessage box, const PoseComponents& pose) {
+void BoxListMessage::add_valid_box(BoxMessage box, const PoseComponents& pose) {
     const glm::dvec3& size_m = box.size_m;
     const bool has_size =
         std::isfinite(size_m.x + size_m.y + size_m.z) && std::min({size_m.x, size_m.y, size_m.z}) > 0.0;

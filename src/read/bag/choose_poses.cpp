@@ -141,8 +141,9 @@ const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSo
     return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.world, source.vehicle);
 }
 
-/// Sets the pose path of a source. Corrects a clock offset between clouds and poses only
-/// if it is certain, and if more clouds then have a pose.
+/// Sets the pose path of a source. The time of the first cloud becomes 0 s. If the clocks
+/// of clouds and poses differ, the poses get another zero, but only if the offset is
+/// certain, and if more clouds then have a pose. Otherwise adds a warning.
 void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
                const PoseSource& source) {
     choice.poses_zero_ns = choice.zero_ns;

@@ -39,17 +39,19 @@ std::int64_t round_offset(std::int64_t measured_ns) {
     constexpr std::int64_t kUsualDelay_ns = 100 * kNsPerMs;
     constexpr std::int64_t kMinDelay_ns = -50 * kNsPerMs, kMaxDelay_ns = 250 * kNsPerMs;
     const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
-    const std::int64_t n = std::abs(seconds), delay_ns = seconds * kOffsetUnit_ns - measured_ns;
-    const bool are_leap_seconds = (n >= 13 && n <= 19) || (n >= 32 && n <= 37);  // GPS or TAI minus UTC
-    const bool is_time_zone = n % 900 == 0;                                      // quarters of an hour
+    const std::int64_t n_seconds = std::abs(seconds), delay_ns = seconds * kOffsetUnit_ns - measured_ns;
+    const bool is_gps_minus_utc = n_seconds >= 13 && n_seconds <= 19;
+    const bool is_tai_minus_utc = n_seconds >= 32 && n_seconds <= 37;
+    const bool are_leap_seconds = is_gps_minus_utc || is_tai_minus_utc;
+    const bool is_time_zone = n_seconds % 900 == 0;  // whole quarters of an hour
     const bool is_known = are_leap_seconds || is_time_zone;
     const bool is_possible_delay = delay_ns >= kMinDelay_ns && delay_ns <= kMaxDelay_ns;
     return is_known && is_possible_delay ? seconds * kOffsetUnit_ns : measured_ns;
 }
 
-/// Returns true if most messages have the time stamps of reference messages, as poses
-/// that were computed from clouds. Both then have one clock, and messages are late,
-/// unless the offset makes even more time stamps equal.
+/// Returns true if most messages have the same time stamps as reference messages, for
+/// example poses that were computed from clouds. Then both have one clock, and the
+/// measured offset is a delay. An offset that makes even more stamps equal is no delay.
 bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
                   std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
@@ -83,15 +85,18 @@ std::int64_t median_of(std::size_t begin, std::size_t end, const Function& funct
     return compute_median(std::move(values));
 }
 
-/// Splits the clouds where their times jump. A late message is no jump: its time stamp
-/// follows the previous one regularly.
-/// @param has_log  false: recording times cannot be compared, so only days are jumps
+/// Splits the clouds where their times jump relative to the recording times. A late
+/// message is no jump: its time stamp follows the previous one regularly.
+/// @param period_ns  usual time between clouds
+/// @param can_use_log  false: the recording times come from a conversion, so that only
+/// steps of a day are jumps
 std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogClock clock,
-                                     std::int64_t period_ns, bool has_log) {
+                                     std::int64_t period_ns, bool can_use_log) {
     const auto is_jump = [&](const CloudEntry& before, const CloudEntry& cloud) {
         const std::int64_t step_ns = cloud.time_ns(clock) - before.time_ns(clock);
         const std::int64_t log_step_ns = cloud.log_ns - before.log_ns;
-        if (!has_log) return std::abs(step_ns) >= kDay_ns;
+        if (!can_use_log) return std::abs(step_ns) >= kDay_ns;
+        // The time stamps show the usual period better than the recording times.
         const bool is_regular = std::abs(step_ns - period_ns) <= std::abs(log_step_ns - period_ns);
         const bool is_late = is_regular && (step_ns > 0 || log_step_ns < 0);
         return std::abs(step_ns - log_step_ns) >= kMinJump_ns && !is_late;
@@ -106,18 +111,21 @@ std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogC
     return runs;
 }
 
-/// Sets by how much the clouds of each run are ahead of the recorder and the reference.
-/// @param has_log  see split_at_jumps()
+/// Sets by how much the clouds of each run (clouds between two jumps of the clock) are
+/// ahead of the recorder and of the reference messages. Both are medians over the clouds.
+/// @param can_use_log  false: the recording times come from a conversion and count as 0
 void measure_runs(std::vector<ClockRun>& runs, const std::vector<CloudEntry>& clouds, LogClock clock,
-                  const std::vector<MessageTimes>& reference, bool has_log) {
+                  const std::vector<MessageTimes>& reference, bool can_use_log) {
     const auto ahead_recorder_ns = [&](std::size_t i) {
-        return clouds[i].time_ns(clock) - (has_log ? clouds[i].log_ns : 0);
+        return clouds[i].time_ns(clock) - (can_use_log ? clouds[i].log_ns : 0);
     };
     for (ClockRun& run : runs) {
         run.ahead_recorder_ns = median_of(run.begin, run.end, ahead_recorder_ns);
         run.ahead_ns = median_of(run.begin, run.end, [&](std::size_t i) {
             const MessageTimes* near = find_nearest(reference, clouds[i].log_ns);
-            return ahead_recorder_ns(i) - (has_log && near ? near->stamp_ns - near->log_ns : 0);
+            const std::int64_t reference_ahead_recorder_ns =
+                can_use_log && near ? near->stamp_ns - near->log_ns : 0;
+            return ahead_recorder_ns(i) - reference_ahead_recorder_ns;
         });
     }
 }
@@ -159,6 +167,7 @@ OffsetSamples pair_messages(const std::vector<MessageTimes>& messages,
 /// Returns the drift of a clock: the change of the median offset from the first to the
 /// last tenth of the messages, and the larger of these offsets. Returns 0 if the change
 /// is small, or if messages that are late for a while can explain it.
+/// @param samples  offsets of messages from a reference, in the order of recording
 ClockOffset find_drift(const OffsetSamples& samples) {
     const std::size_t n = samples.size(), n_tenth = n / 10;
     if (n_tenth < kMinMessages) return {};
@@ -167,10 +176,13 @@ ClockOffset find_drift(const OffsetSamples& samples) {
     const std::int64_t last_ns = samples.median_offset_ns(n - n_tenth, n);
     const std::int64_t change_ns = std::abs(last_ns - first_ns);
     const bool is_last_larger = std::abs(last_ns) > std::abs(first_ns);
-    const bool is_clock = is_last_larger ? samples.are_ahead(n - n_tenth, n) : samples.are_ahead(0, n_tenth);
+    // Messages ahead of the recorder have another clock, so a small change is a drift.
+    const bool has_other_clock =
+        is_last_larger ? samples.are_ahead(n - n_tenth, n) : samples.are_ahead(0, n_tenth);
     // Messages that are late for a while do not change the offset evenly.
     const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
-    const bool is_drift = is_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns;
+    const bool is_drift =
+        has_other_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns;
     if (!is_drift) return {};
     return {.offset_ns = is_last_larger ? last_ns : first_ns, .drift_ns = last_ns - first_ns};
 }
@@ -203,13 +215,14 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
     OffsetSamples samples = pair_messages(messages, reference);
     const std::size_t n = samples.size();
-    // Recording times from a conversion do not show delays, so they are not compared.
+    if (n < kMinMessages) return {};
     const auto duration_ns = [&](std::int64_t MessageTimes::*time) {
         return std::abs(double(messages.back().*time) - double(messages.front().*time));
     };
-    if (n < kMinMessages ||
-        duration_ns(&MessageTimes::log_ns) < kLeastPace * duration_ns(&MessageTimes::stamp_ns))
-        return {};
+    // Recording times from a conversion pass too fast. They do not show delays.
+    const bool is_converted =
+        duration_ns(&MessageTimes::log_ns) < kLeastPace * duration_ns(&MessageTimes::stamp_ns);
+    if (is_converted) return {};
     const std::int64_t median_ns = samples.median_offset_ns(0, n);
     if (std::abs(median_ns) > kMostOffset_ns) return {};
     const bool are_ahead = samples.are_ahead(0, n);
@@ -220,6 +233,7 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     const double spread_ns = double(samples.offset_ns[n - 1 - n / 10]) - double(samples.offset_ns[n / 10]);
     const double max_spread_ns =
         std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns);
+    // No delay makes messages ahead of the recorder, so a smaller offset is enough then.
     const bool is_large = std::abs(median_ns) >= (are_ahead ? kMaxAhead_ns : kLeastOffset_ns);
     if (spread_ns <= max_spread_ns && is_large)
         clock = {.offset_ns = round_offset(median_ns),
@@ -244,10 +258,10 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
     };
     const std::int64_t period_ns = median_period_ns(clock);
     // Recording times of a conversion differ from the times of measurement.
-    const bool has_log = clock == LogClock::stamps && period_ns > 0 &&
-                         std::abs(median_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
-    std::vector<ClockRun> runs = split_at_jumps(clouds, clock, period_ns, has_log);
-    measure_runs(runs, clouds, clock, reference, has_log);
+    const bool can_use_log = clock == LogClock::stamps && period_ns > 0 &&
+                             std::abs(median_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
+    std::vector<ClockRun> runs = split_at_jumps(clouds, clock, period_ns, can_use_log);
+    measure_runs(runs, clouds, clock, reference, can_use_log);
     // Prefers clouds on the clock of the reference.
     const ClockRun main = *std::ranges::max_element(runs, {}, [](const ClockRun& run) {
         return std::pair(std::abs(run.ahead_ns) <= kMinJump_ns && run.size() >= kLeastRun, run.size());
@@ -268,7 +282,7 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
         }
         kept.insert(kept.end(), clouds.begin() + std::ptrdiff_t(run.begin),
                     clouds.begin() + std::ptrdiff_t(run.end));
-        if (!is_other_clock || !has_log || may_be_late) continue;
+        if (!is_other_clock || !can_use_log || may_be_late) continue;
         // The nearest clouds of both runs are whole sweeps apart, which is more precise
         // than `ahead_ns`.
         const bool is_before = run.begin < main.begin;

@@ -56,14 +56,16 @@ template <class Read>
 PbfField message(unsigned tag, const Read& read) {
     return {tag, pbf_wire_type::length_delimited, [read](pbf_reader& reader) { read(reader.get_message()); }};
 }
-/// foxglove.Vector3 or foxglove.Quaternion. Missing coordinates are 0.
+/// Describes a field that contains a foxglove.Vector3 or foxglove.Quaternion and is
+/// stored in `v`. Missing coordinates are 0.
 PbfField vector(unsigned tag, glm::dvec4& v) {
     return message(tag, [&v](const pbf_reader& reader) {
         v = glm::dvec4(0.0);
         read_fields(reader, {number(1, v.x), number(2, v.y), number(3, v.z), number(4, v.w)});
     });
 }
-/// google.protobuf.Timestamp
+/// Describes a field that contains a google.protobuf.Timestamp, which consists of seconds
+/// and nanoseconds, and is stored in `stamp_ns`. Rejects times that ROS cannot represent.
 PbfField stamp(unsigned tag, std::int64_t& stamp_ns) {
     return message(tag, [&stamp_ns](const pbf_reader& reader) {
         std::int64_t seconds = 0, nanoseconds = 0;
@@ -86,7 +88,7 @@ struct PbfPose {
         return {position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w};
     }
 };
-/// foxglove.Pose
+/// Describes a field that contains a foxglove.Pose and is stored in `value`.
 PbfField pose(unsigned tag, PbfPose& value) {
     return message(tag, [&value](const pbf_reader& reader) {
         read_fields(reader, {vector(1, value.position), vector(2, value.rotation)});
@@ -134,7 +136,7 @@ void add_transform(TransformListMessage& list, const pbf_reader& reader) {
     read_fields(reader, {stamp(1, transform.header.stamp_ns), text(2, transform.header.frame),
                          text(3, transform.child), vector(4, parent_from_child.position),
                          vector(5, parent_from_child.rotation)});
-    list.add_if_valid(std::move(transform), parent_from_child.components());
+    list.add_valid_transform(std::move(transform), parent_from_child.components());
 }
 
 /// Reads foxglove.LocationFix.
@@ -166,7 +168,7 @@ void add_entity(BoxListMessage& box_list, const pbf_reader& reader) {
     read_fields(reader, {stamp(1, box.header.stamp_ns), text(2, box.header.frame), text(3, box.id),
                          message(6, read_metadata), message(8, read_cube)});
     if (box_list.header.frame.empty()) box_list.header = box.header;
-    if (n_cubes == 1) box_list.add_if_valid(std::move(box), box_pose.components());
+    if (n_cubes == 1) box_list.add_valid_box(std::move(box), box_pose.components());
     else if (n_cubes > 1) ++box_list.n_left_out;
 }
 

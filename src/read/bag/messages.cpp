@@ -254,7 +254,7 @@ read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& me
     return table;
 }
 
-void TransformListMessage::add_if_valid(TransformMessage transform, const PoseComponents& pose) {
+void TransformListMessage::add_valid_transform(TransformMessage transform, const PoseComponents& pose) {
     try {
         transform.parent_from_child = make_pose(pose);
         transforms.push_back(std::move(transform));
@@ -280,11 +280,11 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
         for (std::size_t i = 0; i < n; ++i) {
             TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
             if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-            list.add_if_valid(std::move(transform), read_pose(reader));
+            list.add_valid_transform(std::move(transform), read_pose(reader));
         }
     } else {
         const MessageHeader header = read_header(reader);
-        list.add_if_valid({header, "", {}}, read_pose(reader));
+        list.add_valid_transform({header, "", {}}, read_pose(reader));
     }
     return list;
 }

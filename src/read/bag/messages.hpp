@@ -62,7 +62,7 @@ struct TransformListMessage {
     std::string problem;         ///< text about the first of them
 
     /// Adds a transform with a pose. Counts it as left out if the pose is invalid.
-    void add_if_valid(TransformMessage transform, const std::array<double, 7>& pose);
+    void add_valid_transform(TransformMessage transform, const std::array<double, 7>& pose);
 };
 
 struct BoxMessage {
@@ -79,7 +79,7 @@ struct BoxListMessage {
     std::size_t n_left_out = 0;
 
     /// Adds a box with a pose. Counts it as left out if its size or its pose is invalid.
-    void add_if_valid(BoxMessage box, const std::array<double, 7>& pose);
+    void add_valid_box(BoxMessage box, const std::array<double, 7>& pose);
 };
 
 /// How the messages of a topic are used. `nameless_boxes`, which have no track id, are
@@ -162,6 +162,7 @@ PoseComponents read_pose(MessageReader& reader);
 Pose make_pose(const PoseComponents& position_and_quaternion);
 CloudMessage read_ros_cloud(MessageReader& reader);
 
+/// Reads a cloud: sensor_msgs/PointCloud2, CustomMsg of Livox, or foxglove.PointCloud.
 /// @throws DataError with the name of the invalid field
 CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes);
 /// Converts a cloud to a table of points, in the units of the message.

@@ -265,9 +265,19 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
     }
 }
 
-/// Joins the entries of a topic if they belong to one LiDAR. The clouds of several LiDARs
-/// alternate. If the frame changes only once, or only a few clouds have another frame,
-/// all clouds are from one LiDAR.
+/// Moves all clouds of an entry of a topic to another entry of the topic.
+void move_clouds(CloudTopic& from, CloudTopic& to) {
+    if (from.frame != to.frame) {
+        if (to.n_other_frame == 0) to.other_frame = from.frame;
+        to.n_other_frame += from.clouds.size();
+    }
+    std::ranges::move(std::exchange(from.clouds, {}), std::back_inserter(to.clouds));
+    std::ranges::move(std::exchange(from.arcs, {}), std::back_inserter(to.arcs));
+}
+
+/// Joins the entries of a topic (one per frame or LiDAR number of its clouds) if they
+/// belong to one LiDAR. The clouds of several LiDARs alternate. If the frame changes only
+/// once, or only a few clouds have another frame, all clouds are from one LiDAR.
 void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
     std::vector<CloudTopic*> entries;
@@ -276,31 +286,27 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     if (entries.size() == 1) entries[0]->lidar.clear();
     if (entries.size() < 2) return;
 
+    // position in the recording, which gives the order of the clouds
     const auto position_of = [](const auto& cloud) {
         const MessagePosition& position = cloud.message_position;
         return std::tuple(position.file, position.at, position.in_chunk);
     };
-    const CloudTopic& most =
+    const CloudTopic& largest =
         **std::ranges::max_element(entries, {}, [](const CloudTopic* entry) { return entry->clouds.size(); });
     const auto is_lidar = [&](const CloudTopic* entry) {
-        if (entry == &most) return true;
-        const bool alternates = position_of(entry->clouds.front()) < position_of(most.clouds.back()) &&
-                                position_of(most.clouds.front()) < position_of(entry->clouds.back());
-        return alternates && double(entry->clouds.size()) >= kLeastShare * double(most.clouds.size());
+        if (entry == &largest) return true;
+        const bool alternates = position_of(entry->clouds.front()) < position_of(largest.clouds.back()) &&
+                                position_of(largest.clouds.front()) < position_of(entry->clouds.back());
+        return alternates && double(entry->clouds.size()) >= kLeastShare * double(largest.clouds.size());
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
-    const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
+    const bool is_one_lidar = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
     // The entries that are no LiDARs become a part of the first LiDAR.
-    CloudTopic& first = is_one ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
-    if (is_one) first.lidar.clear();
+    CloudTopic& first = is_one_lidar ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
+    if (is_one_lidar) first.lidar.clear();
     for (CloudTopic* entry : entries) {
-        if (entry == &first || (!is_one && is_lidar(entry))) continue;
-        if (entry->frame != first.frame) {
-            if (first.n_other_frame == 0) first.other_frame = entry->frame;
-            first.n_other_frame += entry->clouds.size();
-        }
-        std::ranges::move(std::exchange(entry->clouds, {}), std::back_inserter(first.clouds));
-        std::ranges::move(std::exchange(entry->arcs, {}), std::back_inserter(first.arcs));
+        const bool stays = entry == &first || (!is_one_lidar && is_lidar(entry));
+        if (!stays) move_clouds(*entry, first);
     }
     std::ranges::stable_sort(first.clouds, {}, position_of);
     std::ranges::stable_sort(first.arcs, {}, position_of);
@@ -315,8 +321,11 @@ void join_parts(CloudTopic& cloud_topic) {
     cloud_topic.clouds.clear();
     for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
         const RevolutionPart& middle = revolution[revolution.size() / 2];
-        CloudEntry& entry =
-            cloud_topic.clouds.emplace_back(CloudEntry{middle, 0, middle.message_position, 0, revolution});
+        CloudEntry& entry = cloud_topic.clouds.emplace_back();
+        entry.stamp_ns = middle.stamp_ns;
+        entry.log_ns = middle.log_ns;
+        entry.message_position = middle.message_position;
+        entry.parts = revolution;
         for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
     }
     cloud_topic.parts_note = fmt::format(

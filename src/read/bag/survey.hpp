@@ -242,6 +242,7 @@ std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex
                                          const std::vector<bool>& is_topic_used);
 
 // The following texts are empty if there is nothing to report.
+
 /// Describes missing sweeps, which cause time steps that are much longer than usual.
 std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep_period_s);
 std::string describe_frame_ids(const CloudTopic& cloud_topic);

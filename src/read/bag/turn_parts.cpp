@@ -100,15 +100,18 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPa
         steps_ns.push_back(cloud.stamp_ns - before.stamp_ns);
         sum_of_steps += std::polar(1.0, double(cloud.arc.middle_rad) - double(before.arc.middle_rad));
     }
+    // The angle of the sum is the mean step. Its length shows whether the steps agree.
     const double extent_rad = compute_median(extents_rad), step_rad = std::abs(std::arg(sum_of_steps));
     const bool are_steps_equal =
         std::abs(sum_of_steps) >= kMinStepAgreement * double(partial_clouds.size() - 1);
     if (extent_rad > kWidestPart_rad || !are_steps_equal) return std::nullopt;
+    // In a rotating LiDAR, each cloud begins where the previous one ends. A step above
+    // half a turn appears as the smaller step in the other direction.
     const double width_rad = std::min(extent_rad, 2.0 * kPi - extent_rad);
-    if (std::abs(step_rad - width_rad) > kMaxStepError * step_rad ||
-        widest_gap_rad(partial_clouds) > kLeastGap_rad)
-        return std::nullopt;
+    const bool are_adjacent = std::abs(step_rad - width_rad) <= kMaxStepError * step_rad;
+    if (!are_adjacent || widest_gap_rad(partial_clouds) > kLeastGap_rad) return std::nullopt;
     const double n_parts = std::round(2.0 * kPi / step_rad);
+    // Steps of half a turn have no direction, so clockwise is assumed.
     const bool are_halves = n_parts < 2.5;
     const bool is_negative = are_halves || std::arg(sum_of_steps) < 0.0;
     return RevolutionPartition{.extent_rad = extent_rad,
