@@ -72,8 +72,8 @@ const DatasetKind& find_kind(const std::string& kind_name) {
                      did_you_mean(kind_name, list_kind_names(), "'"), fmt::join(list_kind_names(), ", "));
 }
 
-/// Returns true if a path contains a file that matches a marker (see
-/// DatasetKind::marker).
+/// Returns true if a path contains a file with a name, with an ending (".bin"), or with a
+/// beginning ("scan*"). A path of a file matches by its own ending.
 bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
     const bool is_ending = file_name_pattern.starts_with('.'),
                is_beginning = file_name_pattern.ends_with('*');
@@ -310,7 +310,7 @@ const DatasetKind& kind_of_path(const std::string& dataset, const std::string& r
 /// Estimates two values for each frame: the start of the sweep, and how much the head
 /// azimuths deviate from even rotation.
 void estimate_sweeps(Log& sequence) {
-    std::vector<RayTable> nominal;
+    std::vector<RayTable> nominal;  // [LiDARs] rays at even rotation; empty if it does not spin
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_lidar_rays(lidar, 0.0));
     parallel_for(int(sequence.frames.size()), [&](int index) {
@@ -352,14 +352,15 @@ std::string detect_kind(const fs::path& path) {
         supported_formats +=
             fmt::format("{}{} ({})", supported_formats.empty() ? "" : ", ", kind.describe, kind.marker);
     }
-    // The path is no known dataset. The checks below report the most helpful reason.
+    // The path is no known dataset. Each check fails with a reason if it knows one, the
+    // most specific first: missing file, other format, unsupported dataset, wrong folder.
     require_sequence_json(path);
     if (const std::string other = describe_format(path); !other.empty()) fail("{}: {}", path.string(), other);
     if (const std::string other = find_unsupported(path); !other.empty())
         fail("{} is not a dataset: {}", path.string(), other);
     for (const DatasetKind& kind : kDatasetKinds) {
-        const std::string stranger = kitti::describe_mistake(path, kind.marker);
-        if (!stranger.empty()) fail("{} is not a dataset: {}", path.string(), stranger);
+        const std::string mistake = kitti::describe_mistake(path, kind.marker);
+        if (!mistake.empty()) fail("{} is not a dataset: {}", path.string(), mistake);
     }
     fail("{} is not a dataset of a known format, expected one of: {}", path.string(), supported_formats);
 }

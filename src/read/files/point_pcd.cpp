@@ -94,12 +94,14 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
 /// Unit in which the size of a point is measured: numbers of a text file, or bytes.
 enum class PointUnit { values, bytes };
 
-/// Decides which fields with COUNT 0 exist: some programs write COUNT 0 for padding that
-/// the file does not have, others for padding that it has.
-/// @param point_size  size of a point in the file
-void resolve_empty(std::vector<PointField>& fields, std::size_t point_size, PointUnit unit,
-                   const std::string& where) {
-    std::size_t known_size = 0, empty_size = 0, n_empty = 0;  // empty: fields with COUNT 0
+/// Decides which fields with COUNT 0 exist. Some programs write COUNT 0 for padding that
+/// the file does not have, others for padding that it has. If points are larger than
+/// their other fields, such fields get the extra size; otherwise they are removed.
+/// @param point_size  size of a point in the file, in values or bytes
+void set_empty_counts(std::vector<PointField>& fields, std::size_t point_size, PointUnit unit,
+                      const std::string& where) {
+    // empty: fields with COUNT 0, whose size is that of one value each
+    std::size_t known_size = 0, empty_size = 0, n_empty = 0;
     for (const PointField& field : fields) {
         const std::size_t value_size = unit == PointUnit::values ? 1 : field.size;
         known_size += value_size * field.count;
@@ -183,22 +185,23 @@ std::string decompress_points(std::string_view compressed_data, const std::strin
 
 PointTable parse_pcd(const SharedBytes& file, const std::string& where) {
     const PcdHeader header = parse_pcd_header(file.bytes, where);
+    // Fields with COUNT 0 are resolved below, because this needs the size of a point.
     std::vector<PointField> fields = list_pcd_fields(header, where);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
     check_point_count(n, where);
     if (header.data == "ascii") {
         const std::string_view first_line = data.substr(0, data.find('\n'));
-        resolve_empty(fields, split_words(first_line).size(), PointUnit::values, where);
+        set_empty_counts(fields, split_words(first_line).size(), PointUnit::values, where);
         return parse_lines(data, fields, n, where);
     }
     if (header.data == "binary") {
-        resolve_empty(fields, data.size() / n, PointUnit::bytes, where);
+        set_empty_counts(fields, data.size() / n, PointUnit::bytes, where);
         return table_of_records(file.share_part(data), fields, n, PointMemoryLayout::by_point, where);
     }
     if (header.data == "binary_compressed") {
         const SharedBytes points = share_bytes(decompress_points(data, where));
-        resolve_empty(fields, points.bytes.size() / n, PointUnit::bytes, where);
+        set_empty_counts(fields, points.bytes.size() / n, PointUnit::bytes, where);
         return table_of_records(points, fields, n, PointMemoryLayout::by_field, where);
     }
     fail("{}: found DATA '{}', expected ascii, binary or binary_compressed", where, quote(header.data));

@@ -16,7 +16,7 @@ constexpr std::size_t kMostPlyFields = 1024;
 /// example float and float32.
 PointField make_ply_field(const std::string& type_name, const std::string& name, const std::string& where) {
     struct PlyScalarType {
-        const char *name, *other;
+        const char *name, *other_name;
         char kind;
         std::size_t size;
     };
@@ -25,7 +25,7 @@ PointField make_ply_field(const std::string& type_name, const std::string& name,
                                                   {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
                                                   {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
     for (const PlyScalarType& row : kPlyTypes)
-        if (type_name == row.name || type_name == row.other) return {name, row.kind, row.size};
+        if (type_name == row.name || type_name == row.other_name) return {name, row.kind, row.size};
     fail("{}: the property '{}' has the type '{}', expected a number type (lists are not supported)", where,
          quote(name), quote(type_name));
 }

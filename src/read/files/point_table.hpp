@@ -185,8 +185,10 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 /// Reads a LAS file that contains a single scan.
 /// @throws DataError if no points are near the origin, where the sensor is
 PointTable parse_las(const SharedBytes& file, const std::string& where);
-/// Reads a PCD or PLY file. The header of the file describes the fields.
+/// Reads a PCD file, whose header describes the fields. The points are text, binary point
+/// by point, or compressed field by field.
 PointTable parse_pcd(const SharedBytes& file, const std::string& where);
+/// Reads a PLY file, whose header describes the fields.
 PointTable parse_ply(const SharedBytes& file, const std::string& where);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons.

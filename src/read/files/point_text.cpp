@@ -34,6 +34,15 @@ std::vector<PointField> default_fields(std::size_t n_values_per_line,
         where, n_values_per_line);
 }
 
+/// Returns the fields that a header line names. The line may be marked as a comment.
+std::vector<PointField> parse_header_names(std::string_view line) {
+    std::string_view names = trim(line);
+    names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
+    std::vector<std::string> field_names = split_words(names);
+    for (std::string& name : field_names) std::erase(name, '"');
+    return named_fields(field_names);
+}
+
 /// Converts a field of a numpy array. Fields without a name, or with the type 'V',
 /// contain no data.
 PointField convert_field(const codecs::NpyField& field, const std::string& where) {
@@ -76,13 +85,7 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
     if (numbers) {
         fields = default_fields(numbers->size(), column_names, where);
     } else {
-        // The header may be marked as a comment.
-        std::string_view names = trim(first_line());
-        names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
-        for (std::string& name : split_words(names)) {
-            std::erase(name, '"');
-            fields.push_back({std::move(name), 'F', sizeof(double)});
-        }
+        fields = parse_header_names(first_line());
         skip_line();
     }
     if (fields.size() > kMostTextFields)

@@ -90,8 +90,11 @@ Scan read_scan_exr(const std::filesystem::path& file, const ImageContext& image_
     if (find_array(arrays, "directions")) return scan_from_arrays(where, std::move(arrays), image_context);
     const Lidar lidar = fill_sensor(image_context.lidar, image);
     return scan_from_arrays(where, std::move(arrays),
-                            {image_context.units, image_context.motion_compensated,
-                             image_context.lowest_first, lidar, image_context.time_s});
+                            {.units = image_context.units,
+                             .motion_compensated = image_context.motion_compensated,
+                             .lowest_first = image_context.lowest_first,
+                             .lidar = lidar,
+                             .time_s = image_context.time_s});
 }
 
 }  // namespace relidar::read
