@@ -115,12 +115,11 @@ bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double 
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return is_coarse_time(cloud.resolution, span);
     // All points of a cloud have the same time: either the points were moved to one time,
-    // or the time is rounded. Its unit is not known yet.
+    // or the time is rounded. Its unit is not known yet, so all units are tried.
     if (is_rounded_stamp(cloud, cloud_interval_s)) return true;
-    const bool is_clock = ranges.size() > 1 && std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
-                              return follow_stamps(ranges, unit.seconds);
-                          });
-    if (is_clock) return false;
+    // Times that increase like the stamps are exact times of the clouds.
+    const auto is_clock = [&](const TimeUnit& unit) { return follow_stamps(ranges, unit.seconds); };
+    if (ranges.size() > 1 && std::ranges::any_of(kTimeUnits, is_clock)) return false;
     if (cloud.resolution > kLargestStep) return true;
     const bool is_constant = std::ranges::all_of(
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
@@ -143,7 +142,7 @@ const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
 void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
                    const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;
-    std::vector<double> spans;
+    std::vector<double> spans;  // [clouds] time from the first to the last point, in the unit of the file
     for (const TimeRange& range : time_ranges) spans.push_back(range.last - range.first);
     std::ranges::sort(spans);
     const double usual_span = spans[spans.size() / 2];
@@ -152,6 +151,7 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
         units.time_note = describe_coarse(cloud.last, cloud.resolution);
         return;
     }
+    // After motion compensation, all points of a cloud can have the same time.
     units.is_deskewed = spans.back() == 0.0;
     const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
     if (!unit) {
@@ -168,6 +168,7 @@ void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ra
     const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
     units.time_unit_s = unit->seconds;
     units.time_reference = find_time_reference(time_ranges, unit->seconds, sweep_s);
+    // Without signs, negative offsets look like the large times of a clock.
     const bool are_negative_offsets =
         units.time_reference == PointTimeReference::sensor_clock &&
         find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp;

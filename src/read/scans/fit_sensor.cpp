@@ -153,28 +153,28 @@ std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_
     return sums;
 }
 
-/// Tests consecutive numbers N of columns, starting with `first_column_count`. Returns
-/// for each the sum of |S_r(N)| over the rings, which is the number of points for a
-/// perfect fit. The factor exp(i N azimuth) of a point is multiplied by exp(i azimuth)
-/// for the next N.
+/// Tests `n_counts` consecutive numbers N of columns. Returns the score of each: the sum
+/// over the rings of |sum of exp(i N azimuth) over the points of the ring|. It is the
+/// number of points if all azimuths of a ring are on a grid of N columns. The factor
+/// exp(i N azimuth) of a point is multiplied by exp(i azimuth) for the next N.
 std::vector<double> score_columns(const RingPointLists& rings, int first_column_count, std::size_t n_counts) {
-    std::vector<double> lengths(n_counts, 0.0);
+    std::vector<double> scores(n_counts, 0.0);
     for (const RingPoints& ring : rings) {
         std::vector<std::complex<double>> factors, steps;  // [points]
         for (const double azimuth : ring.azimuth_rad) {
             factors.push_back(std::polar(1.0, first_column_count * azimuth));
             steps.push_back(std::polar(1.0, azimuth));
         }
-        for (double& length : lengths) {
+        for (double& score : scores) {
             std::complex<double> sum = 0.0;
             for (std::size_t k = 0; k < factors.size(); ++k) {
                 sum += factors[k];
                 factors[k] *= steps[k];
             }
-            length += std::abs(sum);
+            score += std::abs(sum);
         }
     }
-    return lengths;
+    return scores;
 }
 
 /// Azimuths at which a LiDAR fires: equal steps, with an offset for each ring.
@@ -255,7 +255,7 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
     const FiringColumnGrid grid = fit_firing_grid(*fullest, rings);
     std::vector<std::vector<double>> far = far_elevations(scans, n_rings);
     std::vector<double> elevations(n_rings);
-    std::vector<std::size_t> order;  // rings with points, sorted from the highest to the lowest
+    std::vector<std::size_t> order;  // rings with points, from the highest to the lowest
     for (std::size_t r = 0; r < n_rings; ++r)
         if (!far[r].empty()) {
             elevations[r] = find_quantile(far[r], 0.5);

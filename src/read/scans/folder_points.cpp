@@ -194,23 +194,30 @@ void convert_intensities(LidarPoints& points, const FieldConverter& convert, con
                           [&](double value) { return scale_intensity(value, units, ""); });
 }
 
-/// Sets return numbers from the field return_number or return_type, if one exists.
+/// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1.
+void convert_numbers(LidarPoints& points, const FieldConverter& convert, const PointFieldView& numbers,
+                     std::size_t n_points) {
+    const double first_number = first_return_number(numbers, n_points);
+    convert.convert_field(points.return_number, &numbers, [&](double value) {
+        const double number_from_0 = value - first_number;
+        if (!(number_from_0 >= 0.0 && number_from_0 < double(kMostReturns)))
+            fail(": the return number is {}, expected 0 (the strongest return) to {}", number_from_0,
+                 kMostReturns - 1);
+        return std::uint8_t(1 + int(number_from_0));
+    });
+}
+
+/// Sets return numbers from the field return_number. Without this field, computes them
+/// from return_type (for example "strongest"), ring and time, if the table has all three.
 void convert_returns(LidarPoints& points, const FieldConverter& convert, const PointTable& table) {
-    const auto* number = table.find_field(PointAttribute::return_number);
-    const auto* type = table.find_field(PointAttribute::return_type);
-    if (number) {
-        const double first = first_return_number(*number, table.n);
-        convert.convert_field(points.return_number, number, [&](double value) {
-            const double return_number = value - first;
-            if (!(return_number >= 0.0 && return_number < double(kMostReturns)))
-                fail(": the return number is {}, expected 0 (the strongest return) to {}", return_number,
-                     kMostReturns - 1);
-            return std::uint8_t(1 + int(return_number));
-        });
-    } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
-        std::vector<double> types;
-        convert.convert_field(types, type, [](double value) { return value; });
-        set_return_numbers(points, types);
+    const auto* numbers = table.find_field(PointAttribute::return_number);
+    const auto* types = table.find_field(PointAttribute::return_type);
+    if (numbers) {
+        convert_numbers(points, convert, *numbers, table.n);
+    } else if (types && !points.ring.empty() && !points.time_offset_s.empty()) {
+        std::vector<double> type_of_point;
+        convert.convert_field(type_of_point, types, [](double value) { return value; });
+        set_return_numbers(points, type_of_point);
     }
 }
 

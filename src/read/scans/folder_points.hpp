@@ -18,9 +18,7 @@ struct MostTimesWrong : DataError {
 };
 
 /// Converts a table of points to the points of a scan. Finds the meaning of each field by
-/// its name. If the table has the field return_type of the ROS package Nebula, points
-/// with the same ring, time and direction become returns of one ray. Omits rays without a
-/// return: invalid points, and points at units.no_return.
+/// its name. Omits rays without a return: invalid points, and points at units.no_return.
 /// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, double frame_time_s,

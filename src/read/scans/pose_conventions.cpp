@@ -166,10 +166,11 @@ std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
         if (choice.is_possible(k)) possible.push_back(k);
     if (possible.empty()) return 0;
 
+    // The overlap of scans decides. Without scans, the motion of the vehicle decides.
     const ScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : ScanPairs();
     if (scans.empty()) choice.choose_by_motion(possible);
     else choice.choose_by_overlap(possible, scans);
-    const std::size_t best = choice.best, undecided = choice.undecided;
+    const std::size_t best = choice.best, undecided = choice.undecided;  // 0: documented meaning, or none
     if (best > 0)
         notes.push_back(
             fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of "

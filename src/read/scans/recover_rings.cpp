@@ -91,23 +91,25 @@ double band_distance(const RingBand& first, const RingBand& second) {
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
                                      const std::vector<RingBand>& strong_bands) {
     constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
-    constexpr int kWidestWeak = 2;
+    constexpr int kWidestWeak = 2;                                // in bins
     std::vector<RingBand> complete;
     double usual_distance = 0.0;  // between the last two bands
-    bool is_regular = false;      // false after a group of stray points, until the next accepted band
+    // The spacing is unknown before the second band, and directly after stray points.
+    bool is_regular = false;
     const auto add = [&](const RingBand& band) {
         if (!complete.empty()) usual_distance = band_distance(complete.back(), band);
         is_regular = !complete.empty();
         complete.push_back(band);
     };
-    std::size_t next = 0;  // of the strong bands
+    std::size_t next = 0;  // of the strong bands, each of which is a part of one group
     for (const RingBand& group : candidate_bands) {
         // A group with strong bands contributes only these.
         const std::size_t first = next;
         while (next < strong_bands.size() && strong_bands[next].first >= group.first &&
                strong_bands[next].last <= group.last)
             add(strong_bands[next++]);
-        if (next > first || !is_regular) continue;
+        const bool has_strong_bands = next > first;
+        if (has_strong_bands || !is_regular) continue;
         const double distance = band_distance(complete.back(), group);
         const bool continues_spacing =
             distance > kMinStepRatio * usual_distance && distance < kMaxStepRatio * usual_distance;
@@ -159,8 +161,8 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
 
 /// Returns the beam whose elevation fits a point best, seen from the origin of the beam.
 /// Tests only beams near the elevation that the point has from the sensor origin.
-/// @param rising  beams in ascending order of elevation
-/// @param rays  [beams]
+/// @param rising  indices of the beams in ascending order of elevation
+/// @param rays  [beams] origin and direction of each beam
 std::uint16_t find_beam(const glm::dvec3& point_m, const std::vector<Beam>& beams,
                         const std::vector<std::uint16_t>& rising, const std::vector<BeamRays>& rays) {
     const double elevation_rad = compute_elevation(point_m);

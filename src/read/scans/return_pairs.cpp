@@ -91,7 +91,8 @@ struct PairCounts {
     }
 };
 
-/// Adds the groups of a cloud to the counts.
+/// Counts the groups of points with equal ring and time in a cloud, and how many of them
+/// are pairs on one ray.
 /// @param keys  [points] ring and time
 /// @param indices  points that are compared
 void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
@@ -127,8 +128,9 @@ std::size_t find_pair_distance(const std::vector<IndexPair>& pairs, std::size_t 
     return usual_distance;
 }
 
-/// Searches a cloud for points that occur twice, which show two returns per ray. If few
-/// points do, counts the pairs of equal ring and time for a later decision.
+/// Searches a cloud for points that occur twice, because a sensor repeats the only return
+/// of a ray. They show how second returns are stored: in blocks, or with the ring and
+/// time of the first. If few points occur twice, counts pairs of equal ring and time.
 UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
         return {};
@@ -141,7 +143,8 @@ UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     UnnumberedReturns returns{.note =
                                   "the points have two returns of each ray without numbers; equal returns "
                                   "are read as one return, and of two other returns the stronger is first"};
-    if (repeated.empty() || 2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
+    const double n_points_in_pairs = 2.0 * double(repeated.size());
+    if (repeated.empty() || n_points_in_pairs < kLeastRepeated * double(valid.size())) {
         if (!keys.empty()) count_pairs(counts, points, keys, valid);
         return returns;
     }
@@ -151,8 +154,9 @@ UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
         return !keys.empty() && keys[pair[0]] == keys[pair[1]];
     };
     const auto n_equal_keys = std::ranges::count_if(repeated, have_equal_keys);
-    returns.exist =
-        returns.distance > 0 || double(n_equal_keys) >= kMinRegularShare * double(repeated.size());
+    const bool are_in_blocks = returns.distance > 0;
+    const bool share_keys = double(n_equal_keys) >= kMinRegularShare * double(repeated.size());
+    returns.exist = are_in_blocks || share_keys;
     return returns;
 }
 
@@ -238,7 +242,8 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
                                          const std::string& intensity_field,
                                          std::vector<std::uint32_t>& selected,
                                          std::vector<glm::vec3>& points) {
-    std::vector<std::size_t> order(selected.size());  // positions in `selected`
+    // All indices below are positions in `selected` and `points`.
+    std::vector<std::size_t> order(selected.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     const std::vector<std::size_t> partner = find_partners(table, layout, selected, points, order);
     const PointFieldView* intensity = table.find_field(intensity_field);
@@ -254,17 +259,18 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
     };
     for (const std::size_t k : order) {
         if (is_done[k]) continue;
-        std::size_t stronger = k, weaker = partner[k];
-        // The sensor repeated the only return of the ray. One of the copies is removed.
-        if (weaker != kNoPoint && points[weaker] == points[k]) {
-            is_done[weaker] = true;
-            weaker = kNoPoint;
+        const std::size_t other = partner[k];
+        const bool has_other = other != kNoPoint;
+        const bool is_copy = has_other && points[other] == points[k];
+        if (!has_other || is_copy) {
+            // A sensor repeats the only return of a ray. The copy is left out.
+            add(k, 1);
+            if (is_copy) is_done[other] = true;
+            continue;
         }
-        if (weaker != kNoPoint && intensity &&
-            (*intensity)[selected[weaker]] > (*intensity)[selected[stronger]])
-            std::swap(stronger, weaker);
-        add(stronger, 1);
-        if (weaker != kNoPoint) add(weaker, 2);
+        const bool is_other_stronger = intensity && (*intensity)[selected[other]] > (*intensity)[selected[k]];
+        add(is_other_stronger ? other : k, 1);
+        add(is_other_stronger ? k : other, 2);
     }
     selected = std::move(sorted);
     points = std::move(sorted_points);
