@@ -149,12 +149,17 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                         [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Appends the texts of a column. Text i is stored between the offsets i and i + 1.
-void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t buffer,
-                  std::size_t max_bytes) {
-    const std::size_t n = rows_without_nulls(batch, node, buffer + 2);
+/// Appends the texts of a column in one batch. The column has three buffers: validity
+/// bits, offsets, and the characters of all texts. Text i is between the offsets i and
+/// i + 1.
+/// @param node  index of the column in the batch
+/// @param first_buffer  index of its validity bits in the batch
+void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
+                  std::size_t first_buffer, std::size_t max_bytes) {
+    const std::size_t offset_buffer = first_buffer + 1, character_buffer = first_buffer + 2;
+    const std::size_t n = rows_without_nulls(batch, node, character_buffer);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
-    const std::string offsets = decompress(batch, buffer + 1, (n + 1) * sizeof(std::int32_t));
+    const std::string offsets = decompress(batch, offset_buffer, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
         return number_at<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
@@ -164,7 +169,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
                  offset(i + 1));
     if (std::size_t(offset(n)) > max_bytes)
         fail("found {} bytes of text, expected at most {}", offset(n), max_bytes);
-    const std::string characters = decompress(batch, buffer + 2, std::size_t(offset(n)));
+    const std::string characters = decompress(batch, character_buffer, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
@@ -290,13 +295,14 @@ std::vector<std::int64_t> Feather::read_integers(const std::string& column_name)
 std::vector<std::string> Feather::read_texts(const std::string& column_name) const {
     return with_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
-        const std::size_t max_bytes = kMostText * bytes_.size();
+        const std::size_t max_bytes = kMostText * bytes_.size();  // stops a damaged file
         std::vector<std::string> texts;
         if (!column.field.dictionary) {
             for (const Batch& batch : batches_)
                 append_texts(texts, batch, column.node, column.buffer, max_bytes);
             return texts;
         }
+        // A dictionary batch has a single column, so its node and its first buffer are 0.
         for (const Batch& batch : dictionaries_)
             if (batch.layout.dictionary == column.field.dictionary->id)
                 append_texts(texts, batch, 0, 0, max_bytes);

@@ -23,7 +23,7 @@ public:
     const std::string& name() const { return name_; }
     std::size_t row_count() const { return rows_; }
 
-    /// All returned values are finite.
+    /// Reads a column of integers or floating point numbers. All values are finite.
     /// @throws DataError with file and column if the column is missing, damaged or has
     /// another type (also the functions below)
     std::vector<double> read_numbers(const std::string& column_name) const;

@@ -37,6 +37,21 @@ std::uint64_t transpose_bits(std::uint64_t x) {
     return x ^ t ^ (t << 28);
 }
 
+/// Undoes a bit shuffle of n elements, a multiple of 8. Bit k of byte b of all elements
+/// is in n / 8 bytes of the block, from (8 b + k) n / 8 on.
+void undo_bit_shuffle(std::string_view block, std::size_t n, std::size_t element_bytes, char* out) {
+    for (std::size_t i = 0; i < n; i += 8)
+        for (std::size_t b = 0; b < element_bytes; ++b) {
+            // Byte k has bit k of byte b of eight elements. After the transposition, it
+            // is byte b of element i + k.
+            std::uint64_t bits = 0;
+            for (std::size_t k = 8; k-- > 0;)
+                bits = bits << 8 | std::uint8_t(block[(b * 8 + k) * (n / 8) + i / 8]);
+            bits = transpose_bits(bits);
+            for (std::size_t k = 0; k < 8; ++k) out[(i + k) * element_bytes + b] = char(bits >> (8 * k));
+        }
+}
+
 /// Writes the elements of a block in their order. A byte shuffle stores the first byte of
 /// all elements, then the second one, and so on; a bit shuffle does the same with bits.
 /// The bytes after the last complete element are never shuffled.
@@ -47,14 +62,7 @@ void undo_shuffle(std::string_view block, std::size_t element_bytes, unsigned fl
         for (std::size_t i = 0; i < n; ++i)
             for (std::size_t b = 0; b < element_bytes; ++b) out[i * element_bytes + b] = block[b * n + i];
     } else if ((flags & kBitShuffle) != 0 && n % 8 == 0) {
-        for (std::size_t i = 0; i < n; i += 8)
-            for (std::size_t b = 0; b < element_bytes; ++b) {
-                std::uint64_t bits = 0;  // byte k: bit k of this byte of eight elements
-                for (std::size_t k = 8; k-- > 0;)
-                    bits = bits << 8 | std::uint8_t(block[(b * 8 + k) * (n / 8) + i / 8]);
-                bits = transpose_bits(bits);
-                for (std::size_t k = 0; k < 8; ++k) out[(i + k) * element_bytes + b] = char(bits >> (8 * k));
-            }
+        undo_bit_shuffle(block, n, element_bytes, out);
     }
 }
 
@@ -96,12 +104,13 @@ BloscHeader read_blosc_header(codecs::ByteReader& reader) {
     return header;
 }
 
-/// Checks the sizes before memory is allocated.
+/// Checks the sizes in a header before memory is allocated.
+/// @param chunk_bytes  actual size of the chunk
 void check_blosc_sizes(const BloscHeader& header, std::size_t chunk_bytes) {
     if (header.chunk_bytes != chunk_bytes)
         fail("blosc data are truncated or damaged: found {} bytes, expected {}", chunk_bytes,
              header.chunk_bytes);
-    if ((header.flags & kCopied) != 0) {
+    if ((header.flags & kCopied) != 0) {  // The header is followed by the plain bytes.
         if (chunk_bytes != kBloscHeaderBytes + header.n_bytes)
             fail("blosc data are damaged: found {} bytes, expected {}", chunk_bytes - kBloscHeaderBytes,
                  header.n_bytes);
