@@ -287,9 +287,9 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
 PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options) {
     const std::vector<LogSection> sections = divide_log(scans.size());
-    const ProcessGroup::PartRange share = options.group.part_range(sections.size());
-    std::size_t n_scans = 0;  // of this process
-    for (std::size_t i = share.begin; i < share.end; ++i) n_scans += sections[i].end - sections[i].begin;
+    const ProcessGroup::PartRange own = options.group.part_range(sections.size());
+    std::size_t n_scans = 0;  // in the sections of this process
+    for (std::size_t i = own.begin; i < own.end; ++i) n_scans += sections[i].end - sections[i].begin;
     // `options.proceed` may be called only from the calling thread. All other threads
     // read from `is_stopped` whether it has stopped the estimation.
     const std::thread::id caller = std::this_thread::get_id();
@@ -301,9 +301,9 @@ PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& sc
             is_stopped = true;
         return !is_stopped;
     };
-    std::vector<std::vector<Pose>> parts(share.end - share.begin);
+    std::vector<std::vector<Pose>> parts(own.end - own.begin);
     parallel_for(static_cast<int>(parts.size()), [&](int index) {
-        const LogSection& section = sections[share.begin + std::size_t(index)];
+        const LogSection& section = sections[own.begin + std::size_t(index)];
         parts[std::size_t(index)] = track_section(initial_track, scans, options, section, proceed);
     });
     if (is_stopped) return initial_track;

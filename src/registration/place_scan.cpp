@@ -51,7 +51,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
                          const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose_index];
-    ScanAlignment result{before, 0.0, 0.0, false};
+    ScanAlignment result{.world_from_vehicle = before};  // not aligned yet
     const std::vector<FrameRays> frames = rays_at_pose(sequence, pose_index, options);
     std::size_t n_rays = 0;
     for (const FrameRays& frame : frames) n_rays += frame.rays.size();
@@ -80,7 +80,10 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
     if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n_rays) || moved_m > options.largest_m)
         return result;
-    return {track.pose[pose_index], moved_m, result.on_surfaces, true};
+    return {.world_from_vehicle = track.pose[pose_index],
+            .moved_m = moved_m,
+            .on_surfaces = result.on_surfaces,
+            .is_aligned = true};
 }
 
 }  // namespace relidar

@@ -150,8 +150,8 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     }
 }
 
-/// Moves the track like one rigid body, so that the mean correction of the gauge poses is
-/// zero. The points cannot determine this common motion.
+/// Moves the track like one rigid body, so that the mean correction of the gauge poses,
+/// which have points, is zero. The points cannot determine this common motion.
 void PoseAdjustment::centre_poses() {
     const auto n_gauge = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.

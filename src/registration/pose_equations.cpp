@@ -186,8 +186,10 @@ void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, c
 }
 
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
+    // H = T - sum over planes of c c^T. T: block tridiagonal (diagonal_, next_).
+    // c: couplings of a plane, a block of 6 x 3 for each pose that sees it.
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
-    // Points connect only neighbouring poses.
+    // T x: points connect only neighbouring poses.
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         block_of(y, k) += diagonal_[k] * block_of(x, k);
         if (k + 1 == diagonal_.size()) break;
@@ -195,20 +197,18 @@ Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
         block_of(y, k + 1) += next_[k].transpose() * block_of(x, k);
     }
     if (n_planes_ == 0) return y;
-    // Planes connect all poses that see them.
+    // c c^T x: planes connect all poses that see them.
     y -= parallel_sum(
         n_planes_, std::max(kMinPlanesPerPart, n_planes_ / kMaxPlaneParts + 1),
         [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {
-                // Computes c (c^T x): first sums c^T x over the poses of the plane, then
-                // multiplies by the c of each pose.
                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
-                Eigen::Vector3d moved = Eigen::Vector3d::Zero();
+                Eigen::Vector3d c_times_x = Eigen::Vector3d::Zero();
                 for (std::size_t k = begin; k < end; ++k)
-                    moved += couplings_[k].c.cast<double>().transpose() * block_of(x, couplings_[k].pose);
+                    c_times_x += couplings_[k].c.cast<double>().transpose() * block_of(x, couplings_[k].pose);
                 for (std::size_t k = begin; k < end; ++k)
-                    block_of(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
+                    block_of(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * c_times_x;
             }
             return part;
         });
@@ -300,37 +300,39 @@ private:
 
 Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
                                            double prior_weight) const {
+    // Solves (H + P) x = -(g + P c). P: diagonal prior, c: current corrections.
     const std::size_t n = diagonal_.size();
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(n);
-    const Vector6 pull = prior_weight * mean;  // quadratic penalty on the correction of each pose
-    std::vector<Eigen::LLT<Matrix6>> inverse;
+    const Vector6 pull = prior_weight * mean;  // block of P, the same for each pose
+    std::vector<Eigen::LLT<Matrix6>> factorised_blocks;
     for (const Matrix6& d : diagonal_)
         // The small constant keeps the matrix of a pose without points invertible.
-        inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
+        factorised_blocks.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
     const PoseGroupEquations groups(*this, track, pull);
     // Preconditioner: the diagonal block of each pose, plus the common motion of each
     // group, which would need many iterations otherwise.
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
-        for (std::size_t k = 0; k < n; ++k) block_of(z, k) = inverse[k].solve(block_of(r, k));
+        for (std::size_t k = 0; k < n; ++k) block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
         groups.add_group_motions(r, z);
         return z;
     };
+    // r: residual of the equations, z: preconditioned residual, p: search direction.
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
     Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()),
                     r = -gradient_ - pulls.cwiseProduct(current_corrections), z = preconditioned(r), p = z;
-    const double start = r.dot(z);
-    double rz = start;
-    for (int i = 0; i < kMaxIterations && rz > kSolverTolerance * kSolverTolerance * start && rz > 0.0; ++i) {
+    double rz = r.dot(z);
+    const double final_rz = kSolverTolerance * kSolverTolerance * rz;
+    for (int i = 0; i < kMaxIterations && rz > final_rz && rz > 0.0; ++i) {
         const Eigen::VectorXd q = multiply(p) + pulls.cwiseProduct(p);
         const double step = rz / p.dot(q);
         x += step * p;
         r -= step * q;
         z = preconditioned(r);
-        const double next = r.dot(z);
-        p = z + next / rz * p;
-        rz = next;
+        const double next_rz = r.dot(z);
+        p = z + next_rz / rz * p;
+        rz = next_rz;
     }
     return x;
 }
