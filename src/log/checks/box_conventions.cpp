@@ -83,7 +83,9 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
     return world_from_frame * box;
 }
 
-/// Adds the points of a scan that a box gains and loses if it is corrected.
+/// Adds the points of a scan that a box gains and loses if it is corrected. A correction
+/// that moves a box into a larger object, such as a wall, does not count: there are then
+/// also many points in a shell around the box.
 /// @param points_m points in the frame of the sensor
 /// @param half_m half of the size of the box
 void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
@@ -105,7 +107,7 @@ void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from
         if (was_inside && !is_inside && !may_be_ground) ++n_lost;
         if (!is_inside && contains(half_m, after_m, kShellWidth_m)) ++n_in_shell;
     }
-    // A mirrored box may hit a wall by chance. Only isolated points look like an object.
+    // Only a mirrored box moves so far that it can hit a wall by chance.
     const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMaxShellShare * double(n_gained);
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
@@ -163,9 +165,10 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
     }
 }
 
-/// Sums the gains over at most kMaxFrames frames, which are spread over the log.
+/// Counts for each possible fault the points that the boxes gain and lose if it is
+/// corrected. Uses at most kMaxFrames frames, which are spread over the log.
 PointGains compare_boxes(const Log& sequence) {
-    std::vector<const Frame*> frames;
+    std::vector<const Frame*> frames;  // with returns and with boxes
     for (const Frame& frame : sequence.frames)
         if (frame.scan.count_returns() > 0 && std::ranges::any_of(sequence.boxes, [&](const BoxTrack& box) {
                 return box.is_observed(frame.time_s);

@@ -142,8 +142,9 @@ void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
         report.add(gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
 }
 
-/// Finds a unit in which the median step between frames is about one sweep, if the
-/// times are not in seconds.
+/// Reports times that are probably not in seconds. Milliseconds that are read as seconds,
+/// for example, put frames 1000 times too far apart. Reports the first unit in which the
+/// median step between frames is about the duration of a sweep.
 void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
@@ -151,9 +152,11 @@ void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     double units_per_second = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
         units_per_second *= 1000.0;
+        // Number of sweeps from one frame to the next, if the times have this unit.
         const double n_sweeps = step_s / units_per_second / sweep_s;
-        // A log with a scan every few minutes looks like milliseconds, so the limit for
-        // milliseconds is lower.
+        // A step of 100 is 100 ms, or 100 s in a log with a scan every few minutes. So
+        // milliseconds need a step of about one sweep. With smaller units, the step in
+        // seconds would be a day or more, so longer steps count, too.
         const bool is_milliseconds = units_per_second == 1000.0;
         const double max_sweeps = is_milliseconds ? kMaxSweeps : kMaxSweepsOfLongSteps;
         if (n_sweeps < kMinSweeps || n_sweeps > max_sweeps) continue;
@@ -204,29 +207,31 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-/// Reports scans with far fewer returns than the median of their neighbours.
+/// Reports the number of scans of each LiDAR with far fewer returns than the median of
+/// their neighbours, and the scan with the fewest returns.
 void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         std::vector<std::size_t> n_returns;  // of the scans of this LiDAR
         std::vector<int> frame_numbers;
-        bool are_neighbours = true;  // false if only a few scans of the log are read
+        bool are_neighbours = true;  // false if only some scans of the log were read
         for (std::size_t i = 0; i < log.scans.size(); ++i) {
             const Frame& frame = log.sequence.frames[i];
             if (frame.lidar != int(l)) continue;
-            are_neighbours = are_neighbours && frame.scan.rays.rows > 0;
+            const bool is_read = frame.scan.rays.rows > 0;
+            are_neighbours = are_neighbours && is_read;
             n_returns.push_back(log.scans[i].n_returns);
             frame_numbers.push_back(frame.index);
         }
         if (!are_neighbours) continue;
-        std::size_t n_small = 0, worst = 0;
+        std::size_t n_small = 0, smallest = 0;
         for (std::size_t k = 0; k < n_returns.size(); ++k) {
             if (double(n_returns[k]) >= kMinReturnShare * double(usual_returns(n_returns, k))) continue;
-            if (n_small == 0 || n_returns[k] < n_returns[worst]) worst = k;
+            if (n_small == 0 || n_returns[k] < n_returns[smallest]) smallest = k;
             ++n_small;
         }
         if (n_small > 0)
-            report.add_for(int(l), n_small, n_returns.size(), frame_numbers[worst], n_returns[worst],
-                           usual_returns(n_returns, worst));
+            report.add_for(int(l), n_small, n_returns.size(), frame_numbers[smallest], n_returns[smallest],
+                           usual_returns(n_returns, smallest));
     }
 }
 
@@ -248,7 +253,8 @@ void test_saturated(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-/// Reports LiDARs whose first scans fit the opposite direction of rotation better.
+/// Reports LiDARs whose first scans fit only the opposite direction of rotation. The fit
+/// of a direction is 1 if azimuths and times agree with it (measure_rotation()).
 void test_rotation(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         const Lidar& lidar = log.sequence.lidars[l];

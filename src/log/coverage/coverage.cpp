@@ -186,14 +186,16 @@ std::size_t choose_column_step(const SpinningSensor& sensor, std::size_t n_rows,
     return std::size_t(std::clamp(ObservedVoxelSet::kCell_m / column_distance_m, 1.0, kMaxColumnStep));
 }
 
-/// Returns the space that one scan has observed. See observe_coverage().
+/// Returns the space that one scan has observed: the cells along each ray, up to its
+/// observed length, and between neighbouring rays of a column. See observe_coverage().
 ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
                                double max_range_m) {
-    ObservedVoxelSet coverage;
+    ObservedVoxelSet observed;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
     const std::size_t column_step = choose_column_step(sequence.lidar_of(frame).sensor, rows, max_range_m);
+    // Of the current column, from the highest beam to the lowest.
     std::vector<double> range_m(rows);
     std::vector<RaySegment> segments(rows);
     for (std::size_t column = 0; column < columns; column += column_step) {
@@ -206,13 +208,13 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
             if (!(length_m[row] > 0.0)) continue;
             segment.ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column,
                                          sequence.rolling_shutter);
-            coverage.add_segment(segment.ray.origin_m,
+            observed.add_segment(segment.ray.origin_m,
                                  segment.ray.origin_m + length_m[row] * segment.ray.direction);
             if (row > 0 && segments[row - 1].length_m > 0.0)
-                fill_between(coverage, segments[row - 1], segment);
+                fill_between(observed, segments[row - 1], segment);
         }
     }
-    return coverage;
+    return observed;
 }
 
 }  // namespace

@@ -20,19 +20,32 @@ namespace relidar {
 /// values of sub-rays are joined, and the value of a missing return.
 const BasicChannels& basic_channels() {
     using enum ChannelMergeRule;
+    // join: how the values of the sub-rays of a beam become one value. of_ray: all
+    // returns of a ray have the same value. none: the value of a ray without a return.
     static const BasicChannels channels = {
-        .range = {"range", "m", "range of the ray in metres, as the setting `render.range` defines it",
-                  range},
-        .median_range = {"median_range", "m", "range at which half of the light is absorbed", range},
-        .mean_range = {"mean_range", "m", "mean range of all surfaces that the ray hits", range},
-        .intensity = {"intensity", "", "fraction of light that returns to the sensor, 0 to 1", intensity},
+        .range = {.name = "range",
+                  .unit = "m",
+                  .meaning = "range of the ray in metres, as the setting `render.range` defines it",
+                  .join = range},
+        .median_range = {.name = "median_range",
+                         .unit = "m",
+                         .meaning = "range at which half of the light is absorbed",
+                         .join = range},
+        .mean_range = {.name = "mean_range",
+                       .unit = "m",
+                       .meaning = "mean range of all surfaces that the ray hits",
+                       .join = range},
+        .intensity = {.name = "intensity",
+                      .meaning = "fraction of light that returns to the sensor, 0 to 1",
+                      .join = intensity},
         .drop_prob =
             {.name = "drop_prob",
              .meaning =
                  "probability that the ray has no return; a ray with a value below 0.5 becomes a point",
              .join = drop,
              .none = 1.0},
-        .weight = {"weight", "", "fraction of the light of the ray that hits surfaces, 0 to 1"},
+        .weight = {.name = "weight",
+                   .meaning = "fraction of the light of the ray that hits surfaces, 0 to 1"},
         .time = {.name = "time",
                  .unit = "s",
                  .meaning = "firing time of the ray, relative to `time_s` of the scan",
@@ -54,6 +67,9 @@ std::vector<ChannelInfo> file_channels() {
 }
 
 const std::vector<ChannelInfo>& optional_channels() {
+    // turns: a direction that rotates with the frame of the points. needs_normals: not
+    // for 3D Gaussians, which have no normals. of_ray: equal for all returns of a ray.
+    // join: how the values of sub-rays become one. none: the value without a return.
     static const std::vector<ChannelInfo> channels = {
         {.name = "normal",
          .meaning = "unit normal towards the sensor, in the frame of the points",
@@ -62,14 +78,15 @@ const std::vector<ChannelInfo>& optional_channels() {
         {.name = "incidence",
          .meaning = "cosine of the angle between the ray and the normal of the surface",
          .needs_normals = true},
-        {"velocity", "m/s",
-         "rate at which the range of the surface grows, from the motion of sensor and actor"},
+        {.name = "velocity",
+         .unit = "m/s",
+         .meaning = "rate at which the range of the surface grows, from the motion of sensor and actor"},
         {.name = "class",
          .meaning = "kind of the surface: 0 unknown, 1 vehicle, 2 cyclist, 3 person, 4 other actor, 5 road, "
                     "6 sidewalk, 7 terrain, 8 other ground, 9 building, 10 fence, 11 vegetation, 12 pole, 13 "
                     "sign, 14 structure, 15 object, 16 the own vehicle, -1 no hit",
          .none = -1.0},
-        {"spread", "m", "distance between mean and median range"},
+        {.name = "spread", .unit = "m", .meaning = "distance between mean and median range"},
         {.name = "seen",
          .meaning = "fraction of the path of the ray that the log observed, 0 to 1",
          .of_ray = true},

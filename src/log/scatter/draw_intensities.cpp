@@ -51,21 +51,25 @@ std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
             if (return_flags[i] == 0) continue;
             const IntensityScatterModel::DecisionTreeNode& leaf =
                 find_tree_leaf(scatter, feature_extractor, row, column);
-            // Draws one of the values of the leaf. The seed depends only on the ray, so
-            // that the order of the rays does not matter.
+            // Draws one of the measured values in the leaf. The seed depends only on the
+            // ray, so that threads do not change the result.
             const double share = Random(hash_pair(seed, i)).sample_uniform();
             drawn[i] = scatter.values[leaf.first + std::size_t(share * double(leaf.count))];
         }
     };
+    // In a wave, each row draws one tile, two tiles behind the row above, because a ray
+    // also needs neighbours up to one tile ahead in that row. So a row draws tile
+    // wave - 2 * row. The tiles of a wave do not depend on each other.
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;
-    // A wave contains all tiles with the same 2 * row + tile, which are independent.
     const int n_waves = 2 * (rendered.rows - 1) + n_tiles;
     for (int wave = 0; wave < n_waves; ++wave) {
-        // First and last row with a tile 0 <= wave - 2 * row < n_tiles.
+        // Only rows with 0 <= wave - 2 * row < n_tiles have such a tile.
         const int first_row = std::max(0, (wave - n_tiles + 2) / 2);
         const int last_row = std::min(rendered.rows - 1, wave / 2);
-        parallel_for(last_row - first_row + 1,
-                     [&](int index) { draw_tile(first_row + index, wave - 2 * (first_row + index)); });
+        parallel_for(last_row - first_row + 1, [&](int index) {
+            const int row = first_row + index;
+            draw_tile(row, wave - 2 * row);
+        });
     }
     return drawn;
 }

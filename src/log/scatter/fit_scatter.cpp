@@ -130,7 +130,8 @@ ScatterSamples make_samples(std::span<const PairedIntensities> images, const std
     return samples;
 }
 
-/// Table of k ln k for integers.
+/// Returns a table of k ln k for the integers k. The entropy of a tree node consists of
+/// such terms.
 std::vector<double> make_entropy_terms(std::size_t max_count) {
     std::vector<double> terms(max_count + 1, 0.0);
     for (std::size_t k = 1; k <= max_count; ++k) terms[k] = double(k) * std::log(double(k));
@@ -207,31 +208,27 @@ TreeNodeSplit split_by_features(const ScatterSamples& samples, std::span<const S
     return best;
 }
 
-/// Returns the best split of each tree node. If two splits are equally good, uses the one
-/// with the lower feature index. For large nodes, also processes the features in
-/// parallel.
-std::vector<TreeNodeSplit> find_layer_splits(const ScatterSamples& samples,
-                                             const std::vector<double>& k_log_k,
-                                             std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
+/// Returns the best split of a tree node by any feature. If two splits are equally good,
+/// uses the one with the lower feature index.
+TreeNodeSplit find_node_split(const ScatterSamples& samples, const std::vector<double>& k_log_k_table,
+                              const IntensityScatterModel::DecisionTreeNode& node) {
     constexpr std::size_t kMinLargeNode = 65536;
-    std::vector<TreeNodeSplit> best(nodes.size());
-    parallel_for(int(nodes.size()), [&](int index) {
-        const IntensityScatterModel::DecisionTreeNode& node = nodes[std::size_t(index)];
-        const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
-        if (node.count < 2 * kFewestOfLeaf) return;
-        // Best split of each group of kFeaturesPerPass features.
-        std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> group_splits;
-        const auto split_by_group = [&](int group) {
-            const std::size_t first_feature = std::size_t(group) * kFeaturesPerPass;
-            group_splits[std::size_t(group)] =
-                split_by_features(samples, node_samples, first_feature, k_log_k);
-        };
-        if (node.count >= kMinLargeNode) parallel_for(int(group_splits.size()), split_by_group);
-        else
-            for (int group = 0; group < int(group_splits.size()); ++group) split_by_group(group);
-        for (const TreeNodeSplit& split : group_splits)
-            if (split.gain > best[std::size_t(index)].gain) best[std::size_t(index)] = split;
-    });
+    TreeNodeSplit best;
+    if (node.count < 2 * kFewestOfLeaf) return best;  // stays a leaf
+    const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
+    // Best split of each group of kFeaturesPerPass features.
+    std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> group_splits;
+    const auto split_by_group = [&](int group) {
+        const std::size_t first_feature = std::size_t(group) * kFeaturesPerPass;
+        group_splits[std::size_t(group)] =
+            split_by_features(samples, node_samples, first_feature, k_log_k_table);
+    };
+    // The first layers have few nodes, so their large nodes need more threads than one.
+    if (node.count >= kMinLargeNode) parallel_for(int(group_splits.size()), split_by_group);
+    else
+        for (int group = 0; group < int(group_splits.size()); ++group) split_by_group(group);
+    for (const TreeNodeSplit& split : group_splits)
+        if (split.gain > best.gain) best = split;
     return best;
 }
 
@@ -239,13 +236,13 @@ std::vector<TreeNodeSplit> find_layer_splits(const ScatterSamples& samples,
 /// their children. Reorders `samples` so that those of each node stay contiguous.
 void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_table,
                  std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
-    const std::vector<TreeNodeSplit> splits =
-        find_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
+    std::vector<TreeNodeSplit> splits(nodes.size() - first_node);
     std::vector<std::uint32_t> first_child_sizes(splits.size(), 0);
     parallel_for(int(splits.size()), [&](int k) {
-        const TreeNodeSplit& split = splits[std::size_t(k)];
-        if (split.feature < 0) return;
         const IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + std::size_t(k)];
+        TreeNodeSplit& split = splits[std::size_t(k)];
+        split = find_node_split(samples, k_log_k_table, node);
+        if (split.feature < 0) return;  // no split improves the node
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         const auto is_in_first_child = [&](const ScatterSample& sample) {
             return sample.bins[std::size_t(split.feature)] <= split.bin;
@@ -254,6 +251,8 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
             std::stable_partition(node_samples.begin(), node_samples.end(), is_in_first_child);
         first_child_sizes[std::size_t(k)] = std::uint32_t(second_child - node_samples.begin());
     });
+    // One node after the other, so that the order of the children does not depend on
+    // threads.
     for (std::size_t k = 0; k < splits.size(); ++k) {
         const TreeNodeSplit& split = splits[k];
         if (split.feature < 0) continue;

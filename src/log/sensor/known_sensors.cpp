@@ -121,7 +121,7 @@ std::string find_beam_table(const std::string& name) {
 std::string read_table_source(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 /// Returns a spinning sensor from its data sheet. The beams come from the table of this
-/// name, or are evenly spaced as in the data sheet.
+/// name, or are evenly spaced in one or two fans of the data sheet.
 /// @param columns  0: the default
 SensorModel make_spinning(const DataSheet& data_sheet, int columns, double rate_hz) {
     if (columns == 0) columns = data_sheet.columns;
@@ -131,7 +131,7 @@ SensorModel make_spinning(const DataSheet& data_sheet, int columns, double rate_
         beam_source = data_sheet.beam_source;
         sensor.columns = columns;
         sensor.period_s = 1.0 / rate_hz;
-        sensor.first_azimuth_rad = kPi - kPi / columns;
+        sensor.first_azimuth_rad = kPi - kPi / columns;  // half a column from the rear
         for (const auto& [n_beams, top_deg, bottom_deg] : data_sheet.fans)
             for (int beam = 0; beam < n_beams; ++beam) {
                 const double elevation_deg = top_deg + (bottom_deg - top_deg) * beam / (n_beams - 1);
@@ -227,7 +227,8 @@ std::vector<std::string> list_sensors() {
 std::optional<SensorModel> find_built_in(const std::string& name, int columns, double rate_hz) {
     const auto sensor_name = find_name(name, list_sensors());
     if (!sensor_name) return {};
-    const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
+    constexpr double kDefaultRate_hz = 10.0;
+    const double rate = rate_hz > 0.0 ? rate_hz : kDefaultRate_hz;
     if (*sensor_name == "kitti360") return make_kitti360(columns, rate);
     const auto* spinning = std::ranges::find(kSpinningSensors, *sensor_name, &DataSheet::name);
     if (spinning != std::end(kSpinningSensors)) return make_spinning(*spinning, columns, rate);

@@ -66,6 +66,7 @@ void check_spinning(const SpinningSensor& sensor) {
 
 }  // namespace
 
+/// Returns the ranges that are within both limits.
 RangeLimits intersect(const RangeLimits& first, const RangeLimits& second) {
     const RangeLimits both{std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
     if (!(both.max_m > both.min_m))

@@ -187,16 +187,16 @@ ScanMemoryUse scan_memory_use() {
 
 void* allocate_array(std::size_t bytes) {
     if (bytes < kMinCountedBytes) return ::operator new(bytes);
-    ScanMemoryState& m = memory_state();
+    ScanMemoryState& memory = memory_state();
     // Adds first and compares later, so that concurrent calls cannot exceed the limit.
-    if (m.used.fetch_add(bytes) + bytes > m.limit) {
-        m.used -= bytes;
-        return m.mapped_file().allocate_block(bytes);
+    if (memory.used.fetch_add(bytes) + bytes > memory.limit) {
+        memory.used -= bytes;
+        return memory.mapped_file().allocate_block(bytes);
     }
     try {
         return ::operator new(bytes);
     } catch (...) {
-        m.used -= bytes;
+        memory.used -= bytes;
         throw;
     }
 }

@@ -112,7 +112,8 @@ SensorModel read_sensor_file(const SensorSpecifier& specifier, double default_ma
 
 }  // namespace
 
-/// Sets the maximum range of a sensor whose file has none: it is then infinite.
+/// Sets the maximum range of a sensor whose file has none. The parser has set it to
+/// infinity in this case.
 /// @throws DataError if the maximum range is not above the minimum range
 void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where) {
     if (!std::isinf(sensor.limits.max_m)) return;

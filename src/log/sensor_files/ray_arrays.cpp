@@ -27,7 +27,26 @@ glm::dvec3 xyz_at(const std::vector<double>& values, std::size_t index) {
                           : glm::dvec3(values[3 * index], values[3 * index + 1], values[3 * index + 2]);
 }
 
-/// Checks the lengths of the arrays and the limits of their values.
+/// What an array of a ray table may contain.
+struct ArrayLimits {
+    const char* name;  ///< for messages
+    std::size_t n_values;
+    double min, max;
+};
+
+/// Fails if an array has another number of values, or a value outside the limits. An
+/// optional array can be empty.
+void check_array_values(const std::vector<double>& values, const ArrayLimits& limits,
+                        const std::string& where) {
+    if (!values.empty() && values.size() != limits.n_values)
+        fail("{}: {} has {} numbers, expected {}", where, limits.name, values.size(), limits.n_values);
+    for (std::size_t i = 0; i < values.size(); ++i)
+        if (!(values[i] >= limits.min && values[i] <= limits.max))
+            fail("{}: entry {} of {} is {}, expected a number in [{}, {}]", where, i, limits.name, values[i],
+                 limits.min, limits.max);
+}
+
+/// Checks the number of rays, the lengths of the arrays, and the limits of their values.
 void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where) {
     const std::size_t n = ray_arrays.direction.size() / 3;
     if (n == 0 || n > kMaxRays || n * 3 != ray_arrays.direction.size())
@@ -35,28 +54,24 @@ void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where)
     if (ray_arrays.rows < 1 || ray_arrays.columns < 1 ||
         std::size_t(ray_arrays.rows) * std::size_t(ray_arrays.columns) != n)
         fail("{}: found {} rays, expected {} rows of {} rays", where, n, ray_arrays.rows, ray_arrays.columns);
+    check_array_values(
+        ray_arrays.origin,
+        {.name = "origin", .n_values = 3 * n, .min = -kFarthestOrigin_m, .max = kFarthestOrigin_m}, where);
+    check_array_values(ray_arrays.time_s,
+                       {.name = "time", .n_values = n, .min = -kLongestScan_s, .max = kLongestScan_s}, where);
+    check_array_values(ray_arrays.channel, {.name = "ring", .n_values = n, .min = 0.0, .max = 65535.0},
+                       where);
+    // A single divergence applies to all rays.
+    const std::size_t n_divergences = ray_arrays.divergence_rad.size() == 1 ? 1 : n;
+    check_array_values(
+        ray_arrays.divergence_rad,
+        {.name = "divergence (radians)", .n_values = n_divergences, .min = 0.0, .max = kWidestBeam_rad},
+        where);
+    // An infinite maximum is allowed, because it means that the file has none.
     const RangeLimits& limits = ray_arrays.limits;
-    const std::vector<double> limits_m{limits.min_m, std::isinf(limits.max_m) ? kMostRange_m : limits.max_m};
-    const bool has_one_divergence = ray_arrays.divergence_rad.size() == 1;
-    const struct {
-        const char* name;
-        const std::vector<double>& values;
-        std::size_t n;
-        double min, max;
-    } checks[] = {
-        {"origin", ray_arrays.origin, 3 * n, -kFarthestOrigin_m, kFarthestOrigin_m},
-        {"time", ray_arrays.time_s, n, -kLongestScan_s, kLongestScan_s},
-        {"ring", ray_arrays.channel, n, 0.0, 65535.0},
-        {"divergence (radians)", ray_arrays.divergence_rad, has_one_divergence ? 1 : n, 0.0, kWidestBeam_rad},
-        {"range limits", limits_m, 2, 0.0, kMostRange_m}};
-    for (const auto& [name, values, n_expected, min, max] : checks) {
-        if (!values.empty() && values.size() != n_expected)
-            fail("{}: {} has {} numbers, expected {}", where, name, values.size(), n_expected);
-        for (std::size_t i = 0; i < values.size(); ++i)
-            if (!(values[i] >= min && values[i] <= max))
-                fail("{}: entry {} of {} is {}, expected a number in [{}, {}]", where, i, name, values[i],
-                     min, max);
-    }
+    const double max_m = std::isinf(limits.max_m) ? kMostRange_m : limits.max_m;
+    check_array_values({limits.min_m, max_m},
+                       {.name = "range limits", .n_values = 2, .min = 0.0, .max = kMostRange_m}, where);
     if (!(limits.min_m < limits.max_m))
         fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
              limits.min_m, limits.max_m);
@@ -164,6 +179,7 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
         const NamedArray* array = find_array(arrays, array_name);
         return array ? array->to_doubles() : std::vector<double>{};
     };
+    // Returns nothing if the file has no such array.
     const auto read_number = [&](const std::string& array_name) -> std::optional<double> {
         const std::vector<double> numbers = read_values(array_name);
         if (numbers.size() > 1)
@@ -183,6 +199,7 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
                        .origin = read_values("origin"),
                        .time_s = read_values("time"),
                        .channel = read_values("ring")};
+    // The last dimension is x, y, z. Without an image, all rays form one row.
     rays.rows = shape.size() == 3 ? int(shape[0]) : 1;
     rays.columns = int(shape[shape.size() - 2]);
     rays.divergence_rad = choose_divergence(read_values("divergence"), read_number("divergence_mrad"), path);

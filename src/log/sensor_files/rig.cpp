@@ -84,7 +84,8 @@ std::vector<VehicleBox> parse_vehicle_boxes(const JsonField& boxes) {
         const glm::dvec3 size_m = read_vector(box, "size_m", kMaxOffset_m);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
             size.reject("found a number that is not above 0", "expected three numbers above 0");
-        result.push_back({{.translation = read_vector(box, "centre_m", kMaxOffset_m)}, size_m});
+        result.push_back({.frame_from_box = {.translation = read_vector(box, "centre_m", kMaxOffset_m)},
+                          .size_m = size_m});
     }
     return result;
 }
@@ -105,9 +106,13 @@ OwnVehicle parse_vehicle(const Json& json, const JsonField& field) {
         field.at("points").reject(fmt::format("found \"{}\"", quote(points)), "expected drop or ego");
     vehicle.keeps_points = points == "ego";
     if (field.has_member("boxes")) vehicle.boxes = parse_vehicle_boxes(field.at("boxes"));
-    else
-        vehicle.boxes = {{{.translation = {front_m - 0.5 * length_m, 0.0, 0.5 * height_m}},
-                          {length_m, width_m, height_m}}};
+    else {
+        // The origin is on the ground below the rear axle, so the centre is half a length
+        // behind the front and half a height above the ground.
+        const glm::dvec3 centre_m(front_m - 0.5 * length_m, 0.0, 0.5 * height_m);
+        vehicle.boxes = {
+            {.frame_from_box = {.translation = centre_m}, .size_m = {length_m, width_m, height_m}}};
+    }
     return vehicle;
 }
 

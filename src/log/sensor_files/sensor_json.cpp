@@ -43,9 +43,14 @@ RangeLimits ouster_limits(const JsonField& metadata) {
     return find_built_in(sensor_name)->limits;
 }
 
+struct OusterMode {
+    int columns;
+    double rate_hz;
+};
+
 /// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
 /// "1024x10" means 1024 columns at 10 Hz.
-std::pair<int, double> ouster_mode(const JsonField& metadata) {
+OusterMode ouster_mode(const JsonField& metadata) {
     const std::string text = find_text(metadata, "lidar_mode", "config_params");
     const std::size_t x = std::min(text.find('x'), text.size());
     const auto columns = parse_number(text.substr(0, x)),
@@ -58,10 +63,8 @@ std::pair<int, double> ouster_mode(const JsonField& metadata) {
     return {int(*columns), *rate_hz};
 }
 
-/// Makes a spinning sensor from the metadata of an Ouster: beam angles, mode, product.
-/// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the mode
-SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int columns_or_zero,
-                         double rate_hz_or_zero) {
+/// Reads the beams of an Ouster, and returns them from the highest to the lowest.
+std::vector<Beam> parse_ouster_beams(const JsonField& metadata) {
     const std::string where = metadata.location();
     const auto read_list = [&](const char* key) {
         const auto numbers = metadata.find(key, {"beam_intrinsics"});
@@ -76,27 +79,37 @@ SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int
             where, altitude.size(), azimuth.size(), kMostBeams);
     const auto offset_mm = metadata.find("lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
     const double offset_m = offset_mm ? 1e-3 * offset_mm->number() : 0.0;
-    std::pair mode(columns_or_zero, rate_hz_or_zero);
-    if (columns_or_zero == 0) mode = ouster_mode(metadata);
-    SpinningSensor sensor;
-    sensor.name = name;
-    sensor.columns = mode.first;
-    sensor.period_s = 1.0 / mode.second;
-    sensor.first_azimuth_rad = kPi;
-    const RangeLimits limits = ouster_limits(metadata);
-    sensor.min_range_m = limits.min_m;
-    sensor.max_range_m = limits.max_m;
+    std::vector<Beam> beams;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
         if (!(std::abs(altitude[b]) <= 90.0 && std::abs(azimuth[b]) <= 180.0 && std::abs(offset_m) < 1.0))
             fail(
                 "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected angles "
                 "in degrees and less than 1 m",
                 where, b, altitude[b], azimuth[b], offset_m);
-        sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
-                                .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
-                                .origin_offset_m = offset_m});
+        // Ouster counts azimuths clockwise, relidar to the left.
+        beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
+                         .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
+                         .origin_offset_m = offset_m});
     }
-    std::ranges::stable_sort(sensor.beams, std::greater<>(), &Beam::elevation_rad);
+    std::ranges::stable_sort(beams, std::greater<>(), &Beam::elevation_rad);
+    return beams;
+}
+
+/// Makes a spinning sensor from the metadata of an Ouster: beam angles, mode, product.
+/// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the mode
+SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int columns_or_zero,
+                         double rate_hz_or_zero) {
+    SpinningSensor sensor;
+    sensor.name = name;
+    sensor.beams = parse_ouster_beams(metadata);
+    OusterMode mode{.columns = columns_or_zero, .rate_hz = rate_hz_or_zero};
+    if (columns_or_zero == 0) mode = ouster_mode(metadata);
+    sensor.columns = mode.columns;
+    sensor.period_s = 1.0 / mode.rate_hz;
+    sensor.first_azimuth_rad = kPi;  // The first column of an Ouster faces backward.
+    const RangeLimits limits = ouster_limits(metadata);
+    sensor.min_range_m = limits.min_m;
+    sensor.max_range_m = limits.max_m;
     return {name, "", limits, std::move(sensor)};
 }
 

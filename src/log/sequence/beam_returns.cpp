@@ -30,18 +30,21 @@ struct ReturnPoint {
     CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
 };
 
-/// Returns the returns of a frame in the world, corrected by the range offsets of beams.
+/// Lists the returns of a frame in the world frame. The range offsets of beams are
+/// already corrected. Grid cells and angles of incidence are computed later.
 std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnPoint> result;
     const double max_range_m = sequence.lidar_of(frame).sensor.max_range_m;
     visit_returns(sequence, frame, max_range_m,
-                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& place) {
-                      const CellReturn cell_return{.cell = 0,
+                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& in_world) {
+                      const CellReturn cell_return{.cell = 0,  // set by collect_cells()
                                                    .beam = beam,
                                                    .range_m = surface_return(sequence, frame, ray).range_m,
-                                                   .cosine = 0.0f,
+                                                   .cosine = 0.0f,  // set by compute_cosines()
                                                    .intensity = frame.scan.intensity[ray]};
-                      result.push_back({place.point_m, glm::vec3(place.direction), cell_return});
+                      result.push_back({.point_m = in_world.point_m,
+                                        .direction = glm::vec3(in_world.direction),
+                                        .cell_return = cell_return});
                   });
     return result;
 }

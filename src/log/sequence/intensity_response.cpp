@@ -75,7 +75,8 @@ void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const 
 }
 
 /// Computes the albedo (brightness) of the surface in each cell by least squares, with
-/// all other variables fixed: intensity = albedo * x + offset.
+/// all other variables fixed: intensity = albedo * x + offset, so
+/// albedo = sum x (intensity - offset) / sum x^2.
 void fit_albedos(IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t) {
         double xy = 0.0, xx = 0.0;
@@ -128,11 +129,12 @@ JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& varia
     const double rho = model.shared.range_factor(measured_return.range_m),
                  kappa = model.shared.incidence_factor(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell];
-    const double mean_beam = albedo * rho * kappa;  // intensity that a beam with gain 1 expects
-    JacobianRow row{.by = {},
-                    .n = 0,
-                    .by_albedo = beam.gain * rho * kappa,
-                    .error = double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
+    const double intensity_at_gain_1 = albedo * rho * kappa;
+    JacobianRow row{
+        .by = {},
+        .n = 0,
+        .by_albedo = beam.gain * rho * kappa,
+        .error = double(measured_return.intensity) - beam.gain * intensity_at_gain_1 - beam.offset};
     const auto append = [&](Eigen::Index variable, double derivative) {
         row.by[row.n++] = {variable, derivative};
     };
@@ -144,8 +146,8 @@ JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& varia
     }
     if (variable_indices.parts.beams) {
         const Eigen::Index gain = variable_indices.gain_variable(measured_return.beam);
-        append(gain, mean_beam);
-        append(gain + 1, 1.0);
+        append(gain, intensity_at_gain_1);
+        append(gain + 1, 1.0);  // the offset
     }
     return row;
 }
@@ -164,7 +166,8 @@ struct alignas(64) Sums {
     // [unknowns] column of the albedo of the current grid cell
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns with a nonzero entry in `coupling`
-    double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
+    // Sum and sum of squares of the expected intensities, without the offsets of beams.
+    double expected_sum = 0.0, expected_squares = 0.0;
 
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
@@ -174,7 +177,7 @@ struct alignas(64) Sums {
     /// @param cell_returns all returns of the cell
     void add_cell(const IntensityFit& model, const VariableIndices& variable_indices,
                   std::span<const CellReturn> cell_returns) {
-        double cc = 0.0, ce = 0.0;
+        double cc = 0.0, ce = 0.0;  // entries of the albedo in matrix and right-hand side
         touched.clear();
         for (const CellReturn& r : cell_returns) {
             const JacobianRow row = jacobian_row(model, variable_indices, r);
@@ -189,8 +192,8 @@ struct alignas(64) Sums {
             cc += row.by_albedo * row.by_albedo;
             ce += row.by_albedo * row.error;
             const double expected = model.albedo[r.cell] * row.by_albedo;
-            sum += expected;
-            squares += expected * expected;
+            expected_sum += expected;
+            expected_squares += expected * expected;
         }
         for (const Eigen::Index i : touched) {
             system.g[i] -= coupling[std::size_t(i)] * ce / cc;
@@ -201,25 +204,28 @@ struct alignas(64) Sums {
     }
 };
 
-/// Sums the normal equations over all cells. The sum has a fixed order, so it does not
-/// depend on the number of threads.
+/// Sums the normal equations over all cells, and computes mean and standard deviation of
+/// the expected intensities. The sums have a fixed order, so they do not depend on the
+/// number of threads.
 NormalEquations build_equations(const IntensityFit& model, const VariableIndices& variable_indices,
                                 const CellReturns& returns) {
-    std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
+    std::vector<Sums> chunk_sums(kChunks, Sums(variable_indices.size()));
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
-        sums[chunk].add_cell(model, variable_indices, cell_returns);
+        chunk_sums[chunk].add_cell(model, variable_indices, cell_returns);
     });
-    for (std::size_t c = 1; c < kChunks; ++c) {
-        sums[0].system.h += sums[c].system.h;
-        sums[0].system.g += sums[c].system.g;
-        sums[0].sum += sums[c].sum;
-        sums[0].squares += sums[c].squares;
+    Sums& total = chunk_sums[0];
+    for (std::size_t chunk = 1; chunk < kChunks; ++chunk) {
+        total.system.h += chunk_sums[chunk].system.h;
+        total.system.g += chunk_sums[chunk].system.g;
+        total.expected_sum += chunk_sums[chunk].expected_sum;
+        total.expected_squares += chunk_sums[chunk].expected_squares;
     }
-    NormalEquations equations = std::move(sums[0].system);
+    NormalEquations equations = std::move(total.system);
     const double n_returns = double(returns.sorted_returns.size());
-    const double mean = sums[0].sum / n_returns;
+    const double mean = total.expected_sum / n_returns;
     equations.mean = mean;
-    equations.spread = std::sqrt(std::max(sums[0].squares / n_returns - mean * mean, 0.0));
+    // Variance = mean of the squares - square of the mean.
+    equations.spread = std::sqrt(std::max(total.expected_squares / n_returns - mean * mean, 0.0));
     return equations;
 }
 
@@ -313,9 +319,9 @@ double rms_error(const IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
         for (const CellReturn& r : cell_returns) {
             const BeamGainOffset& beam = model.beams[r.beam];
-            const double mean_beam = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
-                                     model.shared.incidence_factor(r.cosine),
-                         error = beam.gain * mean_beam + beam.offset - double(r.intensity);
+            const double intensity_at_gain_1 = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
+                                               model.shared.incidence_factor(r.cosine);
+            const double error = beam.gain * intensity_at_gain_1 + beam.offset - double(r.intensity);
             sums[chunk].squares += error * error;
         }
     });

@@ -25,7 +25,7 @@ constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 // Second differences of ranges above this limit are caused by edges and not by noise.
 constexpr float kMaxDifference_m = 0.5f;
 // Standard deviation / median absolute value of a normal distribution.
-constexpr double kOfMedian = 1.4826;
+constexpr double kSigmaPerMedian = 1.4826;
 
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
@@ -41,13 +41,17 @@ std::size_t find_bin(const auto& bin_upper_ends, double value) {
 DifferencesByBin collect_differences(const Frame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
-    const RangeImageRays image{
-        scan.rays.rows,   scan.rays.columns,
-        scan.rays.origin, scan.rays.direction,
-        scan.range_m,     is_full_turn(scan.rays.rows, scan.rays.columns, scan.rays.direction)};
-    const auto columns = std::size_t(std::max(scan.rays.columns, 1));
+    const RayTable& rays = scan.rays;
+    const RangeImageRays image{.rows = rays.rows,
+                               .columns = rays.columns,
+                               .origin = rays.origin,
+                               .direction = rays.direction,
+                               .range_m = scan.range_m,
+                               .circular = is_full_turn(rays.rows, rays.columns, rays.direction)};
+    const auto columns = std::size_t(std::max(rays.columns, 1));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         const double cosine = incidence_cosine(image, ray);  // negative: unknown
+        // The previous and the next firing of the beam, in the same row.
         const std::size_t row_begin = ray / columns * columns,
                           left = row_begin + (ray + columns - 1) % columns,
                           right = row_begin + (ray + 1) % columns;
@@ -65,7 +69,8 @@ DifferencesByBin collect_differences(const Frame& frame) {
 /// Fills bins that have too few returns, at the same incidence from the next nearer range
 /// or else from the next farther range. If neither exists, uses the maximum of all bins.
 void fill_empty_bins(RangeNoiseTable& noise) {
-    std::vector<double>& sigma_m = noise.sigma_m;  // [ranges, cosines] 0: too few returns
+    // [ranges, cosines], 0: too few returns. Bin - n_cosines has the next nearer range.
+    std::vector<double>& sigma_m = noise.sigma_m;
     const std::size_t n_bins = sigma_m.size(), n_cosines = kCosineBinEnds.size();
     for (std::size_t bin = n_cosines; bin < n_bins; ++bin)
         if (sigma_m[bin] == 0.0) sigma_m[bin] = sigma_m[bin - n_cosines];
@@ -75,8 +80,8 @@ void fill_empty_bins(RangeNoiseTable& noise) {
     std::ranges::replace(sigma_m, 0.0, largest_m);
 }
 
-/// Estimates the range noise of one LiDAR, and counts the returns that were used. Without
-/// a bin of enough returns, the table is empty.
+/// Estimates the range noise of one LiDAR, and counts the returns that were used. If no
+/// bin has enough returns, the table is empty.
 /// @param differences  [frames] see collect_differences()
 std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<DifferencesByBin>& differences) {
     RangeNoiseTable noise{{kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
@@ -91,7 +96,7 @@ std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<Differe
         // The second difference of three independent ranges has sqrt(1 + 4 + 1) times
         // their noise.
         if (bin_differences_m.size() >= kFewestOfBin)
-            noise.sigma_m[bin] = kOfMedian * double(compute_median(bin_differences_m)) / std::sqrt(6.0);
+            noise.sigma_m[bin] = kSigmaPerMedian * double(compute_median(bin_differences_m)) / std::sqrt(6.0);
     }
     if (*std::ranges::max_element(noise.sigma_m) == 0.0) return {};
     fill_empty_bins(noise);

@@ -50,20 +50,21 @@ std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
     return result;
 }
 
-/// Returns of a log by grid cell and, within a cell, by frame. Range corrections of beams
-/// do not change the cell, because they are very small.
+/// Sorts the returns of a log by the grid cell in which they are, and within a cell by
+/// frame. Range corrections of beams do not change the cell, because they are very small.
 std::vector<std::vector<RawReturn>> group_by_cell(const Log& sequence, const std::vector<int>& frames) {
     const std::vector<RawReturn> all =
         concatenate(map_frames(sequence, frames, kMostOffsetReturns,
                                [&](const Frame& frame) { return world_returns(sequence, frame); }));
-    const CellItemLists items(number_cells(all.size(), [&](std::size_t index) {
+    const CellItemLists returns_of_cells(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
-    std::vector<std::vector<RawReturn>> cells(items.size());
-    parallel_blocks(items.size(), [&](std::size_t cell) {
-        // Cells with fewer returns have no plane.
-        if (items.items_of(cell).size() < kMinReturns) return;
-        for (const std::uint32_t i : items.items_of(cell)) cells[cell].push_back(all[i]);
+    std::vector<std::vector<RawReturn>> cells(returns_of_cells.size());
+    parallel_blocks(cells.size(), [&](std::size_t cell) {
+        const std::span<const std::uint32_t> return_indices = returns_of_cells.items_of(cell);
+        // Fewer returns determine no plane, so such a cell stays empty.
+        if (return_indices.size() < kMinReturns) return;
+        for (const std::uint32_t i : return_indices) cells[cell].push_back(all[i]);
     });
     return cells;
 }
@@ -116,7 +117,10 @@ struct BeamResiduals {
 };
 
 /// Subtracts the current range offsets, fits a plane in each cell, and sums the distances
-/// of returns from planes by beam. The result does not depend on the number of threads.
+/// of returns from planes by beam. A range offset o moves a return by o * cosine along
+/// the normal, so least squares over the returns of a beam give
+///   o = sum cosine * distance without correction / sum cosine^2.
+/// The result does not depend on the number of threads.
 BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
                             const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kCellsPerBlock = 2048;

@@ -140,22 +140,23 @@ const BoxTrack* find_box(const Log& sequence, const std::string& box_id) {
 }
 
 Log strip_frames(const Log& sequence) {
-    const Log& s = sequence;
-    return {s.name,
-            s.source,
-            s.lidars,
-            {},
-            s.world_from_vehicle,
-            s.boxes,
-            s.world_offset_m,
-            s.georeference,
-            s.intensity_response,
-            s.conventions,
-            s.start_unix_ns,
-            s.notes,
-            s.test_frames,
-            s.has_poses,
-            s.rolling_shutter};
+    // Copies the other members one by one. A copy of the whole log would first copy all
+    // scans, which can be gigabytes.
+    return {.name = sequence.name,
+            .source = sequence.source,
+            .lidars = sequence.lidars,
+            .frames = {},
+            .world_from_vehicle = sequence.world_from_vehicle,
+            .boxes = sequence.boxes,
+            .world_offset_m = sequence.world_offset_m,
+            .georeference = sequence.georeference,
+            .intensity_response = sequence.intensity_response,
+            .conventions = sequence.conventions,
+            .start_unix_ns = sequence.start_unix_ns,
+            .notes = sequence.notes,
+            .test_frames = sequence.test_frames,
+            .has_poses = sequence.has_poses,
+            .rolling_shutter = sequence.rolling_shutter};
 }
 
 PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {
@@ -284,7 +285,8 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     return SweepStart{std::remainder(azimuth_at_zero_rad + rad_per_s * first_s, 2.0 * kPi), first_s};
 }
 
-/// As above. If the LiDAR does not spin, only the time of the first ray matters.
+/// Returns azimuth and time of the first ray of a sweep of any LiDAR, or nothing if they
+/// are the default. If the LiDAR does not spin, only the time matters.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
     const double period_s = lidar.sweep_period_s();
@@ -325,22 +327,26 @@ namespace {
 /// Returns the time at which the columns of a scanning window reach an azimuth.
 double pattern_facing_time_s(const SensorPattern& pattern, double azimuth_rad, const SweepTiming& sweep) {
     const ScanPatternSummary summary = summarise_pattern(pattern);
+    // Middle of the sweep, relative to its reference time.
     const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * summary.period_s : 0.0;
     // A rosette and a table of rays have no columns.
     if (!summary.sweep || summary.sweep->columns < 2) return sweep.time_s + middle_s;
     const auto [first_rad, last_rad, columns] = *summary.sweep;
     // Position of the point between the first (0) and the last column (1).
     const double share = glm::clamp((azimuth_rad - first_rad) / (last_rad - first_rad), 0.0, 1.0);
+    // Each column takes period / columns, so the first and the last one are
+    // period * (columns - 1) / columns apart.
     return sweep.time_s + (middle_s + (share - 0.5) * summary.period_s * (columns - 1) / columns);
 }
 
 /// Returns the time at which a rotating head reaches an azimuth.
 double head_facing_time_s(const SpinningSensor& sensor, double azimuth_rad, const SweepTiming& sweep) {
     if (sweep.start) {
-        // Fraction of a turn between the start of the sweep and the point.
-        const double turned =
+        // Rotation from the start of the sweep to the azimuth, as a fraction of a full
+        // rotation. Only the part from 0 to 1 counts, because a sweep is one rotation.
+        const double rotations =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth_rad - sweep.start->azimuth_rad) / (2.0 * kPi);
-        return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
+        return sweep.time_s + sweep.start->time_s + (rotations - std::floor(rotations)) * sensor.period_s;
     }
     // By default, the head faces forward (azimuth 0) at the reference time.
     const double after_s = azimuth_rad / (2.0 * kPi) * sensor.period_s;

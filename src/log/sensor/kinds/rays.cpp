@@ -44,6 +44,8 @@ SensorModel sensor::parse_ray_table(const JsonField& field, const std::string& d
     const auto read_number = [&](const char* key, double default_value) {
         return field.has_member(key) ? field.at(key).number() : default_value;
     };
+    // Keeps directions of length 1 bit by bit, because relidar itself writes such
+    // objects.
     sensor_files::RayFileArrays arrays{.direction = field.at("directions").flat_numbers(kMaxListNesting),
                                        .origin = read_list("origin"),
                                        .time_s = read_list("time"),
@@ -53,6 +55,7 @@ SensorModel sensor::parse_ray_table(const JsonField& field, const std::string& d
     arrays.rows = int(rows);
     // make_ray_sensor() checks that rows x columns is the number of rays.
     arrays.columns = int(std::min(arrays.direction.size() / 3 / rows, kMaxRays));
+    // Either one value for each ray, or one value for all rays, in one of two units.
     std::optional<double> common_mrad;
     if (field.has_member("divergence_mrad")) common_mrad = field.at("divergence_mrad").number();
     arrays.divergence_rad =

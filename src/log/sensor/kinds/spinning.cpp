@@ -85,12 +85,13 @@ std::optional<std::array<double, 2>> read_azimuths(const JsonField& field) {
 
 }  // namespace
 
-/// Reads a spinning sensor from its JSON object. The beams can be missing, because of
-/// some LiDARs in logs only the scans are known. The period can then be 0 (unknown).
+/// Reads a spinning sensor from its JSON object. In a log of which only the scans are
+/// known, the object has no beams, and its period can be 0, which means unknown.
 SensorModel sensor::parse_spinning(const JsonField& field, const std::string& default_name) {
     check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth", "azimuth"});
+    constexpr double kUnknownPeriod_s = 0.0;
+    const CommonMembers common = read_common(field, default_name, kUnknownPeriod_s);
     SpinningSensor sensor;
-    const auto common = read_common(field, default_name, 0.0);
     sensor.name = common.name;
     sensor.period_s = common.period_s;
     sensor.min_range_m = common.limits.min_m;
@@ -98,10 +99,11 @@ SensorModel sensor::parse_spinning(const JsonField& field, const std::string& de
     sensor.divergence_rad = common.divergence_rad;
     if (field.has_member("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
     if (field.has_member("beams")) read_beams(field, sensor);
-    // By default half a column from the rear, so that the columns are symmetric to the
-    // front.
-    const double default_rad = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
-    sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", default_rad, kMaxAngle_deg);
+    // By default, the first column is half a column from the rear. Then the columns are
+    // symmetric to the front.
+    const double default_first_rad =
+        sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
+    sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", default_first_rad, kMaxAngle_deg);
     sensor.azimuth_rad = read_azimuths(field);
     return {sensor.name, "", common.limits, std::move(sensor)};
 }
