@@ -183,8 +183,8 @@ struct BoxRecord {
     std::array<char, 16> size_guess;
 };
 
-/// Collects the boxes of all processes. A labelled track has the id and class of its
-/// label.
+/// Collects the boxes of all processes. They exchange flat arrays, so the record of a box
+/// has the number of its poses. A labelled track gets the id and class of its label.
 /// @param boxes [tracks of this process] no value if the object did not move
 std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const MoverTrack> tracks,
                                    const std::vector<std::optional<BoxTrack>>& boxes, const Log& log) {
@@ -197,6 +197,7 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const Mo
         const PoseTrack& track = box.world_from_box;
         BoxRecord& record = records.emplace_back(
             BoxRecord{box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[i].label, {}});
+        // Leaves at least one 0 at the end of the text.
         std::strncpy(record.size_guess.data(), box.size_guess.c_str(), record.size_guess.size() - 1);
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
@@ -205,19 +206,19 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const Mo
     times_s = group.gather(std::move(times_s));
     poses = group.gather(std::move(poses));
     std::vector<BoxTrack> all;
-    std::ptrdiff_t first = 0;  // pose of the next box in the gathered arrays
+    std::ptrdiff_t first_pose = 0;  // of the next box in the gathered arrays
     for (const BoxRecord& record : records) {
-        const std::ptrdiff_t end = first + std::ptrdiff_t(record.n_poses);
+        const std::ptrdiff_t end_pose = first_pose + std::ptrdiff_t(record.n_poses);
         const BoxTrack* label = record.label == kNoLabel ? nullptr : &log.boxes[std::size_t(record.label)];
         all.push_back({.id = label ? label->id : "",
                        .category = label ? label->category : kDiscoveredCategory,
                        .size_m = record.size_m,
-                       .world_from_box = {{times_s.begin() + first, times_s.begin() + end},
-                                          {poses.begin() + first, poses.begin() + end}},
+                       .world_from_box = {{times_s.begin() + first_pose, times_s.begin() + end_pose},
+                                          {poses.begin() + first_pose, poses.begin() + end_pose}},
                        .size_guess = record.size_guess.data(),
                        .n_before = record.n_before,
                        .n_after = record.n_after});
-        first = end;
+        first_pose = end_pose;
     }
     return all;
 }

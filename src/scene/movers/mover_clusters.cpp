@@ -90,26 +90,28 @@ MoverCluster mean_of_sums(MoverCluster sums) {
 /// outside all labelled boxes.
 FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
     const std::vector<LabelledBox> labelled = labelled_boxes_at(log, frame.time_s);
-    std::vector<MoverCluster> of_boxes(labelled.size());
+    std::vector<MoverCluster> sums_in_boxes(labelled.size());  // of times and points, by box
     FrameMoverReturns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
-        const WorldReturn w = locate_return(log, frame, ray);
-        const auto in = std::ranges::find_if(labelled, [&](const LabelledBox& l) {
-            return l.box.contains_point(w.point_m, w.time_s, kMoverMargin_m);
+        const WorldReturn hit = locate_return(log, frame, ray);
+        const auto match = std::ranges::find_if(labelled, [&](const LabelledBox& candidate) {
+            return candidate.box.contains_point(hit.point_m, hit.time_s, kMoverMargin_m);
         });
-        if (in == labelled.end()) {
-            result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, CellMotionState::rests});
-        } else if (in->label != kNoLabel && in->box.contains_point(w.point_m, w.time_s, 0.0)) {
-            // Without the margin of the box, which would contain points of the ground.
-            MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
-            cluster.label = in->label;
-            cluster.time_s += w.time_s;
-            cluster.centre_m += w.point_m;
-            cluster.points_m.push_back(w.point_m);
+        if (match == labelled.end()) {
+            result.others.push_back({glm::vec3(hit.point_m), hit.time_s, 0, CellMotionState::rests});
+            continue;
         }
+        // Returns in the margin belong to no cluster, because the margin contains ground.
+        const bool is_moving_box = match->label != kNoLabel;
+        if (!is_moving_box || !match->box.contains_point(hit.point_m, hit.time_s, 0.0)) continue;
+        MoverCluster& sums = sums_in_boxes[std::size_t(match - labelled.begin())];
+        sums.label = match->label;
+        sums.time_s += hit.time_s;
+        sums.centre_m += hit.point_m;
+        sums.points_m.push_back(hit.point_m);
     }
-    for (MoverCluster& cluster : of_boxes)
+    for (MoverCluster& cluster : sums_in_boxes)
         if (!cluster.points_m.empty()) result.of_labels.push_back(mean_of_sums(std::move(cluster)));
     return result;
 }
@@ -140,17 +142,42 @@ std::vector<glm::vec3> assign_cells(std::vector<FrameMoverReturns>& frames) {
 /// it. Uses the part with the most heights, and adds a margin.
 std::pair<double, double> find_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
-    std::size_t best_first = 0, n_best = 0, first = 0;  // parts: index of the lowest height, size
+    // A part is a range [first, end) of the sorted heights.
+    std::size_t first = 0, largest_first = 0, largest_end = 0;
     for (std::size_t end = 1; end <= heights_m.size(); ++end) {
-        const bool is_end = end == heights_m.size() || heights_m[end] - heights_m[end - 1] >= kGapAbove_m;
-        if (!is_end) continue;
-        if (end - first > n_best) {
-            best_first = first;
-            n_best = end - first;
+        const bool is_split = end == heights_m.size() || heights_m[end] - heights_m[end - 1] >= kGapAbove_m;
+        if (!is_split) continue;
+        if (end - first > largest_end - largest_first) {
+            largest_first = first;
+            largest_end = end;
         }
         first = end;
     }
-    return {heights_m[best_first] - kGroundBelow_m, heights_m[best_first + n_best - 1] + kGapAbove_m};
+    return {heights_m[largest_first] - kGroundBelow_m, heights_m[largest_end - 1] + kGapAbove_m};
+}
+
+/// Returns the key of the square of the ground below a point.
+std::uint64_t key_of_square(const glm::dvec3& point_m) {
+    return grid_key({point_m.x, point_m.y, 0.0}, kClusterSquare_m);
+}
+
+using ReturnsBySquare = std::unordered_map<std::uint64_t, std::vector<std::uint32_t>>;
+
+/// Appends the returns in the squares around a point to `group`, unless they have a group
+/// already. Empties these squares, because all their returns then have a group.
+void append_neighbours(const glm::dvec3& point_m, ReturnsBySquare& squares, std::vector<char>& is_grouped,
+                       std::vector<std::uint32_t>& group) {
+    for (int dx = -kReach_squares; dx <= kReach_squares; ++dx)
+        for (int dy = -kReach_squares; dy <= kReach_squares; ++dy) {
+            const glm::dvec3 offset_m = kClusterSquare_m * glm::dvec3(dx, dy, 0.0);
+            const auto square = squares.find(key_of_square(point_m + offset_m));
+            if (square == squares.end()) continue;
+            for (const std::uint32_t i : square->second) {
+                if (!is_grouped[i]) group.push_back(i);
+                is_grouped[i] = 1;
+            }
+            square->second.clear();
+        }
 }
 
 /// Groups returns that are close to each other in the view from above. A group contains
@@ -158,12 +185,9 @@ std::pair<double, double> find_height_range(std::vector<double> heights_m) {
 /// motion next to them.
 /// @return [groups] indices of the returns
 std::vector<std::vector<std::uint32_t>> group_returns(const std::vector<MoverReturn>& returns) {
-    const auto square_of = [](const glm::dvec3& point) {
-        return grid_key({point.x, point.y, 0.0}, kClusterSquare_m);
-    };
-    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;  // returns of each square
+    ReturnsBySquare squares;
     for (std::uint32_t i = 0; i < returns.size(); ++i)
-        squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
+        squares[key_of_square(glm::dvec3(returns[i].point_m))].push_back(i);
     std::vector<std::vector<std::uint32_t>> groups;
     std::vector<char> is_grouped(returns.size(), 0);
     for (std::uint32_t start = 0; start < returns.size(); ++start) {
@@ -175,19 +199,9 @@ std::vector<std::vector<std::uint32_t>> group_returns(const std::vector<MoverRet
             const std::uint32_t member = open.back();
             open.pop_back();
             group.push_back(member);
+            // Only moved returns extend a group.
             if (returns[member].motion != CellMotionState::moved) continue;
-            const glm::dvec3 p(returns[member].point_m);
-            for (int dx = -kReach_squares; dx <= kReach_squares; ++dx)
-                for (int dy = -kReach_squares; dy <= kReach_squares; ++dy) {
-                    const auto square =
-                        squares.find(square_of(p + kClusterSquare_m * glm::dvec3(dx, dy, 0.0)));
-                    if (square == squares.end()) continue;
-                    for (const std::uint32_t i : square->second) {
-                        if (!is_grouped[i]) open.push_back(i);
-                        is_grouped[i] = 1;
-                    }
-                    square->second.clear();
-                }
+            append_neighbours(glm::dvec3(returns[member].point_m), squares, is_grouped, open);
         }
     }
     return groups;
@@ -202,8 +216,8 @@ std::optional<MoverCluster> make_cluster(const std::vector<MoverReturn>& returns
         if (returns[i].motion == CellMotionState::moved)
             moved_heights_m.push_back(double(returns[i].point_m.z));
     const auto [bottom_m, top_m] = find_height_range(std::move(moved_heights_m));
-    MoverCluster sums;
-    glm::dvec3 low(1e30), high(-1e30);
+    MoverCluster sums;                  // its time and centre are sums, which mean_of_sums() divides
+    glm::dvec3 low(1e30), high(-1e30);  // corners of the bounding box
     double n_moved = 0.0;
     for (const std::uint32_t i : group) {
         const glm::dvec3 p(returns[i].point_m);
@@ -215,9 +229,9 @@ std::optional<MoverCluster> make_cluster(const std::vector<MoverReturn>& returns
         low = glm::min(low, p);
         high = glm::max(high, p);
     }
-    if (n_moved < kMinPoints || n_moved < kMovedShare * double(sums.points_m.size()) ||
-        glm::length(glm::dvec2(high - low)) >= kMaxLength_m)
-        return std::nullopt;
+    const bool has_moved = n_moved >= kMinPoints && n_moved >= kMovedShare * double(sums.points_m.size());
+    const bool is_too_long = glm::length(glm::dvec2(high - low)) >= kMaxLength_m;
+    if (!has_moved || is_too_long) return std::nullopt;
     return mean_of_sums(std::move(sums));
 }
 
@@ -249,6 +263,7 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
         else if (votes.n_occupied <= kTooFewFrames) motion[cell] = CellMotionState::rarely_observed;
         else motion[cell] = CellMotionState::rests;
     });
+    // Clusters the moved returns, and adds the clusters inside moving labelled boxes.
     ClustersByFrame clusters(frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         FrameMoverReturns& frame = frames[std::size_t(index)];
@@ -271,8 +286,8 @@ ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame
     };
     // The group exchanges flat arrays. The counts restore the lists per frame.
     std::vector<std::uint64_t> n_clusters;  // [frames]
-    std::vector<ClusterRecord> heads;
-    std::vector<glm::dvec3> points;
+    std::vector<ClusterRecord> heads;       // [clusters] all except the points
+    std::vector<glm::dvec3> points;         // of all clusters
     for (const std::vector<MoverCluster>& frame : local_clusters) {
         n_clusters.push_back(frame.size());
         for (const MoverCluster& cluster : frame) {

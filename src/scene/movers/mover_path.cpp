@@ -41,6 +41,18 @@ glm::dmat3 process_noise(double dt_s) {
                                      d3 / 6.0, d2 / 2.0, dt_s);
 }
 
+/// Corrects a predicted state with an observed position:
+///   state += gain (observed - predicted position), covariance -= gain (P h)^T
+///   gain = P h / (h^T P h + noise^2 / weight), where h = (1, 0, 0) and P = covariance
+KalmanState correct_state(KalmanState state, const glm::dvec3& observed_m, double weight) {
+    const glm::dvec3 column = state.covariance[0];  // P h
+    const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weight);
+    for (int axis = 0; axis < 3; ++axis)
+        state.state[axis] += gain * (observed_m[axis] - state.state[axis][0]);
+    state.covariance -= glm::outerProduct(gain, column);
+    return state;
+}
+
 /// Runs a Kalman filter over the positions, and a smoother back from the last position.
 /// All axes share a covariance, because their noise is the same.
 /// @param weights [times] weight of each observed position, 0 to 1
@@ -60,16 +72,10 @@ KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector
             predicted[k] = {f * previous.state,
                             f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
         }
-        filtered[k] = predicted[k];
-        // Updates the prediction with the observed position. A low weight acts like more
-        // noise.
-        const glm::dvec3 column = predicted[k].covariance[0];
-        const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
-        for (int axis = 0; axis < 3; ++axis)
-            filtered[k].state[axis] += gain * (positions_m[k][axis] - predicted[k].state[axis][0]);
-        filtered[k].covariance -= glm::outerProduct(gain, column);
+        filtered[k] = correct_state(predicted[k], positions_m[k], weights[k]);
     }
-    // The smoother corrects each state by what the later positions tell about it.
+    // The smoother corrects each state by what the later positions tell about it:
+    // state = filtered + back (next state - next prediction), back = P F^T (next P)^-1.
     KinematicPath path(n);
     glm::dmat3 state = filtered[n - 1].state;
     for (std::size_t k = n; k-- > 0;) {

@@ -69,8 +69,9 @@ double match_cost(const MoverTrack& track, const MoverCluster& cluster, double f
     const MoverCluster& last = track.last_cluster();
     const double dt = cluster.time_s - last.time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return kNoMatch;
-    const double ratio = double(cluster.points_m.size()) / double(last.points_m.size());
-    if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return kNoMatch;
+    const double size_ratio = double(cluster.points_m.size()) / double(last.points_m.size());
+    if (size_ratio > kMaxRatio || size_ratio < 1.0 / kMaxRatio) return kNoMatch;
+    // With a single observation, the velocity is unknown.
     const double max_error_mps = track.observations.size() < 2 ? kFirstSpeed_mps : kMaxPrediction_mps;
     const double max_error_m = kMaxPrediction_m + max_error_mps * dt;
     const glm::dvec3 error_m =
@@ -143,9 +144,11 @@ double visible_width_m(const MoverCluster& cluster) {
     return std::max(high.x - low.x, high.y - low.y);
 }
 
+using ObservationPairs = std::vector<std::pair<std::size_t, std::size_t>>;
+
 /// Returns pairs of indices of the observations of two tracks in the same frame.
-std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& a, const MoverTrack& b) {
-    std::vector<std::pair<std::size_t, std::size_t>> pairs;
+ObservationPairs list_pairs(const MoverTrack& a, const MoverTrack& b) {
+    ObservationPairs pairs;
     for (std::size_t i = 0, j = 0; i < a.observations.size() && j < b.observations.size();) {
         if (a.observations[i].frame_time_s < b.observations[j].frame_time_s) ++i;
         else if (b.observations[j].frame_time_s < a.observations[i].frame_time_s) ++j;
@@ -154,51 +157,63 @@ std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& a,
     return pairs;
 }
 
-/// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
-/// roof of a van, its tail and its cabin form separate clusters.
-bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
-    constexpr std::size_t kMinCommonFrames = 4;
-    if (other_track.label != kNoLabel) return false;
-    const auto common = list_pairs(track, other_track);
-    if (common.size() < kMinCommonFrames || 2 * common.size() < other_track.observations.size()) return false;
-    // In the middle of the common frames, both parts are large and near each other.
-    const auto& [i, j] = common[common.size() / 2];
-    const MoverCluster& cluster = track.observations[i].cluster;
-    const MoverCluster& other = other_track.observations[j].cluster;
-    if (std::min(visible_width_m(cluster), visible_width_m(other)) < kVehiclePart_m) return false;
-    double gap_m = 1e30;
-    for (const glm::dvec3& p : cluster.points_m)
-        for (const glm::dvec3& q : other.points_m)
-            gap_m = std::min(gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
-    if (gap_m > kMaxPartDistance_m) return false;
-    // Parts of one vehicle keep their distance, while two vehicles move independently.
+/// Returns the smallest distance between two clusters in the view from above.
+double distance_between_m(const MoverCluster& first, const MoverCluster& second) {
+    double smallest_m = 1e30;
+    for (const glm::dvec3& p : first.points_m)
+        for (const glm::dvec3& q : second.points_m)
+            smallest_m = std::min(smallest_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
+    return smallest_m;
+}
+
+/// Returns true if the offset between the centres of two tracks hardly varies. Parts of
+/// one vehicle keep their offset, while two vehicles move independently.
+/// @param common observations of both tracks in the same frame
+bool is_offset_constant(const MoverTrack& first, const MoverTrack& second, const ObservationPairs& common) {
     glm::dvec3 sum(0.0), squares(0.0);
-    for (const auto& [a, b] : common) {
-        const glm::dvec3 apart =
-            other_track.observations[b].cluster.centre_m - track.observations[a].cluster.centre_m;
-        sum += apart;
-        squares += apart * apart;
+    for (const auto& [i, j] : common) {
+        const glm::dvec3 offset_m =
+            second.observations[j].cluster.centre_m - first.observations[i].cluster.centre_m;
+        sum += offset_m;
+        squares += offset_m * offset_m;
     }
     const double n = double(common.size());
     const glm::dvec3 variance = squares / n - sum / n * (sum / n);
     return variance.x + variance.y < kMaxOffsetSigma_m * kMaxOffsetSigma_m;
 }
 
-/// Returns how badly a later track continues an earlier track after a gap. Predicts the
-/// motion across the gap from each track. A value above 1 means that the tracks belong to
-/// different objects.
+/// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
+/// roof of a van, its tail and its cabin form separate clusters.
+bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
+    constexpr std::size_t kMinCommonFrames = 4;
+    if (other_track.label != kNoLabel) return false;
+    const ObservationPairs common = list_pairs(track, other_track);
+    if (common.size() < kMinCommonFrames || 2 * common.size() < other_track.observations.size()) return false;
+    // In the middle of the common frames, both parts are large and near each other.
+    const auto& [i, j] = common[common.size() / 2];
+    const MoverCluster& cluster = track.observations[i].cluster;
+    const MoverCluster& other = other_track.observations[j].cluster;
+    if (std::min(visible_width_m(cluster), visible_width_m(other)) < kVehiclePart_m) return false;
+    if (distance_between_m(cluster, other) > kMaxPartDistance_m) return false;
+    return is_offset_constant(track, other_track, common);
+}
+
+/// Returns how badly a later track continues an earlier track after a gap in time:
+///   max(error of the predicted motion / its limit, change of velocity / its limit)
+/// Predicts the motion across the gap from each track. A value above 1 means that the
+/// tracks belong to different objects.
 double gap_cost(const MoverTrack& earlier, const MoverTrack& later) {
     if (earlier.label != kNoLabel && later.label != kNoLabel) return kNoMatch;
     if (std::min(earlier.observations.size(), later.observations.size()) < kEndsOfGap) return kNoMatch;
-    const double dt = later.observations.front().cluster.time_s - earlier.last_cluster().time_s;
-    if (!(dt > 0.0 && dt < kLongestGap_s)) return kNoMatch;
+    const double gap_s = later.observations.front().cluster.time_s - earlier.last_cluster().time_s;
+    if (!(gap_s > 0.0 && gap_s < kLongestGap_s)) return kNoMatch;
     const glm::dvec3 before_mps = last_velocity(earlier, kGapVelocity),
                      after_mps = first_velocity(later, kGapVelocity);
     const glm::dvec3 moved_m = later.observations.front().cluster.centre_m - earlier.last_cluster().centre_m;
-    const double error_m = std::max(glm::length(glm::dvec2(moved_m - dt * before_mps)),
-                                    glm::length(glm::dvec2(moved_m - dt * after_mps)));
+    const double error_m = std::max(glm::length(glm::dvec2(moved_m - gap_s * before_mps)),
+                                    glm::length(glm::dvec2(moved_m - gap_s * after_mps)));
     const double speed_change_mps = glm::length(glm::dvec2(before_mps - after_mps));
-    return std::max(error_m / (kMaxPrediction_m + kMaxGapError_mps * dt),
+    return std::max(error_m / (kMaxPrediction_m + kMaxGapError_mps * gap_s),
                     speed_change_mps / kMaxSpeedChange_mps);
 }
 
