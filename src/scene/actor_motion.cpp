@@ -28,11 +28,13 @@ struct TimeSpan {
 TimeSpan sweep_span(const Log& log, const SweepTiming& sweep) {
     const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     if (!log.rolling_shutter) return {sweep.time_s, sweep.time_s};
+    // A spinning sensor needs one period for a sweep.
     const double period_s = lidar.sweep_period_s();
     if (period_s > 0.0) {
         const double first_s = sweep.time_s + (sweep.start ? sweep.start->time_s : -0.5 * period_s);
         return {first_s, first_s + period_s};
     }
+    // Other sensors list the firing times in their pattern.
     const RayTable* table = lidar.pattern ? std::get_if<RayTable>(&*lidar.pattern) : nullptr;
     if (!table || table->time_offset_s.empty())
         return {sweep.time_s - kUnknownSweep_s, sweep.time_s + kUnknownSweep_s};
@@ -67,8 +69,9 @@ double half_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m
     return largest;
 }
 
-/// Returns the time interval in which the head faces a box. Returns the time of the full
-/// sweep if the interval is unknown or extends beyond the sweep.
+/// Returns the time interval in which the rotating head faces a box: the time at which it
+/// faces the centre, plus and minus the time in which it sweeps over half of the box.
+/// Returns the time of the full sweep if the interval is unknown or extends beyond it.
 TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                      const SweepTiming& sweep) {
     const TimeSpan all = sweep_span(log, sweep);
@@ -85,11 +88,11 @@ TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm:
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
         faced_s = facing_time_s(log, sensor_from_box(faced_s).translation, sweep);
-    const double angle = half_width_rad(sensor_from_box(faced_s), half_size_m);
-    const double half_s = ((1.0 + kWideningShare) * angle + kMaxBeamOffset_rad) * s_per_rad;
+    const double half_rad = half_width_rad(sensor_from_box(faced_s), half_size_m);
+    const double half_s = ((1.0 + kWideningShare) * half_rad + kMaxBeamOffset_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
     const bool is_in_sweep = span.first_s >= all.first_s && span.last_s <= all.last_s;
-    return angle < kPi && is_in_sweep ? span : all;
+    return half_rad < kPi && is_in_sweep ? span : all;
 }
 
 }  // namespace
@@ -104,8 +107,8 @@ InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, 
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.pose_at(measured.first_s),
                last = world_from_box.pose_at(measured.last_s);
-    const Twist twist = compute_twist(first, last);  // translation, then rotation vector
-    const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);
+    const Twist twist = compute_twist(first, last);                 // translation, then rotation vector
+    const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);  // 1 / measured duration
     const PoseMotion motion{.velocity_mps = per_s * glm::dvec3(twist[0], twist[1], twist[2]),
                             .angular_velocity_radps = per_s * glm::dvec3(twist[3], twist[4], twist[5]),
                             .middle_s = middle_s - sweep.time_s,

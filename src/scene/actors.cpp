@@ -19,7 +19,7 @@ namespace {
 
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the returns of one scan that lie inside boxes, in the frames of the boxes.
+/// Adds the returns of a scan inside boxes to `samples` [boxes], in the box frames.
 void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
                     bool second_returns, const std::vector<WalkedDistanceTrack>& walked,
                     std::vector<LidarSamples>& samples) {
@@ -42,7 +42,7 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
     });
 }
 
-/// Collects the returns of the training frames that lie inside boxes, [boxes].
+/// Returns the returns of the training frames that lie inside each box, [boxes].
 std::vector<LidarSamples> collect_samples(const Log& log, const std::vector<int>& frames,
                                           const std::vector<BoxTrack>& boxes, const InitOptions& options,
                                           const Progress& progress) {

@@ -63,20 +63,24 @@ struct Rectangle {
 using Rectangles = std::vector<Rectangle>;
 using RectangleIndices = std::vector<std::uint16_t>;
 
-/// Adds five faces of a car, whose body begins 0.2 m above the ground.
+/// Adds the sides and the top of a car, whose body begins 0.2 m above the ground. The
+/// normal of a face is edge_u x edge_v. The order of the edges makes it point outwards.
 void append_car(const glm::dvec3& centre, double intensity, Rectangles& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
     const glm::dvec3 base = centre + glm::dvec3(-0.5 * length, -0.5 * width, 0.2);
-    rectangles.push_back({base, x, z, intensity});
-    rectangles.push_back({base + y + x, -x, z, intensity});
-    rectangles.push_back({base + y, -y, z, intensity});
-    rectangles.push_back({base + x, y, z, intensity});
-    rectangles.push_back({base + z, x, y, intensity});
+    const auto add_face = [&](const glm::dvec3& corner, const glm::dvec3& edge_u, const glm::dvec3& edge_v) {
+        rectangles.push_back({corner, edge_u, edge_v, intensity});
+    };
+    add_face(base, x, z);           // right
+    add_face(base + y + x, -x, z);  // left
+    add_face(base + y, -y, z);      // rear
+    add_face(base + x, y, z);       // front
+    add_face(base + z, x, y);       // top
 }
 
-/// Returns the rectangles of the ground, the facades and the parked cars. The seed is
-/// fixed, so the layout is always the same.
+/// Returns the rectangles of the ground, the facades and the parked cars. The street
+/// follows the x axis. The seed is fixed, so the layout is always the same.
 Rectangles make_rectangles() {
     NumpyRandomState random(1);
     const double half = kStreetLength_m / 2;
@@ -91,8 +95,9 @@ Rectangles make_rectangles() {
             const bool gap = random.draw_uniform() < 0.1;
             const double y = side * (kHalfWidth_m - setback);
             const glm::dvec3 up(0, 0, kFacadeHeight_m);
-            if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
-            if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
+            // The first edge has the sign of `side`, so that the normal faces the street.
+            const double corner_x = side > 0 ? x : x + width;
+            if (!gap) rectangles.push_back({{corner_x, y, 0}, {side * width, 0, 0}, up, intensity});
             x += width;
         }
         // Parked cars, 6.5 m apart. Three of ten places are free.
@@ -180,6 +185,7 @@ void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indi
 /// Draws random scales of 0.1 to 0.3 m and opacities of 0.1 to 0.99. With `shrink`, more
 /// surfels are smaller, so that they cover the same area.
 void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
+    // n surfels have the same total area as 100 000 surfels of the original size.
     const double factor = shrink ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
         for (int axis = 0; axis < 2; ++axis)
@@ -190,31 +196,35 @@ void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
     }
 }
 
-/// Draws random spherical harmonics (SH): first degree 0, which sets the mean intensity,
-/// hit logit and drop logit of a surfel, then the other degrees. scene_gen.py rounds the
-/// coefficients to the same steps, half to even, so that both make the same surfels.
+/// Draws random spherical harmonics (SH) of three channels: intensity, hit logit, drop
+/// logit. First draws degree 0, which sets the mean of a channel, then the other degrees.
+/// scene_gen.py rounds the coefficients to the same steps, half to even, so that both
+/// make the same surfels.
 void sample_harmonics(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
+    enum Channel { kIntensity, kHitLogit, kDropLogit };
+    constexpr double kMeanSteps = 4096, kOtherSteps = 256;  // steps per unit
     const auto set_coefficient = [&](std::size_t surfel, int channel, int k, double value) {
         surfels.sh[surfel * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(value);
     };
     const auto set_mean = [&](std::size_t surfel, int channel, double mean) {
-        const double steps = std::clamp(std::nearbyint((mean - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
-        set_coefficient(surfel, channel, 0, steps / 4096);
+        // value = 0.5 + kShC0 * coefficient
+        const double steps = std::clamp(std::nearbyint((mean - 0.5) / kShC0 * kMeanSteps), -32000.0, 32000.0);
+        set_coefficient(surfel, channel, 0, steps / kMeanSteps);
     };
     const std::size_t n = indices.size();
     for (std::size_t i = 0; i < n; ++i) {
         const double intensity = rectangles[indices[i]].intensity + 0.08 * random.draw_normal();
-        set_mean(i, 0, std::clamp(intensity, 0.02, 0.98));
+        set_mean(i, kIntensity, std::clamp(intensity, 0.02, 0.98));
     }
-    for (std::size_t i = 0; i < n; ++i) set_mean(i, 1, 1.0 + 0.3 * random.draw_normal());
-    for (std::size_t i = 0; i < n; ++i) set_mean(i, 2, 0.3 * random.draw_normal());
+    for (std::size_t i = 0; i < n; ++i) set_mean(i, kHitLogit, 1.0 + 0.3 * random.draw_normal());
+    for (std::size_t i = 0; i < n; ++i) set_mean(i, kDropLogit, 0.3 * random.draw_normal());
     for (std::size_t i = 0; i < n; ++i)
         for (int k = 1; k < kShCoefficients; ++k)
             for (int channel = 0; channel < kShChannels; ++channel) {
                 const double steps =
-                    std::clamp(std::nearbyint(0.05 * random.draw_normal() * 256), -127.0, 127.0);
-                set_coefficient(i, channel, k, steps / 256);
+                    std::clamp(std::nearbyint(0.05 * random.draw_normal() * kOtherSteps), -127.0, 127.0);
+                set_coefficient(i, channel, k, steps / kOtherSteps);
             }
 }
 
@@ -242,8 +252,6 @@ RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_d
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     table.origin.assign(n, kSensor_m);
     table.time_offset_s.assign(n, 0.0f);
-    table.direction.reserve(n);
-    table.channel.reserve(n);
     // Cell centres: rows from top to bottom, columns clockwise from azimuth pi.
     for (int row = 0; row < rows; ++row) {
         const double elevation = (top_deg + (row + 0.5) / rows * (bottom_deg - top_deg)) * (kPi / 180.0);

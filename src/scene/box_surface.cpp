@@ -65,6 +65,7 @@ auto ObservedBoxSurface::find_patch(const glm::dvec3& point_m) const -> std::opt
     const int axis = longest_axis(distance);
     const bool is_bottom = axis == 2 && relative.z < 0.0;
     if (is_bottom || !(distance[axis] > 0.0) || !std::isfinite(distance[axis])) return std::nullopt;
+    // Sides in the order of BoxSide: +x, -x, +y, -y, +z.
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(relative[axis] < 0.0);
     const BoxSideAxes& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / distance[axis];

@@ -212,8 +212,9 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
     parallel_blocks(changing.size(), [&](std::size_t i) {
         shifts[i] = estimate_shift(by_frame, frame_index, samples, changing[i]);
     });
-    // The phase angle grows by 1 / frames_per_rad from frame to frame. The swing times
-    // its sine therefore moves a surfel by `shift` per frame.
+    // The phase angle is 2 pi walked_m / period_m. It grows by 1 / frames_per_rad from
+    // frame to frame. The position is mean + swing sin(angle), so this swing moves a
+    // surfel by `shift` per frame.
     const auto frames_per_rad = float(period_m / (2.0 * kPi * frame.spacing_m));
     std::vector<GaitPhaseWindow> gaits;
     for (const glm::vec3& shift : smooth_shifts(changing, shifts))
@@ -238,6 +239,7 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
                 .why_rigid =
                     fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
     DeformingActorSurfels actor;
+    // The walk repeats kFramesBetween times the mean distance per frame after its end.
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
     // Parts that do not change are modelled once for all frames, with default gaits that
     // are always visible. They get at most half of the surfels.
@@ -250,6 +252,7 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
         const std::vector<GaitPhaseWindow> still(static_samples.size());
         actor.surfels = make_gait_surfels(static_samples, still, options, incidence);
     }
+    // The frames share the remaining surfels for the parts that change.
     const std::size_t max_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
         if (progress) progress("modelling the walking of actors", double(k) / double(frames.size()));
@@ -267,7 +270,8 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
 
 void fade_far_swings(Scene& scene, float alpha_min) {
     // The box of a model already has a margin of kObjectMargin_m.
-    constexpr float kSwingMargin_m = 0.1f, kMinRoom_m = 0.01f;
+    constexpr float kSwingMargin_m = 0.1f;
+    constexpr float kMinRoom_m = 0.01f;  // for surfels whose mean is already outside
     Surfels& surfels = scene.surfels;
     if (!surfels.bends) return;
     for (const SurfelModel& model : scene.models) {
@@ -283,7 +287,7 @@ void fade_far_swings(Scene& scene, float alpha_min) {
                 if (swing_m > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
             }
             const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
-            if (sine >= 1.0f || opacity <= alpha_min) continue;
+            if (sine >= 1.0f || opacity <= alpha_min) continue;  // stays inside, or never visible
             // At this angle, opacity exp(sharpness^2 (cosine - 1)) = alpha_min. Uses
             // 1 - cosine = sine^2 / (1 + cosine).
             const float cosine = std::sqrt(1.0f - sine * sine),

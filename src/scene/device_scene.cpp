@@ -73,8 +73,8 @@ struct InstanceGradientRows {
     }
 };
 
-/// Returns the model table for the device: the surfels and the box of each model, and
-/// where the table of further gradient rows lists its instances.
+/// Returns the model table for the device: the surfels and the box of each model, and its
+/// range in `rows.further_rows`, the gradient rows of its second and further instances.
 std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
@@ -230,12 +230,12 @@ bool DeviceScene::can_skip_surfels() const { return impl_->touched_list.has_valu
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
-    // Processes only a list of the surfels with a gradient if the backward pass has
-    // marked them, and if the others need not be set to zero.
+    // Processes only a list of the touched surfels (with a gradient) if the backward pass
+    // has marked them, and if the others need not be set to zero.
     const bool has_list = can_skip_surfels() && gradients.touched_is_marked && !gradients.zero_untouched;
     std::size_t n_threads = size();
     Address<std::uint32_t, shared::TouchedRows> listed_surfels;  // null: all surfels
-    Address<std::uint32_t, shared::TouchedCount> n_listed;
+    Address<std::uint32_t, shared::TouchedCount> n_listed;       // in device memory
     if (has_list) {
         TouchedSurfelList& list = *impl_->touched_list;
         list.compact(stream, gradients.touched->address(), size());
@@ -281,41 +281,41 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
 }
 
 void DeviceScene::append_model(Device& device, const DeviceScene& added) {
-    Impl& own = *impl_;
+    Impl& scene = *impl_;
     const std::uint32_t first = size(), n = first + added.size();
-    if (n > own.parameters.capacity() || n > own.records.size())
+    if (n > scene.parameters.capacity() || n > scene.records.size())
         reserve_spare(n, [&](std::size_t capacity) { reserve(device, std::uint32_t(capacity)); });
     // Allocates before it changes this scene, because memory may be exhausted.
-    Scene layout = own.layout;
+    Scene layout = scene.layout;
     layout.models.push_back(added.layout().models.front());
     layout.models.back().first = first;
     InstanceGradientRows rows(layout, n);
     Array<shared::ModelEntry> models(device, make_models(layout, rows), "model table");
     Array<std::uint32_t, shared::FurtherRows> more_rows(device, rows.further_rows,
                                                         "gradient rows of further instances");
-    own.parameters.upload_at(first, added.surfel_parameters().download());
-    own.records.upload(added.surfel_records().download(added.size()), first);
-    own.parameters.n = n;
-    own.layout = std::move(layout);
-    own.gradient_rows = std::move(rows);
-    own.models = std::move(models);
-    own.more_rows = std::move(more_rows);
+    scene.parameters.upload_at(first, added.surfel_parameters().download());
+    scene.records.upload(added.surfel_records().download(added.size()), first);
+    scene.parameters.n = n;
+    scene.layout = std::move(layout);
+    scene.gradient_rows = std::move(rows);
+    scene.models = std::move(models);
+    scene.more_rows = std::move(more_rows);
 }
 
 void DeviceScene::append_instance(Device& device, const ModelInstance& instance) {
-    Impl& own = *impl_;
-    const std::size_t n = own.layout.instances.size() + 1;
-    if (n > own.instances.size())
+    Impl& scene = *impl_;
+    const std::size_t n = scene.layout.instances.size() + 1;
+    if (n > scene.instances.size())
         reserve_spare(n, [&](std::size_t capacity) {
-            own.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
+            scene.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
         });
-    own.layout.instances.push_back(instance);
+    scene.layout.instances.push_back(instance);
     // The instance stays absent until its pose is set.
-    own.poses.push_back({.present = false});
-    own.gradient_rows = InstanceGradientRows(own.layout, size());
-    own.models.upload(make_models(own.layout, own.gradient_rows));
-    own.more_rows = {device, own.gradient_rows.further_rows, "gradient rows of further instances"};
-    own.instances.upload(own.make_instances(std::vector<InstancePose>(own.poses)));
+    scene.poses.push_back({.present = false});
+    scene.gradient_rows = InstanceGradientRows(scene.layout, size());
+    scene.models.upload(make_models(scene.layout, scene.gradient_rows));
+    scene.more_rows = {device, scene.gradient_rows.further_rows, "gradient rows of further instances"};
+    scene.instances.upload(scene.make_instances(std::vector<InstancePose>(scene.poses)));
 }
 
 bool DeviceScene::moves_gait(const std::vector<InstancePose>& placed) const {

@@ -86,7 +86,7 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
 struct VoxelSample {
     LidarSample sample;
     VoxelCell cell;
-    std::uint32_t number;  ///< of the sample in its frame
+    std::uint32_t index_in_frame;
 };
 
 /// The voxels are divided into parts by hash, so that one thread per part can add samples
@@ -100,7 +100,7 @@ struct VoxelHashTable {
 
     void add_sample(const VoxelSample& added, std::size_t frame_index) {
         const auto [slot, is_new] = index.try_emplace(added.cell, voxels.size());
-        if (is_new) voxels.push_back({.first = std::uint64_t(frame_index) << 32 | added.number});
+        if (is_new) voxels.push_back({.first = std::uint64_t(frame_index) << 32 | added.index_in_frame});
         VoxelSums& v = voxels[slot->second];
         v.position += glm::dvec3(added.sample.position);
         v.view += glm::dvec3(added.sample.view);
@@ -111,18 +111,19 @@ struct VoxelHashTable {
 
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
 /// order does not depend on the threads.
-LidarSamples mean_samples(std::vector<VoxelHashTable> parts) {
+LidarSamples mean_samples(std::vector<VoxelHashTable> tables) {
     std::vector<VoxelSums> voxels;
-    for (VoxelHashTable& part : parts) {
-        voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
-        part = {};  // frees memory
+    for (VoxelHashTable& table : tables) {
+        voxels.insert(voxels.end(), table.voxels.begin(), table.voxels.end());
+        table = {};  // frees memory
     }
     parallel_sort(voxels,
                   [](const VoxelSums& left, const VoxelSums& right) { return left.first < right.first; });
     LidarSamples means;
     for (const VoxelSums& v : voxels)
-        means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
-                         glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
+        means.push_back({.position = glm::vec3(v.position / double(v.count)),
+                         .intensity = static_cast<float>(v.intensity / v.count),
+                         .view = glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
     return means;
 }
 
@@ -133,7 +134,7 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
     constexpr std::size_t kFramesPerBatch = 16;
     const std::vector<BoxTrack> separate = list_foreground(log, options);
     const NearestPointFinder<float> sensors(frame_positions(log, train_frames));
-    std::vector<VoxelHashTable> parts(kHashParts);
+    std::vector<VoxelHashTable> tables(kHashParts);  // one for each part of the voxels
     for (std::size_t begin = 0; begin < train_frames.size(); begin += kFramesPerBatch) {
         if (progress)
             progress("collecting the points of the background", double(begin) / double(train_frames.size()));
@@ -141,21 +142,21 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
             const Frame& frame = log.frames[std::size_t(train_frames[begin + std::size_t(index)])];
             VoxelSamplesByPart& by_part = frames[std::size_t(index)];
-            std::uint32_t number = 0;
+            std::uint32_t index_in_frame = 0;
             for (const LidarSample& s : background_samples(log, frame, separate, options)) {
                 const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
-                by_part[CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
+                by_part[CellHash{}(cell) % kHashParts].push_back({s, cell, index_in_frame++});
             }
         });
-        // One thread per part adds the points to the sums of its voxels.
+        // One thread per part adds the points to its voxels, in the order of the frames.
         parallel_for(kHashParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
                 for (const VoxelSample& sample : frames[i][std::size_t(part)])
-                    parts[std::size_t(part)].add_sample(sample, begin + i);
+                    tables[std::size_t(part)].add_sample(sample, begin + i);
         });
     }
     if (progress) progress("collecting the points of the background", 1.0);
-    return mean_samples(std::move(parts));
+    return mean_samples(std::move(tables));
 }
 
 /// Removes samples at positions where other frames observe empty space. Such samples

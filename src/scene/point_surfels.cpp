@@ -77,8 +77,10 @@ NeighbourPlane fit_neighbours(const LidarSamples& samples, const Neighbours& nei
         normal = -direction;
     }
     const double length = glm::length(normal);
-    return {
-        {mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -direction, is_line, is_surface};
+    return {.point = {mean.x(), mean.y(), mean.z()},
+            .normal = length > 1e-9 ? normal / length : -direction,
+            .is_line = is_line,
+            .is_surface = is_surface};
 }
 
 /// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
@@ -166,12 +168,13 @@ void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& norma
     sh[3] = static_cast<float>(-slope.x);
 }
 
-/// Returns the indices of the `n` nearest samples, sorted by distance.
+/// Returns the indices of the `n` nearest samples and their squared distances, ascending.
 Neighbours find_nearest(const Tree& tree, const LidarSample& sample, std::size_t n,
                         std::vector<float>& distance2) {
     Neighbours nearest(n);
     distance2.resize(n);
     nearest.resize(tree.knnSearch(&sample.position.x, n, nearest.data(), distance2.data()));
+    distance2.resize(nearest.size());
     return nearest;
 }
 
@@ -232,6 +235,15 @@ void set_rotation_and_scales(Surfels& surfels, std::size_t surfel, const SurfelP
     surfels.log_scale[surfel] = {log_scale(length_m), log_scale(disk_m)};
 }
 
+/// Returns the mean distance of a sample to the nearest other samples.
+/// @param distance2 ascending squared distances; the first is that of the sample itself
+double mean_spacing_m(const std::vector<float>& distance2, const InitOptions& options) {
+    const std::size_t n_others = std::min<std::size_t>(distance2.size() - 1, kScaleNeighbours);
+    double sum_m = 0.0;
+    for (std::size_t j = 1; j <= n_others; ++j) sum_m += std::sqrt(distance2[j]);
+    return n_others ? sum_m / double(n_others) : options.voxel_m;
+}
+
 /// Computes all parameters of a surfel from its sample and the nearby samples.
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
@@ -239,17 +251,14 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
     Neighbours nearest = find_nearest(tree, samples[surfel], n_searched, distance2);
-    // The mean distance to the three nearest other samples determines the scale.
-    const std::size_t n_others = std::min<std::size_t>(nearest.size() - 1, kScaleNeighbours);
-    double distance_sum_m = 0.0;
-    for (std::size_t j = 1; j <= n_others; ++j) distance_sum_m += std::sqrt(distance2[j]);
-    const double spacing_m = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
+    const double spacing_m = mean_spacing_m(distance2, options);
     // Without a known surface, the normal is random. Draws in the order z, y, x, because
     // another order would change the surfels of a seed.
     Random random(hash_pair(options.seed, surfel));
     glm::dvec3 random_direction;
     for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_normal();
-    SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
+    SurfelPlacement placement;
+    placement.plane.normal = random_direction / std::max(glm::length(random_direction), 1e-12);
     nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
     if (options.normals && nearest.size() >= 3)
         placement = estimate_surface(tree, samples, surfel, std::move(nearest), options);
@@ -264,6 +273,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + surfel * kShFloats;  // channels: intensity, hit logit, drop logit
     set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
+    // The value of a channel is 0.5 + kSh0 * coefficient of degree 0.
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;

@@ -53,8 +53,9 @@ struct PlyProperty {
 /// values of a surfel.
 std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
+    // Adds prefix0, prefix1, ... for the values of a group from `first` on.
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
-                         std::uint32_t first) {
+                         std::uint32_t first = 0) {
         for (std::uint32_t k = 0; k < count; ++k)
             list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
@@ -72,15 +73,15 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
                         .index = k % kRestCoefficients + 1,
                         .is_read = k < kRestCoefficients});
     list.push_back({"opacity", &kOpacityLogit});
-    add("scale_", 2, kLogScale, 0);
+    add("scale_", 2, kLogScale);
     // A primitive without a third scale is flat. Viewers get a constant thickness.
     if (properties_of(parameters.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({.name = "scale_2", .is_read = false, .kind = PlyProperty::thickness});
-    add("rot_", 4, kRotation, 0);
+    add("rot_", 4, kRotation);
     // kSh stores the functions of intensity, then of hits, then of drops.
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
-    if (parameters.bends) add("gait_", kGait.count_floats(), kGait, 0);
+    if (parameters.bends) add("gait_", kGait.count_floats(), kGait);
     list.push_back({.name = "model", .kind = PlyProperty::model});
     return list;
 }
@@ -190,15 +191,17 @@ struct PlyColumns {
 /// the surfels of the run can supply them.
 PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameters) {
     PlyColumns columns;
-    // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0. The
-    // columns of the second colour then have the names of higher degrees of the first.
+    // f_rest_0, f_rest_1, ... are the harmonics above degree 0, sorted by colour: 3, 8 or
+    // 15 of each (degree 1, 2 or 3). In a file of a lower degree, the second colour has
+    // names that mean the first colour in a file of degree 3.
     const auto is_rest = [](const auto& column) { return column.name.starts_with("f_rest_"); };
     const auto n = std::ranges::count_if(layout.fields, is_rest);
-    const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
+    const bool is_lower_degree = n == 3 * 3 || n == 3 * 8;
+    const std::uint32_t n_rest = is_lower_degree ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
     for (const PlyProperty& property : list_properties(parameters)) {
         if (!property.is_read) continue;
         const auto field = std::ranges::find(layout.fields, property.name, &PlyRecordLayout::Field::name);
-        const bool is_other_colour = is_rest(property) && property.index > n_rest;
+        const bool is_other_colour = is_rest(property) && property.index > n_rest;  // index from 1
         if (field == layout.fields.end() || is_other_colour) {
             columns.missing.push_back(property);
             continue;

@@ -83,14 +83,15 @@ glm::dvec3 tile_centre(const glm::dvec3& point_m) {
 BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
     columns_ = choose_columns(scan.rays);
-    // Joins beams that are closer than this to one row, because some scans have hundreds.
+    // Joins beams to at most kMostRows rows, because some scans have hundreds of beams.
     const std::vector<double> elevations = row_elevations_rad(scan.rays);  // descending
-    const double min_height = (elevations.front() - elevations.back()) / kMostRows;
+    const double min_height_rad = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
-        // A row ends before the first beam that is clearly lower. `e < *first`: a row is
-        // never empty, even if all elevations are equal.
-        const auto end = std::find_if(first, elevations.end(),
-                                      [&](double e) { return *first - e >= min_height && e < *first; });
+        // The next row begins with the first beam that is clearly lower. It must be lower
+        // even if the minimum height is 0, because otherwise this row would be empty.
+        const auto end = std::find_if(first, elevations.end(), [&](double elevation) {
+            return elevation < *first && *first - elevation >= min_height_rad;
+        });
         row_rad_.push_back(std::accumulate(first, end, 0.0) / double(end - first));
         first = end;
     }

@@ -27,7 +27,7 @@ public:
     };
     int rows() const { return static_cast<int>(row_rad_.size()); }
     int columns() const { return columns_; }  ///< columns per turn
-    /// Returns nothing if the point is the position of the sensor.
+    /// Returns the cell in the direction of a point, or nothing at the sensor position.
     /// @param point_m [3] sensor frame
     std::optional<BeamGridCell> find_grid_cell(const glm::dvec3& point_m) const;
     std::size_t cell_index(int row, int column) const {
