@@ -71,11 +71,12 @@ std::string describe_pose(const Pose& pose) {
 /// settings also identify the sequence. Long settings are reduced to a hash.
 Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
     const ScanOutputOptions& options = sensors.front().options;
-    std::string tracks, settings, mounted, rays;
+    std::string tracks, settings, sensor_poses, rays;
     for (const DatasetSensor& sensor : sensors) {
         rays += sensor.description;
-        mounted += fmt::format("{}{} {} at {}", mounted.empty() ? "" : "; ", sensor.options.frame_id,
-                               sensor.options.sensor, describe_pose(sensor.rig_from_sensor));
+        sensor_poses +=
+            fmt::format("{}{} {} at {}", sensor_poses.empty() ? "" : "; ", sensor.options.frame_id,
+                        sensor.options.sensor, describe_pose(sensor.rig_from_sensor));
     }
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) {
@@ -87,7 +88,7 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
             {"source", options.config.dataset.path},
             {"licence", "unknown: see the source"},
             {"relidar", RELIDAR_VERSION},
-            {"sensors (x,y,z w,x,y,z)", mounted},
+            {"sensors (x,y,z w,x,y,z)", sensor_poses},
             {"offset", describe_pose(options.offset)},
             {"trajectory", options.trajectory},
             {"rays", make_token(rays)},
@@ -122,13 +123,31 @@ void write_readme(const fs::path& folder, const DatasetIndex& index) {
     write_bytes(folder / "README.md", text);
 }
 
-}  // namespace
-
-int DatasetIndex::count_frames() const {
-    int n = 0;
-    for (const Sequence& sequence : sequences) n += sequence.n_frames;
-    return n;
+/// Adds a sequence at the end of the index, or replaces the sequence with the same
+/// settings in place. The same settings give the same key.
+/// @throws UsageError if there is such a sequence and `replace` is false
+SequencePlace place_sequence(DatasetIndex& index, DatasetIndex::Sequence sequence, const fs::path& folder,
+                             bool replace) {
+    const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
+    SequencePlace place{.folder = folder,
+                        .number = std::size_t(same - index.sequences.begin()),
+                        .first_frame = 0,
+                        .n_frames = sequence.n_frames,
+                        .key = sequence.key,
+                        .is_new = same == index.sequences.end()};
+    for (auto earlier = index.sequences.begin(); earlier != same; ++earlier)
+        place.first_frame += earlier->n_frames;
+    if (!place.is_new && !replace)
+        fail<UsageError>(
+            "--out {}: sequence {} has the same run, sensors and settings; expected another "
+            "seed, or --force to write it again",
+            folder.string(), place.number);
+    if (place.is_new) index.sequences.push_back(std::move(sequence));
+    else *same = std::move(sequence);
+    return place;
 }
+
+}  // namespace
 
 bool DatasetIndex::is_validation(std::size_t sequence) const {
     constexpr std::size_t kFold = 5;
@@ -221,31 +240,9 @@ DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string&
     if (auto known = read_index(impl_->folder)) index = std::move(*known);
     else write_index(impl_->folder, index);
     const Json settings = describe_sequence(impl_->sensors, times_s);
-    DatasetIndex::Sequence sequence{make_token(settings.dump()), int(times_s.size()), settings};
-    // A new sequence follows after all others.
-    SequencePlace place{.folder = impl_->folder,
-                        .number = index.sequences.size(),
-                        .first_frame = index.count_frames(),
-                        .n_frames = sequence.n_frames,
-                        .key = sequence.key,
-                        .is_new = true};
-    // The same settings give the same key. Such a sequence is replaced in place.
-    const auto same = std::ranges::find(index.sequences, sequence.key, &DatasetIndex::Sequence::key);
-    if (same == index.sequences.end()) {
-        index.sequences.push_back(std::move(sequence));
-    } else {
-        place.is_new = false;
-        place.number = std::size_t(same - index.sequences.begin());
-        if (!replace)
-            fail<UsageError>(
-                "--out {}: sequence {} has the same run, sensors and settings; expected another "
-                "seed, or --force to write it again",
-                impl_->folder.string(), place.number);
-        place.first_frame = 0;
-        for (auto before = index.sequences.begin(); before != same; ++before)
-            place.first_frame += before->n_frames;
-        *same = std::move(sequence);
-    }
+    DatasetIndex::Sequence sequence{
+        .key = make_token(settings.dump()), .n_frames = int(times_s.size()), .settings = settings};
+    SequencePlace place = place_sequence(index, std::move(sequence), impl_->folder, replace);
     const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
     impl_->writer = kind->make(std::move(place), impl_->sensors);
 }

@@ -109,7 +109,20 @@ struct SeenObject {
     std::size_t n_points_on = 0;  ///< points of this sensor on the surface of the object
 };
 
-/// Finds the objects that at least one sensor hits, in the order of their tracks.
+/// Describes an actor, with its box at the time at which the sensor faces the actor.
+LabelledObject describe_object(const scan_files::ActorInScan& actor, int number) {
+    const BoxTrack& box = *actor.box;
+    return {.track = box.id,
+            .category = label_of(box),
+            .number = number,
+            .is_static = actor.is_static,
+            .moves = box.is_moving(),
+            .size_m = box.size_m,
+            .world_from_box = actor.world_from_box(actor.faced_s)};
+}
+
+/// Finds the objects that at least one sensor hits, sorted by number. If several sensors
+/// hit an object, its box is the one of the sensor with most points, which it fits best.
 std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
                                           const std::vector<DatasetSensor>& sensors) {
     // The number of an object is the index of its track in this list.
@@ -117,27 +130,19 @@ std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
     std::vector<std::string> tracks;
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) tracks.push_back(box.id);
-    std::map<int, SeenObject> seen;  // by number
+    std::map<int, SeenObject> seen_by_number;
     for (std::size_t s = 0; s < scans.size(); ++s)
         for (const scan_files::ActorInScan& actor : scan_files::find_actors(scans[s], sensors[s].options)) {
-            // A box that the points of another object fill shows no object.
+            // An actor with a note is not visible: its points belong to another object.
             if (actor.n_points == 0 || actor.note != LabelNote::none) continue;
-            const BoxTrack& box = *actor.box;
-            LabelledObject object{.track = box.id,
-                                  .category = label_of(box),
-                                  .number = int(std::ranges::find(tracks, box.id) - tracks.begin()),
-                                  .is_static = actor.is_static,
-                                  .moves = box.is_moving(),
-                                  .size_m = box.size_m,
-                                  .world_from_box = actor.world_from_box(actor.faced_s)};
-            // Keeps the box of the sensor with most points, and the largest share.
-            SeenObject& best = seen[object.number];
-            object.visible_share = std::max(actor.visible_share, best.object.visible_share);
-            if (actor.n_points > best.n_points_on) best = {object, actor.n_points};
-            best.object.visible_share = object.visible_share;
+            const int number = int(std::ranges::find(tracks, actor.box->id) - tracks.begin());
+            SeenObject& seen = seen_by_number[number];  // new entries have no points
+            const auto largest_share = std::max(actor.visible_share, seen.object.visible_share);
+            if (actor.n_points > seen.n_points_on) seen = {describe_object(actor, number), actor.n_points};
+            seen.object.visible_share = largest_share;
         }
     std::vector<SeenObject> objects;
-    for (auto& [number, object] : seen) objects.push_back(std::move(object));
+    for (auto& [number, seen] : seen_by_number) objects.push_back(std::move(seen));
     return objects;
 }
 

@@ -70,7 +70,6 @@ struct DatasetIndex {
     std::string layout;
     std::vector<Sequence> sequences;
 
-    int count_frames() const;
     /// Returns true for the sequences of the validation split: every fifth one, or the
     /// last one of up to four. A single sequence is split by frames instead.
     bool is_validation(std::size_t sequence) const;
