@@ -369,21 +369,26 @@ std::vector<RecordedMessage> location_fixes(const RecordedSweep& moment) {
              })}};
 }
 
+/// Returns the definition of message types, which a recording stores for its readers: a
+/// FileDescriptorSet with the files that declare these types and their times.
+std::string define_types(std::initializer_list<ProtobufMessageType> messages,
+                         std::initializer_list<ProtobufEnumType> enums) {
+    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
+    return encode([&](pbf_writer& writer) {
+        writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
+        writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, messages, enums));
+    });
+}
+
 }  // namespace
 
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
-    // A definition is a FileDescriptorSet: the files that declare the message types. All
-    // topics except /fix have the same definition.
-    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
-    const auto describe = [&](std::initializer_list<ProtobufMessageType> messages,
-                              std::initializer_list<ProtobufEnumType> enums) {
-        return encode([&](pbf_writer& writer) {
-            writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
-            writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, messages, enums));
-        });
+    std::vector<RecordedTopic> topics;
+    const auto add_topic = [&](const std::string& name, const char* type, const std::string& definition,
+                               auto encode_messages) {
+        topics.push_back({name, type, definition, /*metadata=*/{}, std::move(encode_messages)});
     };
-    const std::string definition = describe(kMessageTypes, kEnumTypes);
-    const std::string transforms = "foxglove.FrameTransforms";
+    const std::string definition = define_types(kMessageTypes, kEnumTypes);  // of all types except /fix
     const auto static_transforms = [rig](const RecordedSweep& moment) {
         return sensor_transforms(rig, moment);
     };
@@ -391,16 +396,15 @@ std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
         const std::string update = encode_scene_update(moment.first_ns, moment.actors);
         return std::vector<RecordedMessage>{{moment.last_ns, update}};
     };
-    std::vector<RecordedTopic> topics{{"/tf_static", transforms, definition, {}, static_transforms},
-                                      {"/tf", transforms, definition, {}, vehicle_transforms},
-                                      {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
-    if (rig.earth)
-        topics.push_back({"/fix", "foxglove.LocationFix", describe(kFixTypes, {}), {}, location_fixes});
+    add_topic("/tf_static", "foxglove.FrameTransforms", definition, static_transforms);
+    add_topic("/tf", "foxglove.FrameTransforms", definition, vehicle_transforms);
+    add_topic("/actors", "foxglove.SceneUpdate", definition, scene_updates);
+    if (rig.earth) add_topic("/fix", "foxglove.LocationFix", define_types(kFixTypes, {}), location_fixes);
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
         const auto cloud = [s, frame = rig.cloud_frame(s)](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};
         };
-        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, cloud});
+        add_topic(rig.sensors[s].topic, "foxglove.PointCloud", definition, cloud);
     }
     return topics;
 }

@@ -170,8 +170,9 @@ RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutp
 /// @param time_s time of the stamp
 std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan, double time_s) const {
     std::vector<RecordedActor> actors;
+    // All sensors have the same list of actors, so the options of the first are enough.
     for (const ActorInScan& actor : find_actors(scan, sensors_.front())) {
-        const auto state = [&](double t_s) {
+        const auto state_at = [&](double t_s) {
             return BoxState{to_stamp_ns(t_s), actor.world_from_box(t_s),
                             object_velocity(actor.world_from_box, t_s)};
         };
@@ -182,8 +183,8 @@ std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& sc
                           .is_parked = !box.is_moving(),
                           .is_static = actor.is_static,
                           .note = actor.note,
-                          .faced = state(actor.faced_s),
-                          .at_stamp = state(time_s),
+                          .faced = state_at(actor.faced_s),
+                          .at_stamp = state_at(time_s),
                           .n_points = actor.n_points,
                           .visible_share = actor.visible_share});
     }

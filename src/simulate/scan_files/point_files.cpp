@@ -66,9 +66,7 @@ void check_lengths(const LidarPoints& points) {
 /// Packs points without gaps, in the order of list_fields().
 /// @param world_origin_m origin of positions in the world, which get double precision
 std::string pack_records(const LidarPoints& points, const std::optional<glm::dvec3>& world_origin_m) {
-    constexpr std::size_t kUsualBytes = 26;  // 12 + 4 + 2 + 4 + 4 with ring, time and instance
     std::string bytes;
-    bytes.reserve(points.size() * kUsualBytes);
     const auto append_if_present = [&](const auto& values, std::size_t index) {
         if (!values.empty()) append_raw(bytes, values[index]);
     };

@@ -84,22 +84,25 @@ const RosPointType kPlainType{kPlainFields, 24, pack_velodyne, true},
 std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame, const RosPointType& type) {
     const LidarPoints& cloud = recorded.points;
     const std::string points = type.points(cloud);
+    // Optional channels follow the fixed fields of a point, with 4 bytes each.
     std::vector<RosField> fields = type.fields;
-    std::uint32_t step = type.step;
-    for (const auto& [name, is_integer] :
-         type.has_channels ? list_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
-        fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
-        step += 4;
+    std::uint32_t bytes_per_point = type.step;
+    std::vector<ChannelColumn> columns;
+    if (type.has_channels) columns = list_columns(cloud.channels);
+    for (const auto& [name, is_integer] : columns) {
+        fields.push_back({name, bytes_per_point, is_integer ? kRosInt32 : kRosFloat32});
+        bytes_per_point += 4;
     }
     constexpr std::uint32_t kHeight = 1, kCount = 1;
     constexpr std::uint8_t kIsBigEndian = 0, kIsDense = 1;
-    const auto width = std::uint32_t(cloud.size()), row_step = std::uint32_t(points.size());
+    const auto width = std::uint32_t(cloud.size()), bytes_per_row = std::uint32_t(points.size());
     codecs::CdrWriter cdr;
     add_header(cdr, recorded.stamp_ns, frame);
     cdr.add_number(kHeight).add_number(width).add_number(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
         cdr.append_string(field.name).add_number(field.offset).add_number(field.type).add_number(kCount);
-    cdr.add_number(kIsBigEndian).add_number(step).add_number(row_step).add_bytes(points).add_number(kIsDense);
+    cdr.add_number(kIsBigEndian).add_number(bytes_per_point).add_number(bytes_per_row);
+    cdr.add_bytes(points).add_number(kIsDense);
     return cdr.take_message();
 }
 
@@ -284,11 +287,13 @@ std::string ros_definition(const std::string& message_type) {
         const std::string& fields = message_texts().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
-        std::istringstream lines(fields);
-        for (std::string type, rest; lines >> type && std::getline(lines, rest);) {
-            if (type.find('/') == std::string::npos) continue;  // a number or a string, not a message
-            const std::string used = type.substr(0, type.find('['));
-            if (std::ranges::find(types, used) == types.end()) types.push_back(used);
+        std::istringstream lines(fields);  // a line has the type and the name of a field
+        std::string type, rest;
+        while (lines >> type && std::getline(lines, rest)) {
+            const bool is_message = type.find('/') != std::string::npos;      // not a number or a string
+            const std::string element_type = type.substr(0, type.find('['));  // of an array
+            const bool is_known = std::ranges::find(types, element_type) != types.end();
+            if (is_message && !is_known) types.push_back(element_type);
         }
     }
     return definition;

@@ -69,7 +69,6 @@ NamedArray position_array(const std::string& name, const RangeImage& image, cons
                           const std::optional<glm::dvec3>& world_origin_m) {
     if (!world_origin_m) return image_array(name, image, xyz);
     std::vector<double> values;
-    values.reserve(xyz.size() * 3);
     for (const glm::vec3& p : xyz)
         for (int axis = 0; axis < 3; ++axis) values.push_back((*world_origin_m)[axis] + double(p[axis]));
     return make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(),
@@ -108,6 +107,7 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
 /// Writers of the formats of single scans, see kScanFormats.
 void write_npz_file(const fs::path& path, ScanInOutputFrame& scan) { write_npz(path, make_npz_arrays(scan)); }
 
+/// Writes the images of a scan as float channels of an EXR file.
 void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {

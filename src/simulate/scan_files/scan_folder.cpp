@@ -122,11 +122,12 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     // If the rendering is interrupted, the marker file stays unless the folder has no
     // scans. A later rendering then knows that all scan files are unfinished. A shared
     // pointer removes the file at the end, so that the writer can be moved.
-    unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), [](const fs::path* marker) {
-                              std::error_code failed;
-                              if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);
-                              delete marker;
-                          }};
+    const auto remove_marker = [](const fs::path* marker) {
+        std::error_code failed;
+        if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);
+        delete marker;
+    };
+    unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), remove_marker};
     write_text_file(*unfinished_marker_, "relidar has not finished the scans in this folder\n");
 }
 

@@ -215,8 +215,17 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
         const glm::dvec3 velocity_mps =
             pose.rotation * scan_files::object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
         const BoxTrack& box = *actor.box;
-        boxes.push_back({box.id, label_of(box), guess_kind(box), actor.is_static, actor.note, box.size_m,
-                         actor.faced_s, pose, velocity_mps, actor.n_points, *actor.visible_share});
+        boxes.push_back({.track = box.id,
+                         .category = label_of(box),
+                         .kind = guess_kind(box),
+                         .is_static = actor.is_static,
+                         .note = actor.note,
+                         .size_m = box.size_m,
+                         .time_s = actor.faced_s,
+                         .dataset_from_box = pose,
+                         .velocity_mps = velocity_mps,
+                         .n_points = actor.n_points,
+                         .visible_share = *actor.visible_share});
     }
     return boxes;
 }
