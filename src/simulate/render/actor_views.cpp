@@ -43,6 +43,18 @@ struct CrossingRays {
     std::size_t n_dropped = 0;  ///< meet the background in the box without a return
     std::size_t n_empty = 0;    ///< meet no surface before they leave the box
 
+    /// Counts a ray of a scan.
+    /// @param inside_m distances at which the ray enters (x) and leaves (y) the box
+    void count_ray(const RenderedScan& scan, std::size_t ray, const glm::dvec2& inside_m) {
+        const double range_m = double(scan.median_range_m[ray]);
+        const bool hits_surface = scan.weight[ray] >= 0.5f && range_m > 0.0;
+        const bool is_background = scan.instance[ray] == 0;
+        if (!hits_surface || range_m > inside_m.y) ++n_empty;
+        else if (!is_background || range_m < inside_m.x) ++n_blocked;
+        else if (is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) ++n_hits;
+        else ++n_dropped;
+    }
+
     /// Returns the estimated visibility, or nothing if no ray would hit the object.
     std::optional<ActorVisibility> visibility(const std::string& track) const {
         // Rays near an edge of a box can miss the object in it.
@@ -81,6 +93,7 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
         const RayIndices nearby =
             rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (nearby.empty()) continue;
+        // The same sweep with only these rays, and with all other instances hidden.
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), nearby);
         for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
@@ -113,14 +126,7 @@ ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const
                 continue;
             const std::optional<glm::dvec2> inside_m = object_interval(
                 box_from_world * rays[i].origin_m, box_from_world.rotation * rays[i].direction, box.size_m);
-            if (!inside_m || inside_m->x > max_range_m) continue;  // x, y: distances of entry and exit
-            const double range_m = double(scan.median_range_m[i]);
-            const bool hits_surface = scan.weight[i] >= 0.5f && range_m > 0.0;
-            const bool is_background = scan.instance[i] == 0;
-            if (!hits_surface || range_m > inside_m->y) ++crossing.n_empty;
-            else if (!is_background || range_m < inside_m->x) ++crossing.n_blocked;
-            else if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i])) ++crossing.n_hits;
-            else ++crossing.n_dropped;
+            if (inside_m && inside_m->x <= max_range_m) crossing.count_ray(scan, i, *inside_m);
         }
         if (const auto view = crossing.visibility(box.id)) views.push_back(*view);
     }

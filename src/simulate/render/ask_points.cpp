@@ -41,7 +41,7 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 }  // namespace
 
 /// Records GPU commands that render a sweep and compute its points. A scan joins a batch
-/// if the device may render several scans in parallel.
+/// if the device may render several scans in parallel. A lane has the buffers of a scan.
 /// @param timing with_next: waits for the next scan before it submits the commands
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                 const ScanRenderPlan& plan, SubmissionTiming timing,
@@ -99,16 +99,18 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoin
     if (scan.ready) return std::move(*scan.ready);
     const DevicePointComputer::GatheredPoints gathered = wait_gathered(scan);
     const RayTable& rays = scan.rays->ray_table();
-    IntensityScatterModel steps;
-    steps.step = scan.step;
+    IntensityScatterModel rounding;  // only its step is used
+    rounding.step = scan.step;
     RenderedPoints result{std::move(memory), rays.size()};
+    // Points from the device have none of these optional values.
     result.points.return_number.clear();
     result.points.firing.clear();
     result.points.channels.clear();
     result.points.world_from_points = scan.dataset_from_points;
     result.points.time_s = scan.time_s;
-    copy_points(gathered.points, steps, result.points);
+    copy_points(gathered.points, rounding, result.points);
     if (settings.coverage.empty() || !scan.is_background_shown) return result;
+    // The device has copied the ranges of a sample of the rays.
     const auto sampled_ray = [&](std::size_t sample) {
         const std::size_t i = DevicePointComputer::sample_ray(sample, rays.size());
         const double time_s = scan.time_s + double(rays.time_offset_s[i]);
@@ -157,25 +159,26 @@ void ScanRenderer::Impl::finish_pending() {
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
                                  double points_time_s, SampleSeed seed, SubmissionTiming timing,
                                  PointMemory memory) {
-    Impl& s = *impl_;
-    if (s.pending.size() >= kScansInFlight)
+    Impl& renderer = *impl_;
+    if (renderer.pending.size() >= kScansInFlight)
         fail<UsageError>(
             "{} requested scans have not been read yet, expected fewer than {}: call wait_for_points()",
-            s.pending.size(), kScansInFlight);
-    const SimulatedSweep sweep = s.sweeps.of_request(sensor, request);
+            renderer.pending.size(), kScansInFlight);
+    const SimulatedSweep sweep = renderer.sweeps.of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.pose_at(points_time_s);
-    const ScanRenderPlan plan = s.plan_sweep(sweep, seed.has_value());
+    const ScanRenderPlan plan = renderer.plan_sweep(sweep, seed.has_value());
     // The device computes the points after this call, which does not wait.
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing, memory));
+        renderer.pending.push_back(renderer.record_points(sweep, dataset_from_points, plan, timing, memory));
         return;
     }
     // Otherwise the host computes them now.
-    const RenderedScan scan = s.render_sweep(sweep, seed);
-    RenderedPoints points{place_points(scan, s.config, dataset_from_points), scan.image.range_m.size(),
+    const RenderedScan scan = renderer.render_sweep(sweep, seed);
+    RenderedPoints points{place_points(scan, renderer.config, dataset_from_points), scan.image.range_m.size(),
                           scan.unseen_share};
-    if (memory == PointMemory::device) s.pending.push_back({.on_device = s.upload_points(points)});
-    else s.pending.push_back({.ready = std::move(points)});
+    if (memory == PointMemory::device)
+        renderer.pending.push_back({.on_device = renderer.upload_points(points)});
+    else renderer.pending.push_back({.ready = std::move(points)});
 }
 
 /// Removes the oldest requested scan from the queue.

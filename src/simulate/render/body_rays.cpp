@@ -23,7 +23,7 @@ T value_on_body(const ChannelInfo& channel, const BodyHit& hit, const glm::vec3&
         if (channel.name == "class") return T(SurfaceClass::ego);
         if (channel.name == "surfel_drop_prob") return is_kept ? T(0) : T(1);
         if (channel.name == "source" && is_kept) return T(ReturnCause::surface);
-        return T(channel.none);  // the body has no value in this channel
+        return T(channel.none);  // the value for rays that have none in this channel
     }
 }
 

@@ -91,7 +91,7 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& r
                 return;
             }
             append_elements(all, *added);
-            if constexpr (std::is_same_v<T, glm::vec3>)
+            if constexpr (std::is_same_v<T, glm::vec3>)  // `turns`: rotates with the sensor
                 for (std::size_t i = 0; info.turns && i < n; ++i)
                     all[first + i] = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*added)[i]));
         };

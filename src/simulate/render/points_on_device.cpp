@@ -57,7 +57,7 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .marks = marks_.address(),
          .places = point_indices_.address(),
          .points = options.target ? options.target->address() : points_.address(),
-         .asked = sampled_ranges_.address(),
+         .asked = sampled_ranges_.address(),  // ranges of the sampled rays
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(sample_count(n)),

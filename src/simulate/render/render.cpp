@@ -187,8 +187,12 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanR
     renderer.record_forward(recorded->world_batch());
     recorded->record_measure(
         renderer.stream(), renderer.last_batch(),
-        {config.render.range, sensor.beams, sweeps.sequence().intensity_response, sensor.limits, kMinWeight,
-         actor_logits_of(lanes->drop_network(), sweeps.sequence(), sensor)});
+        {.range = config.render.range,
+         .beams = sensor.beams,
+         .response = sweeps.sequence().intensity_response,
+         .limits = sensor.limits,
+         .min_weight = kMinWeight,
+         .actor_logits = actor_logits_of(lanes->drop_network(), sweeps.sequence(), sensor)});
     if (with_drop)
         recorded->record_drop(
             renderer.stream(), lanes->refiner_of(lane).inference(),
@@ -264,37 +268,41 @@ void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
                      .predict_drops(make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
 }
 
+/// Adds the effects of the weather to a scan, and sets the channel `source`, the cause of
+/// each return.
+void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep,
+                                          std::uint64_t seed) {
+    const SimulatedSensor& sensor = sweep.sensor;
+    const Log& log = sweeps.sequence();
+    const WeatherSensorProperties in_weather = weather_properties(
+        config, sweep.rays(), sweeps.limits_of(sensor),
+        sensor.is_log_lidar ? log.lidars[std::size_t(sensor.lidar)].sensor.name : sensor.name);
+    const MotionDuringScan motion{log.lidar_track(sensor.lidar), sweep.instances};
+    WeatherInput input{.weather = settings.weather,
+                       .sensor = in_weather,
+                       .scan = scan,
+                       .response = log.intensity_response,
+                       .world_offset_m = log.world_offset_m,
+                       .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
+                       .seed = seed,
+                       .motion = &motion};
+    // A ray that is always dropped is blocked near the sensor, so it hits no rain.
+    for (std::size_t i = 0; i < scan.ring.size(); ++i)
+        input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
+                              kDropThreshold);
+    add_weather(scan, input);
+}
+
 /// Converts expected values to random measurements: draws returns, adds weather, and
 /// rounds intensities to the steps of the sensor.
 /// @param seed without a value, the scan keeps its expected values
 void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const Log& log = sweeps.sequence();
+    const Lidar& lidar = sweeps.sequence().lidars[std::size_t(sensor.lidar)];
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
-    if (seed)
-        sample_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *seed,
-                       sweeps.limits_of(sensor));
-    if (!settings.weather.is_clear() || find_values<std::int32_t>(scan.channels, "source")) {
-        const Lidar& lidar = log.lidars[std::size_t(sensor.lidar)];
-        const WeatherSensorProperties in_weather =
-            weather_properties(config, sweep.rays(), sweeps.limits_of(sensor),
-                               sensor.is_log_lidar ? lidar.sensor.name : sensor.name);
-        const MotionDuringScan motion{log.lidar_track(sensor.lidar), sweep.instances};
-        WeatherInput input{
-            .weather = settings.weather,
-            .sensor = in_weather,
-            .scan = scan,
-            .response = log.intensity_response,
-            .world_offset_m = log.world_offset_m,
-            .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
-            .seed = seed.value_or(0),
-            .motion = &motion};
-        // A ray that is always dropped is blocked near the sensor, so it hits no rain.
-        for (std::size_t i = 0; i < scan.ring.size(); ++i)
-            input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
-                                  kDropThreshold);
-        add_weather(scan, input);
-    }
+    if (seed) sample_returns(scan, lidar.range_noise, scatter, *seed, sweeps.limits_of(sensor));
+    if (!settings.weather.is_clear() || find_values<std::int32_t>(scan.channels, "source"))
+        simulate_weather(scan, sweep, seed.value_or(0));
     // Sampled intensities already have the steps, unless weather changed them.
     if (!seed || !settings.weather.is_clear())
         for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);

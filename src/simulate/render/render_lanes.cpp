@@ -79,7 +79,7 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& dev
     const auto match =
         std::ranges::find_if(cached, [&](const auto& rays) { return rays->is_uploaded(ray_table, name); });
     if (match != cached.end()) {
-        std::rotate(cached.begin(), match, match + 1);
+        std::rotate(cached.begin(), match, match + 1);  // moves the match to the front
         return cached.front();
     }
     // An entry can be overwritten if no pending scan uses its rays, and if it is empty or

@@ -19,9 +19,12 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
-    const RangeImageRays rays{image.rows,          image.columns,
-                              image.origin,        image.direction,
-                              scan.median_range_m, is_full_turn(image.rows, image.columns, image.direction)};
+    const RangeImageRays rays{.rows = image.rows,
+                              .columns = image.columns,
+                              .origin = image.origin,
+                              .direction = image.direction,
+                              .range_m = scan.median_range_m,
+                              .circular = is_full_turn(image.rows, image.columns, image.direction)};
     RenderedIntensityImage result{.rows = image.rows,
                                   .columns = image.columns,
                                   .intensity = image.intensity,

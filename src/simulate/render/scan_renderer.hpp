@@ -106,6 +106,7 @@ struct ScanRenderer::Impl {
     void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan, ActorViews& views);
     ActorViews count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const;
     void correct_drop(RenderedScan& scan);
+    void simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep, std::uint64_t seed);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);
 

@@ -69,6 +69,16 @@ SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, co
     return choice;
 }
 
+/// Returns true if a ray replaces the ray that a pixel shows. A returned ray replaces a
+/// dropped one. Of two returned rays, the pixel shows the nearer one, and of two dropped
+/// rays the one with the lower probability.
+/// @param drop, shown_drop drop probabilities of the ray and of the shown ray
+bool replaces_ray(float drop, float shown_drop, bool is_nearer) {
+    const bool returns = drop < kDropThreshold, shown_returns = shown_drop < kDropThreshold;
+    if (returns != shown_returns) return returns;
+    return returns ? is_nearer : drop < shown_drop;
+}
+
 /// Copies all values of a ray to a cell of the grid, except drop probabilities. Ranges
 /// are measured from the origin of the grid, not from the origin of the ray.
 void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
@@ -76,10 +86,10 @@ void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& tar
     for_all_channels(
         source, target,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-            if (channel.join == ChannelMergeRule::drop) return;
+            if (channel.join == ChannelMergeRule::drop) return;  // see merge_drop()
             of_cells[cell] = of_rays[ray];
             if constexpr (std::is_same_v<T, float>)
-                if (channel.join == ChannelMergeRule::range)
+                if (channel.join == ChannelMergeRule::range)  // the channel has ranges
                     of_cells[cell] = glm::length(origin + of_rays[ray] * direction);
         });
     target.time_offset_s[cell] = source.time_offset_s[ray];
@@ -170,13 +180,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
         const auto cell = std::size_t(*pixel);
         const float drop = scan.image.drop_prob[i];
         merge_drop(scan, i, result, cell);
-        // A returned ray replaces a dropped one. Of two returned rays, the pixel shows
-        // the nearer one, and of two dropped rays the one with the lower probability.
-        const bool returns = drop < kDropThreshold, shown_returns = shown_drop[cell] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[cell];
-        bool replaces = returns;
-        if (returns == shown_returns) replaces = returns ? is_nearer : drop < shown_drop[cell];
-        if (!replaces && shown_drop[cell] != kNoRay) continue;
+        if (shown_drop[cell] != kNoRay && !replaces_ray(drop, shown_drop[cell], is_nearer)) continue;
         shown_drop[cell] = drop;
         copy_to_cell(scan, i, result, cell);
     }

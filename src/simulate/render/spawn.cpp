@@ -46,13 +46,16 @@ std::uint32_t ScanRenderer::Impl::add_model(const Scene& model, const BoxTrack& 
     return index;
 }
 
-/// Gives an actor a free instance of its model, or a new one.
+/// Gives an actor a free instance of its model, or a new one. A slot is an instance that
+/// was added for a spawned actor. It is free after the actor was despawned.
 /// @param source model of the actor
 ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
     const Scene& layout = sweeps.layout();
-    const auto n_logged = std::uint32_t(layout.instances.size() - slots.size());
-    auto slot = std::ranges::find_if(
-        slots, [&](const SpawnSlot& s) { return s.source == source && s.actor.name.empty(); });
+    // The instances of the slots follow those of the run.
+    const auto n_of_run = std::uint32_t(layout.instances.size() - slots.size());
+    auto slot = std::ranges::find_if(slots, [&](const SpawnSlot& candidate) {
+        return candidate.source == source && candidate.actor.name.empty();
+    });
     if (slot == slots.end()) {
         // Instances cannot share a model whose surfel records depend on the pose of the
         // instance: because of their SH, or because the actor walks.
@@ -68,7 +71,7 @@ ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor act
         slots.push_back({source});
         slot = slots.end() - 1;
     }
-    const auto handle = n_logged + std::uint32_t(slot - slots.begin());
+    const auto handle = n_of_run + std::uint32_t(slot - slots.begin());
     sweeps.name_instance(handle, actor.name);
     actor.handle = ActorHandle(handle);
     slot->actor = std::move(actor);
@@ -76,27 +79,30 @@ ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor act
 }
 
 ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& name) {
-    Impl& s = *impl_;
-    s.check_new_name(name);
-    const std::uint32_t instance = s.sweeps.find_actor(actor);
-    s.finish_pending();
+    Impl& renderer = *impl_;
+    renderer.check_new_name(name);
+    const std::uint32_t instance = renderer.sweeps.find_actor(actor);
+    renderer.finish_pending();
     // If `actor` was itself spawned, the new actor has the same source model.
-    const auto slot = std::ranges::find(s.slots, actor, [](const SpawnSlot& one) { return one.actor.name; });
-    if (slot != s.slots.end())
-        return s.fill_slot(slot->source,
-                           {.name = name, .category = slot->actor.category, .size_m = slot->actor.size_m});
-    const BoxTrack* box = find_box(s.sweeps.sequence(), actor);
+    const auto original =
+        std::ranges::find(renderer.slots, actor, [](const SpawnSlot& slot) { return slot.actor.name; });
+    if (original != renderer.slots.end()) {
+        const SpawnedActor& copied = original->actor;
+        return renderer.fill_slot(original->source,
+                                  {.name = name, .category = copied.category, .size_m = copied.size_m});
+    }
+    // Otherwise it is an actor of the run, with a box in the log.
     SpawnedActor spawned{.name = name};
-    if (box) {
+    if (const BoxTrack* box = find_box(renderer.sweeps.sequence(), actor)) {
         spawned.category = box->category;
         spawned.size_m = box->size_m;
     }
-    return s.fill_slot(s.sweeps.layout().instances[instance].model, std::move(spawned));
+    return renderer.fill_slot(renderer.sweeps.layout().instances[instance].model, std::move(spawned));
 }
 
 ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
-    Impl& s = *impl_;
-    s.check_new_name(name);
+    Impl& renderer = *impl_;
+    renderer.check_new_name(name);
     const std::string track = only_track(asset);
     const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
     // A scene with only this model.
@@ -106,25 +112,26 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     const BoxTrack* logged = find_box(asset.sequence, track);
     BoxTrack box = logged ? *logged : BoxTrack{};
     const SpawnedActor actor{.name = name, .category = box.category, .size_m = box.size_m};
-    s.finish_pending();
+    renderer.finish_pending();
     // Equal models are added only once.
     const std::uint64_t hash = hash_model(model);
-    auto known = s.asset_models.find(hash);
-    if (known == s.asset_models.end()) {
+    auto known = renderer.asset_models.find(hash);
+    if (known == renderer.asset_models.end()) {
         // The channel "class" finds the box of a spawned actor by the name of its model.
         box = {.id = fmt::format("spawned model {}", hash), .category = box.category, .world_from_box = {}};
         model.models.front().name = box.id;
-        known = s.asset_models.emplace(hash, s.add_model(model, box)).first;
+        known = renderer.asset_models.emplace(hash, renderer.add_model(model, box)).first;
     }
-    return s.fill_slot(known->second, actor);
+    return renderer.fill_slot(known->second, actor);
 }
 
 void ScanRenderer::despawn(const std::string& name) {
-    Impl& s = *impl_;
-    const auto slot = std::ranges::find(s.slots, name, [](const SpawnSlot& one) { return one.actor.name; });
-    if (name.empty() || slot == s.slots.end())
+    Impl& renderer = *impl_;
+    const auto slot =
+        std::ranges::find(renderer.slots, name, [](const SpawnSlot& one) { return one.actor.name; });
+    if (name.empty() || slot == renderer.slots.end())
         fail<UsageError>("cannot despawn \"{}\": no spawned actor has this name", name);
-    s.sweeps.name_instance(std::uint32_t(slot->actor.handle), "");
+    renderer.sweeps.name_instance(std::uint32_t(slot->actor.handle), "");
     slot->actor.name.clear();
 }
 

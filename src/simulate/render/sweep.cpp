@@ -183,26 +183,26 @@ SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& se
 
 SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, const ScanRequest& request) {
     // Requests are in the dataset's frame. The scene is in relidar's world frame.
-    const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
-        check_track(dataset_from_thing, thing);
-        return shift_track(dataset_from_thing, -log_.world_offset_m);
+    const auto to_scene_frame = [&](const PoseTrack& track, const std::string& object_name) {
+        check_track(track, object_name);
+        return shift_track(track, -log_.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kMaxCoordinate)) {
         fail("cannot render a scan: time_s: found {}, expected a finite time of at most {:.0e} s",
              request.time_s, kMaxCoordinate);
     }
-    PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
-    // The actors of a request replace all logged motions. All others are absent.
+    PoseTrack world_from_sensor = to_scene_frame(request.dataset_from_sensor, "the sensor");
+    // The actors of a request replace all logged motions. All others are absent (null).
     InstanceTracks tracks = request.dataset_from_actor ? InstanceTracks(layout_.instances.size(), nullptr)
                                                        : logged_tracks(request.time_s);
     std::deque<PoseTrack> world_from_actor;  // a deque, because `tracks` points to its elements
     if (request.dataset_from_actor)
         for (const auto& [name, track] : *request.dataset_from_actor) {
-            const auto [first, last] = instance_of_.equal_range(name);
-            if (first == last) fail_unknown_actor(name);
-            const PoseTrack& in_scene = world_from_actor.emplace_back(in_world(track, "actor " + name));
+            const auto [first, end] = instance_of_.equal_range(name);
+            if (first == end) fail_unknown_actor(name);
+            const PoseTrack& in_scene = world_from_actor.emplace_back(to_scene_frame(track, "actor " + name));
             // Several instances can have the same name.
-            for (auto match = first; match != last; ++match) tracks[match->second] = &in_scene;
+            for (auto match = first; match != end; ++match) tracks[match->second] = &in_scene;
         }
     // Actors that spawn() has added are placed by their handles.
     for (const auto& [actor, track] : request.placed) {
@@ -211,8 +211,8 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
             fail<UsageError>(
                 "cannot place an actor: found the handle {}, expected that of an actor of the scene",
                 instance);
-        tracks[instance] =
-            &world_from_actor.emplace_back(in_world(track, "actor " + layout_.instances[instance].track));
+        tracks[instance] = &world_from_actor.emplace_back(
+            to_scene_frame(track, "actor " + layout_.instances[instance].track));
     }
     return along_track(sensor, request.time_s, std::move(world_from_sensor), tracks);
 }
