@@ -48,11 +48,8 @@ Log log_of_actor(const Log& full, const BoxTrack& actor_box) {
     log.world_from_vehicle = {};
     for (const Frame& frame : full.frames) {
         if (!actor_box.is_observed(frame.time_s)) continue;
-        Frame frame_without_scan;
-        frame_without_scan.index = frame.index;
-        frame_without_scan.time_s = frame.time_s;
-        frame_without_scan.lidar = frame.lidar;
-        log.frames.push_back(std::move(frame_without_scan));
+        log.frames.push_back(
+            {.index = frame.index, .time_s = frame.time_s, .scan = {}, .lidar = frame.lidar});
         PoseTrack& track = log.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);

@@ -13,7 +13,7 @@ namespace relidar {
 namespace {
 
 // Makes the random factor of each beam independent of other random numbers.
-constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
+constexpr std::uint64_t kBeamSeed = 0x626C6F6F6D696E67ull;
 constexpr float kMinReflectorIntensity = 0.95f;
 constexpr double kLogSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
 // Smaller angles are set to this value: at them, the beam would hit the reflector itself.
@@ -63,11 +63,12 @@ std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light of retro-reflectors that a ray in this direction receives. The
-/// caller must multiply the result by `bloom` and by the random factor of the beam.
+/// Returns the stray light of retro-reflectors that a ray in this direction receives:
+///   reflectivity = solid angle of the reflector (deg2) / (angle to the reflector)^3
+/// The caller must multiply it by `bloom` and by the random factor of the beam.
 LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::dvec3& ray_direction) {
     // The brightest reflector determines the range.
-    std::vector<double> reflectivity;  // [reflectors] deg2 / angle^3
+    std::vector<double> reflectivity;  // [reflectors]
     double max_power = 0.0;
     LidarEcho echo{reflectors.front().range_m, 0.0, ReturnCause::blooming};
     for (const RetroReflector& reflector : reflectors) {
@@ -93,13 +94,13 @@ std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<RetroReflector> reflectors = find_reflectors(scan);
     if (reflectors.empty()) return {};
-    const std::uint64_t of_scan =
-        hash_pair(hash_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+    const std::uint64_t scan_seed =
+        hash_pair(hash_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kBeamSeed);
     std::vector<LidarEcho> stray(scan.image.direction.size());
     parallel_blocks(stray.size(), [&](std::size_t ray) {
         if (is_retro_reflector(scan, ray)) return;
         stray[ray] = stray_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
-        Random random(hash_pair(of_scan, scan.ring[ray]));  // equal for all rays of a beam
+        Random random(hash_pair(scan_seed, scan.ring[ray]));  // equal for all rays of a beam
         stray[ray].reflectivity *= input.weather.bloom * std::exp(kLogSpread * random.sample_normal());
     });
     return stray;

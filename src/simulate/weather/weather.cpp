@@ -62,15 +62,16 @@ std::vector<double> parse_numbers(std::string_view text) {
 void parse_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
     const bool has_numbers = equals < effect_text.size();
-    const auto* row =
+    const auto* entry =
         std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
-    if (row == std::end(kWeatherEffects) || (!has_numbers && (*row)->n_required > 0)) {
+    const bool is_unknown = entry == std::end(kWeatherEffects);
+    if (is_unknown || (!has_numbers && (*entry)->n_required > 0)) {
         std::vector<std::string_view> forms;
         for (const WeatherEffectEntry* known_effect : kWeatherEffects) forms.push_back(known_effect->form);
         fail_weather(fmt::format("\"{}\"", quote(effect_text)),
                      fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
     }
-    const WeatherEffectEntry& effect = **row;
+    const WeatherEffectEntry& effect = **entry;
     if (effect.is_active(weather))
         fail<UsageError>("weather: {} occurs twice, expected it once", effect.name);
     std::vector<double> values;

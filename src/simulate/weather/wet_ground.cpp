@@ -67,6 +67,7 @@ struct GroundPlane {
 GroundPlane fit_ground_plane(const GroundGridCell& cell) {
     if (cell.n < kMinPointsPerPlane) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
+    // Variances and covariances: xy = mean of x * y - mean of x * mean of y.
     const double ridge = kMinStripWidth_m * kMinStripWidth_m,
                  xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
                  xy = cell.squares.y / cell.n - mean.x * mean.y,
@@ -77,8 +78,9 @@ GroundPlane fit_ground_plane(const GroundGridCell& cell) {
         glm::dvec2(yy * with_z.x - xy * with_z.y, xx * with_z.y - xy * with_z.x) / (xx * yy - xy * xy);
     // Variance of the heights around the plane, slightly increased by the ridge.
     const double squared_m2 = zz - glm::dot(slope, with_z);
-    return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
-            squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
+    return {.height_m = mean.z - glm::dot(slope, glm::dvec2(mean)),
+            .slope = slope,
+            .is_ground = squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
 }
 
 /// Returns the hit point of each ray that hits the background below the sensor, relative
