@@ -98,42 +98,50 @@ void copy_values(const py::object& object, const py::object& source) {
     array.buffer.upload(data, n_bytes, array.offset_bytes);
 }
 
+/// Describes the memory of an array to other libraries.
+DLTensor describe_tensor(ExportedTensor& exported, const MemoryAddress& address) {
+    const DeviceArray& array = exported.array;
+    // Adds the offset to the pointer, because PyTorch before 2.0 ignores `byte_offset`.
+    return {.data = address.pointer + array.offset_bytes,
+            .device_type = dlpack_type(address.interface),
+            .device_id = address.device_index,
+            .ndim = static_cast<std::int32_t>(exported.shape.size()),
+            .type_code = dlpack_type_code(array.kind),
+            .type_bits = 32,
+            .type_lanes = 1,  // numbers, not short vectors
+            .shape = exported.shape.data(),
+            .strides = exported.strides.data(),
+            .byte_offset = 0};
+}
+
+/// Frees the tensor of a capsule that nobody has used. A library that uses the tensor
+/// renames the capsule, and calls the deleter itself when it no longer needs the memory.
+void free_unused(PyObject* capsule) {
+    if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
+    auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
+    managed->deleter(managed);
+}
+
 /// Returns a DLPack capsule, with which other libraries use the memory of an array
 /// without a copy. The capsule keeps the array alive until its user calls the deleter.
+/// @param copy  None, or a bool: whether the user asks for a copy
 py::object to_capsule(const py::object& object, const py::object& copy) {
     const auto& array = object.cast<const DeviceArray&>();
     const MemoryAddress address = array.buffer.address_for_others();
+    // Memory that other libraries cannot use is copied to a numpy array.
     if (address.interface == MemoryAddress::Interface::none) return to_host(object).attr("__dlpack__")();
     if (!copy.is_none() && copy.cast<bool>())
         throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
+    // Lives until its deleter is called, which can be later than this object.
     auto* exported = new ExportedTensor{.managed = {},
                                         .array = {array.device, array.buffer.share(), array.offset_bytes,
                                                   array.shape, array.strides, array.kind},
                                         .shape = {array.shape.begin(), array.shape.end()},
                                         .strides = {array.strides.begin(), array.strides.end()}};
-    DLTensor& tensor = exported->managed.tensor;
-    // Adds the offset to the pointer, because PyTorch before 2.0 ignores `byte_offset`.
-    tensor = {.data = address.pointer + array.offset_bytes,
-              .device_type = dlpack_type(address.interface),
-              .device_id = address.device_index,
-              .ndim = static_cast<std::int32_t>(exported->shape.size()),
-              .type_code = dlpack_type_code(array.kind),
-              .type_bits = 32,
-              .type_lanes = 1,
-              .shape = exported->shape.data(),
-              .strides = exported->strides.data(),
-              .byte_offset = 0};
-    exported->managed.context = exported;
-    exported->managed.deleter = [](DLManagedTensor* managed) {
-        delete static_cast<ExportedTensor*>(managed->context);
-    };
-    // The library that uses the tensor renames the capsule and calls the deleter later.
-    // If nobody used it, it still has its name, and the capsule calls the deleter.
-    const auto free_unused = [](PyObject* capsule) {
-        if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
-        auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
-        managed->deleter(managed);
-    };
+    exported->managed = {
+        .tensor = describe_tensor(*exported, address),
+        .context = exported,
+        .deleter = [](DLManagedTensor* managed) { delete static_cast<ExportedTensor*>(managed->context); }};
     return py::reinterpret_steal<py::object>(PyCapsule_New(&exported->managed, kCapsuleName, free_unused));
 }
 

@@ -129,7 +129,7 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
-    // One array [n] for each value of the image, for example dict["depth"].
+    // The macro expands to one array [n] for each value of the image, as dict["depth"].
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
     dict[#name] = move_to_numpy<float>(std::move(rendered.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
@@ -150,6 +150,7 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
 /// number per ray. Missing gradients stay empty and count as 0.
 RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients gradients;
+    // The macro expands to the name and the destination of each value of the image.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &gradients.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
@@ -287,15 +288,16 @@ py::dict backward_device(PythonRenderer& renderer) {
         both.record_backward();
         both.renderer().stream().submit_and_wait();
     });
-    const DeviceGradients& g = renderer.differentiable->gradients();
+    const DeviceGradients& gradients = renderer.differentiable->gradients();
     const SharedDevice& device = renderer.device();
-    py::dict dict = wrap_surfels(device, g.surfels);
-    // PyTorch has no uint32.
-    dict["touched"] = wrap_array<std::int32_t>(device, g.touched, {py::ssize_t(g.surfels.n)});
-    if (g.poses.size())
-        dict["poses"] = wrap_array<float>(device, g.poses, {py::ssize_t(renderer.placed.size()), 6});
-    if (g.sensor.size()) dict["sensor"] = wrap_array<float>(device, g.sensor, {6});
-    if (g.rays.size()) dict["rays"] = wrap_array<float>(device, g.rays, {py::ssize_t(renderer.n_rays), 6});
+    py::dict dict = wrap_surfels(device, gradients.surfels);
+    // 1 for each surfel with a gradient, as int32, because PyTorch has no uint32.
+    dict["touched"] = wrap_array<std::int32_t>(device, gradients.touched, {py::ssize_t(gradients.surfels.n)});
+    // Gradients that were not enabled are empty. See backward() for the six numbers.
+    const auto n_instances = py::ssize_t(renderer.placed.size()), n_rays = py::ssize_t(renderer.n_rays);
+    if (gradients.poses.size()) dict["poses"] = wrap_array<float>(device, gradients.poses, {n_instances, 6});
+    if (gradients.sensor.size()) dict["sensor"] = wrap_array<float>(device, gradients.sensor, {6});
+    if (gradients.rays.size()) dict["rays"] = wrap_array<float>(device, gradients.rays, {n_rays, 6});
     return dict;
 }
 

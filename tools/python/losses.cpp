@@ -41,6 +41,18 @@ DeviceArray wrap_rows(const SharedDevice& device, const Batch& batch, const Arra
     return rows;
 }
 
+/// Returns views of the rendered values of all rays of a batch: depth, weight and the
+/// other blended values.
+py::dict wrap_rendered(const SharedDevice& device, const RenderedBatch& rendered, std::size_t n_rays) {
+    py::dict values;
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
+    values[#name] =                                               \
+        wrap_member<float>(device, *rendered.rendered, offsetof(shared::RenderedRay, name), n_rays);
+    RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)  // expands to one such line for each value
+#undef RELIDAR_VALUES
+    return values;
+}
+
 }  // namespace
 
 void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
@@ -58,34 +70,31 @@ void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, c
 void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch& targets,
                                const LossTermRow& terms) const {
     using shared::DeviceRay, shared::DeviceTarget;
-    // Views of one member of the measured values, and of the rays, of all rays of the
-    // batch.
+    // Views of one member of DeviceTarget, or of DeviceRay, for all rays of the batch.
     const auto target = [&](std::size_t member_bytes) {
         return wrap_rows(device_, targets, *targets.targets, member_bytes);
     };
     const auto ray = [&](std::size_t member_bytes, py::ssize_t width = 0) {
         return wrap_rows(device_, rendered.rays, *rendered.rays.rays, member_bytes, width);
     };
-    py::dict values;  // depth, weight and the other blended values of the table
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning)                                        \
-    values[#name] = wrap_member<float>(device_, *rendered.rendered, offsetof(shared::RenderedRay, name), \
-                                       targets.n_rays);
-    RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
-#undef RELIDAR_VALUES
-    constexpr py::ssize_t kFloats = sizeof(shared::RayGradient) / sizeof(float);
-    const std::size_t term = terms.row * std::size_t(kLossTerms) + loss_term::custom;
-    py::object shape = py::none();
+    const py::dict measured(py::arg("range") = target(offsetof(DeviceTarget, range_m)),
+                            py::arg("intensity") = target(offsetof(DeviceTarget, intensity)),
+                            py::arg("weight") = target(offsetof(DeviceTarget, weight)));
+    const py::dict rays(py::arg("origins") = ray(offsetof(DeviceRay, origin), 3),
+                        py::arg("directions") = ray(offsetof(DeviceRay, direction), 3),
+                        py::arg("times") = ray(offsetof(DeviceRay, time_s)));
+
+    constexpr py::ssize_t kGradientFloats = sizeof(shared::RayGradient) / sizeof(float);
+    const py::object upstream =
+        py::cast(wrap_array<float>(device_, *rendered.upstream, {targets.n_rays, kGradientFloats}));
+    const std::size_t term_index = terms.row * std::size_t(kLossTerms) + loss_term::custom;
+    const py::object custom_term = py::cast(wrap_array<float>(device_, terms.terms, {1}, term_index));
+
+    py::object shape = py::none();  // None: the rays are no image
     if (targets.image.is_image()) shape = py::make_tuple(targets.image.rows, targets.image.columns);
     py::module_::import("relidar._losses")
-        .attr("call_loss")(function_, values,
-                           py::dict(py::arg("range") = target(offsetof(DeviceTarget, range_m)),
-                                    py::arg("intensity") = target(offsetof(DeviceTarget, intensity)),
-                                    py::arg("weight") = target(offsetof(DeviceTarget, weight))),
-                           py::dict(py::arg("origins") = ray(offsetof(DeviceRay, origin), 3),
-                                    py::arg("directions") = ray(offsetof(DeviceRay, direction), 3),
-                                    py::arg("times") = ray(offsetof(DeviceRay, time_s))),
-                           wrap_array<float>(device_, *rendered.upstream, {targets.n_rays, kFloats}),
-                           wrap_array<float>(device_, terms.terms, {1}, term), py::arg("shape") = shape,
+        .attr("call_loss")(function_, wrap_rendered(device_, rendered, targets.n_rays), measured, rays,
+                           upstream, custom_term, py::arg("shape") = shape,
                            py::arg("n_returned") = targets.n_returned,
                            py::arg("n_known") = targets.n_known_rays);
 }

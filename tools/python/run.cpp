@@ -185,17 +185,19 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     });
     using shared::ReturnedPoint;
     const SharedDevice& device = loaded.device;
-    // Adds a view of a member. The value of type Number only selects the type.
-    const auto add = [&]<class Number>(py::dict& arrays, const char* name, Number, std::size_t member_bytes,
-                                       py::ssize_t width = 0) {
-        arrays[name] = wrap_member<Number>(device, points.points, member_bytes, points.n_points, width);
+    // Views of one member of all points. `width`: length of a vector; 0: a number
+    const auto wrap_floats = [&](std::size_t member_bytes, py::ssize_t width = 0) {
+        return wrap_member<float>(device, points.points, member_bytes, points.n_points, width);
+    };
+    const auto wrap_integers = [&](std::size_t member_bytes) {
+        return wrap_member<std::int32_t>(device, points.points, member_bytes, points.n_points, 0);
     };
     py::dict arrays;
-    add(arrays, "position", 0.0f, offsetof(ReturnedPoint, position), 3);
-    add(arrays, "intensity", 0.0f, offsetof(ReturnedPoint, intensity));
-    add(arrays, "time", 0.0f, offsetof(ReturnedPoint, time_offset_s));
-    add(arrays, "ring", std::int32_t(0), offsetof(ReturnedPoint, ring));
-    add(arrays, "instance", std::int32_t(0), offsetof(ReturnedPoint, instance));
+    arrays["position"] = wrap_floats(offsetof(ReturnedPoint, position), 3);
+    arrays["intensity"] = wrap_floats(offsetof(ReturnedPoint, intensity));
+    arrays["time"] = wrap_floats(offsetof(ReturnedPoint, time_offset_s));
+    arrays["ring"] = wrap_integers(offsetof(ReturnedPoint, ring));
+    arrays["instance"] = wrap_integers(offsetof(ReturnedPoint, instance));
     arrays["pose"] = pose_matrix(points.dataset_from_points);
     return arrays;
 }

@@ -49,6 +49,29 @@ std::optional<Checkpoint> load_checkpoint(const TrainArguments& arguments,
     return load_newest(*arguments.checkpoints, print_note);
 }
 
+/// Returns a function that passes lines of text to the Python function `note`, if the
+/// user has given one.
+std::function<void(const std::string&)> wrap_note(const TrainArguments& arguments,
+                                                  PythonCallGuard& python_calls) {
+    return [&](const std::string& line) {
+        if (arguments.note) python_calls([&] { (*arguments.note)(line); });
+    };
+}
+
+/// Returns a function that passes the progress to the Python function `callback`. It
+/// returns false, which stops the training, after an exception in any Python function
+/// or if the callback returned False.
+std::function<bool(const TrainProgress&)> wrap_callback(const TrainArguments& arguments,
+                                                        PythonCallGuard& python_calls) {
+    return [&](const TrainProgress& line) {
+        bool has_returned_false = false;
+        const bool has_succeeded = python_calls([&] {
+            if (arguments.callback) has_returned_false = (*arguments.callback)(line).is(py::bool_(false));
+        });
+        return has_succeeded && !has_returned_false;
+    };
+}
+
 /// Trains the scene of a run. Python functions can add losses, receive progress, and
 /// stop the training.
 TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArguments& arguments,
@@ -58,11 +81,7 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     for (const py::function& function : arguments.losses)
         losses.push_back(
             owned_losses.emplace_back(std::make_unique<PythonLoss>(device, python_calls, function)).get());
-    const auto note = [&](const std::string& line) {
-        python_calls([&] {
-            if (arguments.note) (*arguments.note)(line);
-        });
-    };
+    const auto note = wrap_note(arguments, python_calls);
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
     const DeviceLock use(*device);
@@ -70,16 +89,7 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
     prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
     if (start) check_resume(*start, run.sequence, run.split, run.config);
-    // Returns false, which stops the training, after an exception or if the callback
-    // returned False.
-    const auto report = [&](const TrainProgress& line) {
-        bool has_returned_false = false;
-        const bool has_succeeded = python_calls([&] {
-            if (arguments.callback) has_returned_false = (*arguments.callback)(line).is(py::bool_(false));
-        });
-        return has_succeeded && !has_returned_false;
-    };
-    return train(device->device, run.sequence, run.split, run.config, report,
+    return train(device->device, run.sequence, run.split, run.config, wrap_callback(arguments, python_calls),
                  {.checkpoints = arguments.checkpoints.value_or(""),
                   .start = start ? &*start : nullptr,
                   .stop = stop,
@@ -97,13 +107,11 @@ void finish_run(LockableDevice& device, Run& run, PythonCallGuard& python_calls)
     python_calls.rethrow();
 }
 
-/// Trains the ray-drop network. Only prints a note if the log has no suitable training
-/// data, or if the checkpoint belongs to another network.
+/// Trains the ray-drop network. The run is also useful without it, so unsuitable training
+/// data and a checkpoint of another network only cause a note.
 void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& arguments,
                         PythonCallGuard& python_calls) {
-    const auto note = [&](const std::string& line) {
-        if (arguments.note) python_calls([&] { (*arguments.note)(line); });
-    };
+    const auto note = wrap_note(arguments, python_calls);
     const fs::path folder = arguments.checkpoints ? *arguments.checkpoints / kRefineCheckpoints : fs::path();
     std::optional<Checkpoint> start;
     try {
@@ -111,7 +119,7 @@ void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& 
         if (start) check_drop_resume(*start, run);
     } catch (const Error& error) {
         note(error.what());
-        start.reset();
+        start.reset();  // trains from the beginning
     }
     try {
         const DeviceLock use(device);
