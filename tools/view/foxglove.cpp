@@ -118,8 +118,10 @@ bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
 void FoxglovePlayer::handle_operation(Client& client, const std::string& text) const {
     const Json message = Json::parse(text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
+    // A reference, because copying deeply nested JSON of a client overflows the stack.
+    static const Json kNoOperation;
     const auto field = message.find("op");
-    const Json operation = field == message.end() ? Json() : *field;
+    const Json& operation = field == message.end() ? kNoOperation : *field;
     if (operation == "subscribe") {
         for (const Json& request : required_list(message, "subscriptions"))
             add_subscription(client, required_uint32(request, "id"), required_uint32(request, "channelId"));
