@@ -174,8 +174,8 @@ TEST_F(RefineDrops, BeamsThatAreTooWeakForCarsDropThere) {
     EXPECT_NEAR(measure_car_drops(device(), run, sensor, 1), 0.5, 0.1);
     run.drop_network = train_drops(device(), run);
     // Rays of even beams all return, so their values are negative, those of odd beams
-    // positive. In the optimum, the derivative by the error that all beams share is 0, and
-    // so is the sum of the values, because the prior is the same for each beam.
+    // positive. In the optimum, the derivative by the error that all beams share is 0.
+    // Then the sum of the values is 0, because the prior is the same for each beam.
     const std::vector<float>& logits = run.drop_network.actor_logits;
     ASSERT_EQ(logits.size(), run.sequence.count_beams());
     double sum = 0.0, size = 0.0;
