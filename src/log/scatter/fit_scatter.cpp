@@ -55,6 +55,8 @@ std::vector<float> find_quantiles(std::vector<float> values, std::size_t n_parts
     return cuts;
 }
 
+/// Returns the bin of a value. Bin b has the values above quantile b - 1 and up to
+/// quantile b.
 std::uint8_t find_bin(const std::vector<float>& quantiles, float value) {
     return std::uint8_t(std::lower_bound(quantiles.begin(), quantiles.end(), value) - quantiles.begin());
 }
@@ -95,8 +97,9 @@ RayFeatures return_features(std::span<const PairedIntensities> images, ImageRay 
     return RayFeatureExtractor(image.rendered, image.measured).compute_features(ray / columns, ray % columns);
 }
 
-/// Computes the borders of the bins of each feature: quantiles of some of the returns, so
-/// that each bin holds a similar number of returns.
+/// Computes the borders of the bins of each feature: quantiles of every `stride`-th
+/// return, so that each bin holds a similar number of returns.
+/// @return [features] upper ends of all bins except the last
 std::array<std::vector<float>, kFeatures> find_bin_borders(std::span<const PairedIntensities> images,
                                                            const std::vector<ImageRay>& returns) {
     const std::size_t stride = returns.size() / kQuantileReturns + 1;
@@ -113,7 +116,8 @@ std::array<std::vector<float>, kFeatures> find_bin_borders(std::span<const Paire
     return borders;
 }
 
-/// Computes the feature bins and the intensity class of each return.
+/// Computes the feature bins and the intensity class of each return. Classes are bins of
+/// the intensity that hold similar numbers of returns.
 ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& returns) {
     ScatterSamples samples{.all = std::vector<ScatterSample>(returns.size()),
                            .cuts = find_bin_borders(images, returns)};
@@ -154,7 +158,8 @@ struct ClassCounts {
     }
 };
 
-/// The first child gets the returns whose feature value is in bin `bin` or lower.
+/// The first child gets the returns whose feature value is in bin `bin` or lower. Feature
+/// -1: no split has a gain above kLeastGain.
 struct TreeNodeSplit {
     double gain = kLeastGain;
     int feature = -1;
@@ -166,8 +171,10 @@ constexpr std::size_t kFeaturesPerPass = 4;
 using BinCounts = std::array<ClassCounts, kBins>;
 
 /// Returns the best split of a tree node by one feature: tries all borders between bins.
+/// The gain is the increase of the log-likelihood (top of this file).
 /// @param class_counts_by_bin number of returns of each class in each bin of the feature
 /// @param n_bin_borders number of bins except the last
+/// @param k_log_k_table make_entropy_terms()
 TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t feature,
                                std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
@@ -178,7 +185,7 @@ TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t
     std::uint32_t n_first = 0;
     for (std::size_t bin = 0; bin < n_bin_borders; ++bin) {
         const std::uint32_t n_in_bin = class_counts_by_bin[bin].count_returns();
-        if (n_in_bin == 0) continue;  // the same split as before this bin
+        if (n_in_bin == 0) continue;  // the same split as at the border before this bin
         first_child.add_counts(class_counts_by_bin[bin]);
         n_first += n_in_bin;
         if (n_first < kFewestOfLeaf || n_node - n_first < kFewestOfLeaf) continue;
@@ -194,12 +201,13 @@ TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t
 /// Returns the best split by one of kFeaturesPerPass features from `first_feature`.
 TreeNodeSplit split_by_features(const ScatterSamples& samples, std::span<const ScatterSample> node_samples,
                                 std::size_t first_feature, const std::vector<double>& k_log_k_table) {
-    const std::size_t n = std::min(kFeaturesPerPass, kFeatures - first_feature);
-    std::array<BinCounts, kFeaturesPerPass> counts{};
+    const std::size_t n_features = std::min(kFeaturesPerPass, kFeatures - first_feature);
+    std::array<BinCounts, kFeaturesPerPass> counts{};  // [features, bins, classes]
     for (const ScatterSample& sample : node_samples)
-        for (std::size_t f = 0; f < n; ++f) ++counts[f][sample.bins[first_feature + f]].of[sample.of_class];
+        for (std::size_t f = 0; f < n_features; ++f)
+            ++counts[f][sample.bins[first_feature + f]].of[sample.of_class];
     TreeNodeSplit best;
-    for (std::size_t f = 0; f < n; ++f) {
+    for (std::size_t f = 0; f < n_features; ++f) {
         const std::size_t feature = first_feature + f;
         const TreeNodeSplit split =
             split_by_feature(counts[f], feature, samples.cuts[feature].size(), k_log_k_table);
@@ -232,27 +240,30 @@ TreeNodeSplit find_node_split(const ScatterSamples& samples, const std::vector<d
     return best;
 }
 
-/// Splits the nodes of the decision tree with index `first_node` or higher, and appends
-/// their children. Reorders `samples` so that those of each node stay contiguous.
+/// Splits the last layer of the decision tree, which is all nodes from index `first_node`
+/// on. Appends their children, which form the next layer. A node without a useful split
+/// stays a leaf. Reorders `samples`, so that those of each child are contiguous.
 void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_table,
                  std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
+    // Entry k belongs to node first_node + k. The nodes of a layer share no samples, so
+    // they are split in parallel.
     std::vector<TreeNodeSplit> splits(nodes.size() - first_node);
     std::vector<std::uint32_t> first_child_sizes(splits.size(), 0);
     parallel_for(int(splits.size()), [&](int k) {
         const IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + std::size_t(k)];
         TreeNodeSplit& split = splits[std::size_t(k)];
         split = find_node_split(samples, k_log_k_table, node);
-        if (split.feature < 0) return;  // no split improves the node
+        if (split.feature < 0) return;  // stays a leaf
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         const auto is_in_first_child = [&](const ScatterSample& sample) {
             return sample.bins[std::size_t(split.feature)] <= split.bin;
         };
-        const auto second_child =
+        const auto second_child_begin =
             std::stable_partition(node_samples.begin(), node_samples.end(), is_in_first_child);
-        first_child_sizes[std::size_t(k)] = std::uint32_t(second_child - node_samples.begin());
+        first_child_sizes[std::size_t(k)] = std::uint32_t(second_child_begin - node_samples.begin());
     });
-    // One node after the other, so that the order of the children does not depend on
-    // threads.
+    // Appends the children of one node after the other, so that their order does not
+    // depend on threads.
     for (std::size_t k = 0; k < splits.size(); ++k) {
         const TreeNodeSplit& split = splits[k];
         if (split.feature < 0) continue;
@@ -260,6 +271,7 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
         node.feature = split.feature;
         node.at = samples.cuts[std::size_t(split.feature)][split.bin];
         node.child = std::int32_t(nodes.size());
+        // push_back() moves the nodes in memory, so `node` is not used after it.
         const std::uint32_t begin = node.first, count = node.count, n_first = first_child_sizes[k];
         nodes.push_back({.first = begin, .count = n_first});
         nodes.push_back({.first = begin + n_first, .count = count - n_first});
@@ -302,6 +314,7 @@ double find_step(std::vector<float> values) {
     double step = 0.0;
     // The step is the greatest common divisor of all values, refined after each value.
     for (const float value : values) {
+        // The step is 0 before the first value and after a value of 0.
         step = step > 0.0 ? approximate_gcd(double(value), step, kMaxRelativeError * largest) : double(value);
         if (value > 0.0f && step < kMinRelativeStep * largest) return 0.0;
         // `value` is an integer multiple of the step, n * step. Recomputes the step as
@@ -326,7 +339,7 @@ IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images) {
     ScatterSamples samples = make_samples(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const std::vector<double> k_log_k_table = make_entropy_terms(return_locations.size());
-    // A layer is the nodes that the split of the previous layer has appended.
+    // The first layer is the root. Ends when a layer has appended no nodes.
     std::size_t layer_begin = 0;
     while (layer_begin < result.nodes.size()) {
         const std::size_t layer_end = result.nodes.size();
