@@ -21,19 +21,21 @@ constexpr double kMaxMismatch_columns = 0.1;
 
 /// Calls visit_ray(ray, firing) for each ray of a scan. A firing is all lasers at one
 /// azimuth of the head. Lasers with an azimuth offset are in other columns of the image.
+/// `ray`: row * columns + column. `firing`: number of the firing in the sweep, from 0
 template <class Visit>
 void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
+        // Columns from a ray of this laser to its firing; + columns: never negative.
         const int shift = offset_columns(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
         for (std::size_t column = 0; column < columns; ++column)
             visit_ray(row * columns + column, (column + std::size_t(shift)) % columns);
     }
 }
 
-/// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones,
-/// and before the first and after the last known one by this one. Clears the list if all
-/// are unknown.
+/// Replaces unknown azimuth shifts (NAN) by linear interpolation between the nearest known
+/// ones. At both ends of the list, uses the nearest known one. Clears the list if all are
+/// unknown.
 void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     const auto end = azimuth_shifts_rad.end();

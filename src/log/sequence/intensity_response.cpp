@@ -76,15 +76,15 @@ void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const 
 
 /// Computes the albedo (brightness) of the surface in each cell by least squares, with
 /// all other variables fixed: intensity = albedo * x + offset, so
-/// albedo = sum x (intensity - offset) / sum x^2.
+/// albedo = sum x (intensity - offset) / sum x^2, with x = gain * rho * kappa.
 void fit_albedos(IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t) {
         double xy = 0.0, xx = 0.0;
-        for (const CellReturn& r : cell_returns) {
-            const BeamGainOffset& beam = model.beams[r.beam];
-            const double x =
-                beam.gain * model.shared.range_factor(r.range_m) * model.shared.incidence_factor(r.cosine);
-            xy += x * (double(r.intensity) - beam.offset);
+        for (const CellReturn& cell_return : cell_returns) {
+            const BeamGainOffset& beam = model.beams[cell_return.beam];
+            const double x = beam.gain * model.shared.range_factor(cell_return.range_m) *
+                             model.shared.incidence_factor(cell_return.cosine);
+            xy += x * (double(cell_return.intensity) - beam.offset);
             xx += x * x;
         }
         model.albedo[cell_returns.front().cell] = std::max(xy / std::max(xx, 1e-12), 0.0);
@@ -107,8 +107,8 @@ struct VariableIndices {
 /// Nonzero derivatives of the expected intensity of one return: by two range factors,
 /// incidence factor, beam gain and beam offset, in this order.
 struct JacobianRow {
-    std::array<std::pair<Eigen::Index, double>, 5> by;
-    std::size_t n = 0;
+    std::array<std::pair<Eigen::Index, double>, 5> by;  // index of the variable, derivative
+    std::size_t n = 0;                                  // number of entries of `by`
     /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
     /// the surface. `error`: measured minus expected intensity.
     double by_albedo, error;
@@ -116,11 +116,13 @@ struct JacobianRow {
 
 /// Returns the derivatives and the error of one return by the model
 ///   intensity = gain * albedo * rho(range) * kappa(incidence) + offset.
+/// rho is linear between the ranges kKnots_m. kappa = 1 - incidence * (1 - cosine).
 JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
                          const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // Finds the two sampled ranges (knots) around `range_m`. `s` is 0 at kKnots_m[knot]
-    // and 1 at the next one. Outside all sampled ranges, `s` is clamped.
+    // Finds the two knots around `range_m`. `s` is 0 at kKnots_m[knot] and 1 at the next
+    // one: rho = (1 - s) factor[knot] + s factor[knot + 1]. Outside all knots, `s` is
+    // clamped.
     const double range_m = measured_return.range_m;
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
@@ -276,6 +278,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
 }
 
 /// Adds a solution of the normal equations to the variables, and limits them.
+/// @param step  [variables] changes, at the positions of VariableIndices
 void apply_step(IntensityFit& model, const VariableIndices& variable_indices, const Eigen::VectorXd& step) {
     IntensityResponse& shared = model.shared;
     if (variable_indices.parts.shared) {
@@ -304,6 +307,8 @@ void normalise_beams(std::vector<BeamGainOffset>& beams, const CellReturns& retu
         gain_sum += weights[b] * beams[b].gain;
         offset_sum += weights[b] * beams[b].offset;
     }
+    // With x' = mean gain * x + mean offset, the intensity gain * x + offset of a beam is
+    // (gain / mean gain) * (x' - mean offset) + offset.
     for (BeamGainOffset& beam : beams) {
         beam.gain *= weight_sum / gain_sum;
         beam.offset -= beam.gain * offset_sum / weight_sum;
@@ -317,11 +322,13 @@ double rms_error(const IntensityFit& model, const CellReturns& returns) {
     };
     std::array<ChunkSum, kChunks> sums;
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
-        for (const CellReturn& r : cell_returns) {
-            const BeamGainOffset& beam = model.beams[r.beam];
-            const double intensity_at_gain_1 = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
-                                               model.shared.incidence_factor(r.cosine);
-            const double error = beam.gain * intensity_at_gain_1 + beam.offset - double(r.intensity);
+        for (const CellReturn& cell_return : cell_returns) {
+            const BeamGainOffset& beam = model.beams[cell_return.beam];
+            const double intensity_at_gain_1 = model.albedo[cell_return.cell] *
+                                               model.shared.range_factor(cell_return.range_m) *
+                                               model.shared.incidence_factor(cell_return.cosine);
+            const double error =
+                beam.gain * intensity_at_gain_1 + beam.offset - double(cell_return.intensity);
             sums[chunk].squares += error * error;
         }
     });
@@ -355,7 +362,7 @@ IntensityFit fit_intensity(const CellReturns& returns, std::size_t n_beams, Fitt
     }
     if (terms_to_fit.beams) {
         normalise_beams(model.beams, returns);
-        fit_albedos(model, returns);
+        fit_albedos(model, returns);  // for the changed gains
     }
     return model;
 }

@@ -36,6 +36,7 @@ std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& 
             distance_s(main_sweep - 1, other_sweep) < distance_s(main_sweep, other_sweep) + tie_s)
             --main_sweep;
         if (distance_s(main_sweep, other_sweep) > max_difference_s) continue;
+        // Of several sweeps with the same main sweep, keeps the nearest.
         const bool is_nearest = !matches[main_sweep] || distance_s(main_sweep, other_sweep) <
                                                             distance_s(main_sweep, *matches[main_sweep]);
         if (is_nearest) matches[main_sweep] = other_sweep;

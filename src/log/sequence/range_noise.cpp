@@ -27,8 +27,10 @@ constexpr float kMaxDifference_m = 0.5f;
 // Standard deviation / median absolute value of a normal distribution.
 constexpr double kSigmaPerMedian = 1.4826;
 
+// [ranges, cosines] index: range bin * number of cosine bins + cosine bin
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
+/// Returns the index of the first bin that ends at or above a value, at most the last bin.
 std::size_t find_bin(const auto& bin_upper_ends, double value) {
     return std::min<std::size_t>(
         std::size_t(std::lower_bound(bin_upper_ends.begin(), bin_upper_ends.end(), value) -
@@ -36,8 +38,8 @@ std::size_t find_bin(const auto& bin_upper_ends, double value) {
         bin_upper_ends.size() - 1);
 }
 
-/// Collects second differences of the ranges of three consecutive firings of a beam, by
-/// bin of range and incidence.
+/// Collects the absolute second differences, in metres, of the ranges of three
+/// consecutive firings of a beam, by bin of range and incidence.
 DifferencesByBin collect_differences(const Frame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
@@ -51,7 +53,8 @@ DifferencesByBin collect_differences(const Frame& frame) {
     const auto columns = std::size_t(std::max(rays.columns, 1));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         const double cosine = incidence_cosine(image, ray);  // negative: unknown
-        // The previous and the next firing of the beam, in the same row.
+        // The previous and the next firing of the beam, in the same row. Column 0 follows
+        // the last column. Without a full turn, the cosine at both ends is unknown.
         const std::size_t row_begin = ray / columns * columns,
                           left = row_begin + (ray + columns - 1) % columns,
                           right = row_begin + (ray + 1) % columns;
@@ -66,35 +69,38 @@ DifferencesByBin collect_differences(const Frame& frame) {
     return result;
 }
 
-/// Fills bins that have too few returns, at the same incidence from the next nearer range
-/// or else from the next farther range. If neither exists, uses the maximum of all bins.
+/// Fills bins with too few returns, whose value is 0. The value comes from the nearest
+/// filled bin of the same incidence at a shorter range, or else at a longer range. If
+/// there is none, it is the maximum of all bins.
 void fill_empty_bins(RangeNoiseTable& noise) {
-    // [ranges, cosines], 0: too few returns. Bin - n_cosines has the next nearer range.
+    // [ranges, cosines]: the same incidence at the next shorter range is n_cosines before.
     std::vector<double>& sigma_m = noise.sigma_m;
     const std::size_t n_bins = sigma_m.size(), n_cosines = kCosineBinEnds.size();
     for (std::size_t bin = n_cosines; bin < n_bins; ++bin)
         if (sigma_m[bin] == 0.0) sigma_m[bin] = sigma_m[bin - n_cosines];
+    // The bins that are still 0 have no filled bin at a shorter range.
     for (std::size_t bin = n_bins - n_cosines; bin-- > 0;)
         if (sigma_m[bin] == 0.0) sigma_m[bin] = sigma_m[bin + n_cosines];
     const double largest_m = *std::ranges::max_element(sigma_m);
     std::ranges::replace(sigma_m, 0.0, largest_m);
 }
 
-/// Estimates the range noise of one LiDAR, and counts the returns that were used. If no
-/// bin has enough returns, the table is empty.
-/// @param differences  [frames] see collect_differences()
+/// Estimates the standard deviation of the ranges of one LiDAR in each bin. If no bin has
+/// enough returns, the table is empty.
+/// @param differences  [frames] second differences, from collect_differences()
+/// @return the table, and the number of returns from which it was computed
 std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<DifferencesByBin>& differences) {
-    RangeNoiseTable noise{{kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
-                          {kCosineBinEnds.begin(), kCosineBinEnds.end()},
-                          std::vector<double>(kBins, 0.0)};
+    RangeNoiseTable noise{.range_m = {kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
+                          .cosine = {kCosineBinEnds.begin(), kCosineBinEnds.end()},
+                          .sigma_m = std::vector<double>(kBins, 0.0)};
     std::size_t n_returns = 0;
     for (std::size_t bin = 0; bin < kBins; ++bin) {
         std::vector<float> bin_differences_m;
-        for (const DifferencesByBin& frame : differences)
-            bin_differences_m.insert(bin_differences_m.end(), frame[bin].begin(), frame[bin].end());
+        for (const DifferencesByBin& of_frame : differences)
+            bin_differences_m.insert(bin_differences_m.end(), of_frame[bin].begin(), of_frame[bin].end());
         n_returns += bin_differences_m.size();
-        // The second difference of three independent ranges has sqrt(1 + 4 + 1) times
-        // their noise.
+        // kSigmaPerMedian * median |d| is the standard deviation of the second difference
+        // d = r_1 - 2 r_2 + r_3. It is sqrt(1 + 4 + 1) times that of a range.
         if (bin_differences_m.size() >= kFewestOfBin)
             noise.sigma_m[bin] = kSigmaPerMedian * double(compute_median(bin_differences_m)) / std::sqrt(6.0);
     }

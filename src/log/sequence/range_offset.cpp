@@ -132,17 +132,18 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
             if (cells[cell].empty()) continue;
             const std::optional<CellPlane> plane = fit_cell_plane(cells[cell], beam_offsets_m);
             if (!plane) continue;
-            for (const RawReturn& r : cells[cell]) {
-                const double cosine = glm::dot(plane->normal, glm::dvec3(r.direction));
+            for (const RawReturn& cell_return : cells[cell]) {
+                const double cosine = glm::dot(plane->normal, glm::dvec3(cell_return.direction));
                 const double residual_m =
-                    glm::dot(plane->normal, corrected_point(r, beam_offsets_m) - plane->point);
+                    glm::dot(plane->normal, corrected_point(cell_return, beam_offsets_m) - plane->point);
                 if (cosine == 0.0 || std::abs(residual_m) > kMaxResidual_m) continue;
                 ++block.n;
                 block.squares += residual_m * residual_m;
-                block.fits[r.beam].weight += cosine * cosine;
+                block.fits[cell_return.beam].weight += cosine * cosine;
                 // The distance of the uncorrected return. Then sum / weight is the total
                 // range offset, which the prior pulls to zero.
-                block.fits[r.beam].sum += cosine * (residual_m + beam_offsets_m[r.beam] * cosine);
+                block.fits[cell_return.beam].sum +=
+                    cosine * (residual_m + beam_offsets_m[cell_return.beam] * cosine);
             }
         }
         return block;
@@ -175,6 +176,7 @@ RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& f
         for (double& offset : offset_m) offset -= weighted_sum_m / weight_sum;
         result.returns = residuals.n;
         result.rms_after = std::sqrt(residuals.n > 0 ? residuals.squares / double(residuals.n) : 0.0);
+        // The residuals belong to the offsets before this round, which are 0 in the first.
         if (round == 0) result.rms_before = result.rms_after;
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;

@@ -199,8 +199,11 @@ bool BoxTrack::is_moving() const {
     // Positions are averaged over windows of this duration. `last_s`: the last start.
     const double window_s = std::min(kAveraging_s, 0.5 * (t.back() - t.front())),
                  last_s = t.back() - window_s;
-    const double drift_m = std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
-    const double step_m = std::max(kMaxJitter_m, kMaxDrift_mps * window_s);
+    // An object may stand if its averages differ from the first one by at most this, and
+    // successive ones by at most max_step_m.
+    const double max_drift_m =
+        std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
+    const double max_step_m = std::max(kMaxJitter_m, kMaxDrift_mps * window_s);
     const auto compute_window_mean = [&](double first_s) -> std::optional<glm::dvec3> {
         const auto begin = std::ranges::lower_bound(t, first_s - kTimeTolerance_s);
         const auto end = std::ranges::upper_bound(t, first_s + window_s + kTimeTolerance_s);
@@ -216,7 +219,7 @@ bool BoxTrack::is_moving() const {
         const double first_s = std::min(time_s, last_s);
         const std::optional<glm::dvec3> here = compute_window_mean(first_s),
                                         next = compute_window_mean(std::min(first_s + window_s, last_s));
-        if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m))
+        if (glm::distance(*here, *start) > max_drift_m || (next && glm::distance(*next, *here) > max_step_m))
             return true;
         if (time_s >= last_s) break;
     }
@@ -259,14 +262,16 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 
 /// Returns azimuth and time of the first ray of a sweep, or nothing if it is the default
 /// (facing backward, half a period before time 0) or the head does not rotate evenly.
-/// Each ray gives the azimuth at time 0: its azimuth minus the rotation since then. Their
-/// mean is the direction of the sum of unit vectors.
+/// Each ray gives the azimuth of the head at time 0: its azimuth minus the rotation since
+/// then. The mean of these angles is the direction of the sum of their unit vectors,
+/// because angles themselves jump by 2 pi.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
     // If the mean vector is shorter, the rays do not come from one rotating head.
     constexpr double kMinMeanLength = 0.9;
     constexpr std::size_t kMaxUsedRays = 4096, kRaysPerPart = 256;  // enough for the mean
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
+    // Uses every `step`-th ray.
     const std::size_t step = 1 + rays.size() / kMaxUsedRays, n_used = (rays.size() + step - 1) / step;
     const auto vector_sum = parallel_sum(n_used, kRaysPerPart, [&](std::size_t begin, std::size_t end) {
         std::complex<double> part = 0.0;
@@ -279,6 +284,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     if (std::abs(vector_sum) < kMinMeanLength * double(n_used)) return {};
     const double first_s = double(std::ranges::min(rays.time_offset_s));
     const double azimuth_at_zero_rad = std::arg(vector_sum);
+    // By default, the head faces forward (azimuth 0) at time 0.
     const bool is_default = std::abs(azimuth_at_zero_rad) < 2.0 * kPi * kStartTolerance &&
                             std::abs(first_s + 0.5 * sensor.period_s) < kStartTolerance * sensor.period_s;
     if (is_default) return {};
