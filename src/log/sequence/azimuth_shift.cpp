@@ -33,9 +33,9 @@ void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
     }
 }
 
-/// Replaces unknown azimuth shifts (NAN) by linear interpolation between the nearest known
-/// ones. At both ends of the list, uses the nearest known one. Clears the list if all are
-/// unknown.
+/// Replaces unknown azimuth shifts (NAN) by linear interpolation between the nearest
+/// known ones. At both ends of the list, uses the nearest known one. Clears the list if
+/// all are unknown.
 void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     const auto end = azimuth_shifts_rad.end();

@@ -30,7 +30,7 @@ constexpr double kSigmaPerMedian = 1.4826;
 // [ranges, cosines] index: range bin * number of cosine bins + cosine bin
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
-/// Returns the index of the first bin that ends at or above a value, at most the last bin.
+/// Returns the index of the first bin that ends at or above a value, or the last bin.
 std::size_t find_bin(const auto& bin_upper_ends, double value) {
     return std::min<std::size_t>(
         std::size_t(std::lower_bound(bin_upper_ends.begin(), bin_upper_ends.end(), value) -
@@ -73,7 +73,7 @@ DifferencesByBin collect_differences(const Frame& frame) {
 /// filled bin of the same incidence at a shorter range, or else at a longer range. If
 /// there is none, it is the maximum of all bins.
 void fill_empty_bins(RangeNoiseTable& noise) {
-    // [ranges, cosines]: the same incidence at the next shorter range is n_cosines before.
+    // [ranges, cosines]: bin - n_cosines has the same incidence at a shorter range.
     std::vector<double>& sigma_m = noise.sigma_m;
     const std::size_t n_bins = sigma_m.size(), n_cosines = kCosineBinEnds.size();
     for (std::size_t bin = n_cosines; bin < n_bins; ++bin)

@@ -176,7 +176,7 @@ RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& f
         for (double& offset : offset_m) offset -= weighted_sum_m / weight_sum;
         result.returns = residuals.n;
         result.rms_after = std::sqrt(residuals.n > 0 ? residuals.squares / double(residuals.n) : 0.0);
-        // The residuals belong to the offsets before this round, which are 0 in the first.
+        // The residuals belong to the offsets before this round, at first 0.
         if (round == 0) result.rms_before = result.rms_after;
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;
