@@ -41,11 +41,17 @@ struct BoxFault {
 };
 constexpr std::size_t kTurnedFault = 1;
 constexpr std::array<BoxFault, 4> kBoxFaults{
-    {{"the positions seem to be the centres of the bottom sides, expected the centres of the boxes", true},
-     {"", false, true},
-     {"y and yaw seem to have the opposite sign in the world", false, false, true},
-     {"y and yaw seem to have the opposite sign in the frame of the vehicle", false, false, true, true}}};
+    {{.description =
+          "the positions seem to be the centres of the bottom sides, expected the centres of the boxes",
+      .is_bottom = true},
+     {.description = "", .is_turned = true},  // described by describe_fault()
+     {.description = "y and yaw seem to have the opposite sign in the world", .is_mirrored = true},
+     {.description = "y and yaw seem to have the opposite sign in the frame of the vehicle",
+      .is_mirrored = true,
+      .is_in_vehicle = true}}};
 
+/// Points that the boxes gain and lose by a correction, over all scans. A view is a box
+/// in a scan that gains at least kMinPerBox points.
 struct PointGain {
     std::size_t gained = 0, lost = 0, n_views = 0;
 
@@ -85,7 +91,7 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
 
 /// Adds the points of a scan that a box gains and loses if it is corrected. A correction
 /// that moves a box into a larger object, such as a wall, does not count: there are then
-/// also many points in a shell around the box.
+/// also many points in a shell, the space up to kShellWidth_m around the box.
 /// @param points_m points in the frame of the sensor
 /// @param half_m half of the size of the box
 void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
@@ -101,7 +107,8 @@ void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from
             continue;
         const glm::dvec3 before_m = box_from_sensor * point_m, after_m = corrected_from_sensor * point_m;
         const bool was_inside = contains(half_m, before_m), is_inside = contains(half_m, after_m);
-        // The ground is in the middle of a box whose position is the bottom.
+        // A box whose position is its bottom side has the ground at height 0. To lose
+        // these points shows nothing.
         const bool may_be_ground = fault.is_bottom && before_m.z >= -0.5 * kGroundHeight_m;
         if (is_inside && !was_inside) ++n_gained;
         if (was_inside && !is_inside && !may_be_ground) ++n_lost;
@@ -233,7 +240,7 @@ void remove_ego_boxes(Log& sequence) {
 
 std::string describe_fault(const Log& sequence) {
     const PointGains gains = compare_boxes(sequence);
-    // Points gained minus points lost, or 0 if the difference may be chance.
+    // Points gained minus points lost, or 0 if too few points or views show the fault.
     const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };

@@ -213,25 +213,25 @@ void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         std::vector<std::size_t> n_returns;  // of the scans of this LiDAR
         std::vector<int> frame_numbers;
-        bool are_neighbours = true;  // false if only some scans of the log were read
+        bool has_all_scans = true;  // otherwise the scans have no neighbours
         for (std::size_t i = 0; i < log.scans.size(); ++i) {
             const Frame& frame = log.sequence.frames[i];
             if (frame.lidar != int(l)) continue;
             const bool is_read = frame.scan.rays.rows > 0;
-            are_neighbours = are_neighbours && is_read;
+            has_all_scans = has_all_scans && is_read;
             n_returns.push_back(log.scans[i].n_returns);
             frame_numbers.push_back(frame.index);
         }
-        if (!are_neighbours) continue;
-        std::size_t n_small = 0, smallest = 0;
+        if (!has_all_scans) continue;
+        std::size_t n_incomplete = 0, fewest = 0;  // fewest: index of the smallest of them
         for (std::size_t k = 0; k < n_returns.size(); ++k) {
             if (double(n_returns[k]) >= kMinReturnShare * double(usual_returns(n_returns, k))) continue;
-            if (n_small == 0 || n_returns[k] < n_returns[smallest]) smallest = k;
-            ++n_small;
+            if (n_incomplete == 0 || n_returns[k] < n_returns[fewest]) fewest = k;
+            ++n_incomplete;
         }
-        if (n_small > 0)
-            report.add_for(int(l), n_small, n_returns.size(), frame_numbers[smallest], n_returns[smallest],
-                           usual_returns(n_returns, smallest));
+        if (n_incomplete > 0)
+            report.add_for(int(l), n_incomplete, n_returns.size(), frame_numbers[fewest], n_returns[fewest],
+                           usual_returns(n_returns, fewest));
     }
 }
 
