@@ -105,16 +105,17 @@ void ObservedVoxelSet::merge(const ObservedVoxelSet& other_set) {
 double ObservedVoxelSet::observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const {
     double within_m = 0.0, length_m = 0.0;
     const VoxelBlock* block = nullptr;
-    glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
+    glm::ivec3 block_index(std::numeric_limits<int>::max());  // of `block`
     walk_cells(start_m, end_m, [&](const glm::ivec3& cell, double crossed_m) {
         const VoxelAddress cell_address = locate_cell(cell);
         // Looks for the block only when the segment enters another block.
-        if (cell_address.block != at) {
-            at = cell_address.block;
-            const auto block_entry = blocks_.find(make_block_key(at));
+        if (cell_address.block != block_index) {
+            block_index = cell_address.block;
+            const auto block_entry = blocks_.find(make_block_key(block_index));
             block = block_entry == blocks_.end() ? nullptr : &block_entry->second;
         }
         length_m += crossed_m;
+        // A word has one bit for each of 16 cells.
         if (block && block->cells[cell_address.word] >> cell_address.bit & 1u) within_m += crossed_m;
     });
     return length_m > 0.0 ? within_m / length_m : 0.0;
