@@ -99,8 +99,8 @@ std::vector<int> fired_columns(const SpinningSensor& sensor) {
     if (std::abs(last_rad - first_rad) > kTurn_rad - kSlack_rad) return columns;
 
     const double direction = sensor.clockwise ? -1.0 : 1.0;
-    // Angle that the head has turned since the first ray, 0 to a full turn. The slack
-    // keeps a rounding error from turning 0 into a full turn.
+    // Angle that the head turns from the first ray to an azimuth, 0 to a full turn. The
+    // slack keeps a rounding error from turning 0 into a full turn.
     const auto turned_rad = [&](double azimuth_rad) {
         const double rad = direction * (azimuth_rad - first_rad) + kSlack_rad;
         return rad - kTurn_rad * std::floor(rad / kTurn_rad);
@@ -130,8 +130,8 @@ RayTable make_rays(const SpinningSensor& sensor) {
         const BeamRays geometry(beam);
         const int shift = offset_columns(beam, columns);
         for (std::size_t k = 0; k < fired.size(); ++k) {
-            // The beam points to the azimuth of this column when the head is `shift`
-            // columns away.
+            // The beam points to the azimuth of this column when the head is at the column
+            // `shift` later. The second modulo makes negative columns positive.
             const int head_column = ((fired[k] + shift) % columns + columns) % columns;
             double head_rad = sensor.first_azimuth_rad - head_column * 2.0 * kPi / columns;
             // To [-pi, pi], without changing -pi and pi.
