@@ -234,26 +234,26 @@ private:
         // Radius of the search for a start pose: 1 m plus the expected drift of odometry.
         const double reach_m = 1.0 + kLoopDistanceGrowth * (path_to_keyframe_m(later_keyframe_index) -
                                                             path_to_keyframe_m(earlier_keyframe_index));
-        Pose at;
+        Pose aligned_pose;
         if (previous_closure) {
             // Predicts the start pose from the previous loop closure, which corrects a
             // nearby pose. Assumes that both poses move together, like one rigid body.
             const Pose& previous_pose = keyframe_pose(previous_closure->later);
             const Pose world_from_world =
                 apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
-            at = world_from_world * keyframe_pose(later_keyframe_index);
+            aligned_pose = world_from_world * keyframe_pose(later_keyframe_index);
         } else {
-            at = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
+            aligned_pose = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
         }
-        double share = refine_pose(points, at);
+        double share = refine_pose(points, aligned_pose);
         // If too few points match, searches for a better start pose.
         if (previous_closure && share < kMinClosureShare) {
-            at = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
-            share = refine_pose(points, at);
+            aligned_pose = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
+            share = refine_pose(points, aligned_pose);
         }
         if (share < kMinClosureShare) return std::nullopt;
         return LoopClosure{earlier_keyframe_index, later_keyframe_index,
-                           compute_twist(keyframe_pose(later_keyframe_index), at)};
+                           compute_twist(keyframe_pose(later_keyframe_index), aligned_pose)};
     }
 
     /// Solves for the corrections of all keyframes, 6 values each. A least-squares term
@@ -264,11 +264,12 @@ private:
         const auto n = Eigen::Index(keyframes_.size());
         std::vector<Eigen::Triplet<double>> entries;
         Eigen::VectorXd g = Eigen::VectorXd::Zero(6 * n);
-        const auto add_block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
-            for (int r = 0; r < 6; ++r)
-                for (int c = 0; c < 6; ++c)
-                    if (matrix(r, c) != 0.0)
-                        entries.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
+        const auto add_block = [&](std::size_t block_row, std::size_t block_column, const Matrix6& matrix) {
+            for (int row = 0; row < 6; ++row)
+                for (int column = 0; column < 6; ++column)
+                    if (matrix(row, column) != 0.0)
+                        entries.emplace_back(int(6 * block_row) + row, int(6 * block_column) + column,
+                                             matrix(row, column));
         };
         // The residual of a term is x_second - T x_first - expected_difference. T
         // transfers the correction of a rigid body from the first position to the second.
@@ -325,23 +326,24 @@ private:
     /// weights, so that a closure that contradicts the others loses its influence. Leaves
     /// the track unchanged if too few closures remain.
     void correct_poses(LoopClosureResult& result) const {
-        std::vector<double> believed(closures_.size(), 1.0);
-        Eigen::VectorXd x;
+        std::vector<double> closure_weights(closures_.size(), 1.0);
+        Eigen::VectorXd corrections;
         for (int i = 0; i < kClosureReweightings; ++i) {
-            x = solve_corrections(believed);
+            corrections = solve_corrections(closure_weights);
             for (std::size_t k = 0; k < closures_.size(); ++k)
-                believed[k] = robust_weight(closure_error_m(closures_[k], x), kClosureKernel_m);
+                closure_weights[k] =
+                    robust_weight(closure_error_m(closures_[k], corrections), kClosureKernel_m);
         }
         for (std::size_t k = 0; k < closures_.size(); ++k) {
             // Below 1/4, the error of the closure is larger than kClosureKernel_m.
-            if (believed[k] < 0.25) continue;
+            if (closure_weights[k] < 0.25) continue;
             ++result.n_closures;
             const Twist& off = closures_[k].off;
             result.largest_m = std::max(result.largest_m, glm::length(glm::dvec3(off[0], off[1], off[2])));
         }
         if (result.n_closures < kMinLoopClosures) return;
         // Interpolates the corrections of the two nearest keyframes by path length.
-        std::size_t key = 0;
+        std::size_t key = 0;  // last keyframe up to pose k
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keyframes_.size() && keyframes_[key + 1] <= k) ++key;
             const std::size_t next = std::min(key + 1, keyframes_.size() - 1);
@@ -349,9 +351,9 @@ private:
             const double s =
                 length > 0.0 ? glm::clamp((path_length_m_[k] - path_to_keyframe_m(key)) / length, 0.0, 1.0)
                              : 0.0;
-            const Vector6 c =
-                (1.0 - s) * transfer_correction(k, key, x) + s * transfer_correction(k, next, x);
-            result.track.pose[k] = apply_twist(track_.pose[k], to_twist(c));
+            const Vector6 correction = (1.0 - s) * transfer_correction(k, key, corrections) +
+                                       s * transfer_correction(k, next, corrections);
+            result.track.pose[k] = apply_twist(track_.pose[k], to_twist(correction));
         }
     }
 };

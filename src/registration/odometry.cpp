@@ -273,7 +273,7 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
         while (shared > begin && scans[shared].empty()) --shared;
         const Pose track_from_section =
             track[shared] * inverse(section_begin[std::ptrdiff_t(shared - begin)]);
-        track.resize(shared + 1);
+        track.resize(shared + 1);  // this section replaces the later poses
         for (std::size_t k = shared + 1; k < end; ++k) {
             track.push_back(track_from_section * section_begin[std::ptrdiff_t(k - begin)]);
             track.back().rotation = glm::normalize(track.back().rotation);
@@ -287,7 +287,7 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
 PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options) {
     const std::vector<LogSection> sections = divide_log(scans.size());
-    const ProcessGroup::PartRange own = options.group.part_range(sections.size());
+    const ProcessGroup::PartRange own = options.group.part_range(sections.size());  // of this process
     std::size_t n_scans = 0;  // in the sections of this process
     for (std::size_t i = own.begin; i < own.end; ++i) n_scans += sections[i].end - sections[i].begin;
     // `options.proceed` may be called only from the calling thread. All other threads
@@ -309,7 +309,7 @@ PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& sc
     if (is_stopped) return initial_track;
     // Each process gets the sections of all processes, so that all have the same track.
     const std::vector<Pose> section_poses = options.group.gather(concatenate(std::move(parts)));
-    return {initial_track.time_s, join_sections(sections, section_poses, scans)};
+    return {.time_s = initial_track.time_s, .pose = join_sections(sections, section_poses, scans)};
 }
 
 }  // namespace relidar

@@ -113,17 +113,17 @@ PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
 FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PlaneMap map = fit_cell_planes(points_, placed, round_settings, grid_shift_cells);
-    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
+    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));  // [chunks of cells]
     const std::size_t chunk_size = map.cells.size() / kChunks + 1;
     parallel_ranges(map.cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t c = begin; c < end; ++c)
-            if (map.planes[c])
-                parts[begin / chunk_size].add_cell(points_, placed, map.cells.points_in_cell(c),
-                                                   *map.planes[c], round_settings.scale_m);
+        for (std::size_t cell = begin; cell < end; ++cell)
+            if (map.planes[cell])
+                parts[begin / chunk_size].add_cell(points_, placed, map.cells.points_in_cell(cell),
+                                                   *map.planes[cell], round_settings.scale_m);
     });
-    for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
+    for (std::size_t chunk = 1; chunk < kChunks; ++chunk) parts[0].add_equations(std::move(parts[chunk]));
     if (prior_) add_prior(parts[0]);
-    const PoseTrack before = track_;
+    const PoseTrack previous = track_;
     const Eigen::VectorXd step = parts[0].solve_steps(track_, stack_twists(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         track_.pose[k] = apply_twist(track_.pose[k], to_twist(block_of(step, k)));
@@ -132,7 +132,7 @@ FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_ce
     round_settings.residual_m = parts[0].rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         round_settings.step_m = std::max(
-            round_settings.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
+            round_settings.step_m, glm::length(track_.pose[k].translation - previous.pose[k].translation));
     return round_settings;
 }
 
@@ -150,8 +150,8 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     }
 }
 
-/// Moves the track like one rigid body, so that the mean correction of the gauge poses,
-/// which have points, is zero. The points cannot determine this common motion.
+/// Moves the track like one rigid body, so that the mean correction of the gauge poses is
+/// zero. Points only show motions between poses, so they leave this common motion open.
 void PoseAdjustment::centre_poses() {
     const auto n_gauge = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
@@ -165,6 +165,7 @@ void PoseAdjustment::centre_poses() {
             mean_shift_m += glm::dvec3(correction[0], correction[1], correction[2]) / n_gauge;
             mean_rotation += glm::dvec3(correction[3], correction[4], correction[5]) / n_gauge;
         }
+        // Turns the track back about the centre of the gauge poses, and shifts it back.
         const glm::dquat back =
             apply_twist(Pose{}, {0, 0, 0, -mean_rotation.x, -mean_rotation.y, -mean_rotation.z}).rotation;
         for (Pose& pose : track_.pose)

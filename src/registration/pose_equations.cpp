@@ -31,7 +31,8 @@ std::array<std::pair<std::size_t, double>, 2> poses_of_point(const SubsampledPoi
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// by offset and two tilts of the plane
+/// Returns the derivatives of a point's distance by the plane's three unknowns, except
+/// for their sign: offset along the normal, slopes along u and v.
 Eigen::Vector3d plane_jacobian(const WorldPointWithOrigin& point, const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
@@ -125,9 +126,8 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix of the plane's three unknowns (offset and two tilts). With other
-    // point weights than in the pose equations, the Schur complement is not positive
-    // definite.
+    // Normal matrix and right-hand side of the plane's three unknowns. With other point
+    // weights than in the pose equations, the Schur complement is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -136,8 +136,8 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
-    // The couplings are stored relative to the Cholesky factor of this matrix. Therefore
-    // the points are visited a second time below.
+    // A coupling is c = C L^-T with the Cholesky factor L of this matrix. So the points
+    // are visited a second time: each adds its share of C, multiplied by L^-T.
     const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
     if (root.info() != Eigen::Success) return;
     const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
@@ -303,15 +303,13 @@ Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::
     // Solves (H + P) x = -(g + P c). P: diagonal prior, c: current corrections.
     const std::size_t n = diagonal_.size();
     Vector6 mean = Vector6::Zero();
-    for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(n);
+    for (const Matrix6& block : diagonal_) mean += block.diagonal() / double(n);
     const Vector6 pull = prior_weight * mean;  // block of P, the same for each pose
     std::vector<Eigen::LLT<Matrix6>> factorised_blocks;
-    for (const Matrix6& d : diagonal_)
+    for (const Matrix6& block : diagonal_)
         // The small constant keeps the matrix of a pose without points invertible.
-        factorised_blocks.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
+        factorised_blocks.emplace_back(block + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
     const PoseGroupEquations groups(*this, track, pull);
-    // Preconditioner: the diagonal block of each pose, plus the common motion of each
-    // group, which would need many iterations otherwise.
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k) block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
@@ -325,7 +323,7 @@ Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::
     double rz = r.dot(z);
     const double final_rz = kSolverTolerance * kSolverTolerance * rz;
     for (int i = 0; i < kMaxIterations && rz > final_rz && rz > 0.0; ++i) {
-        const Eigen::VectorXd q = multiply(p) + pulls.cwiseProduct(p);
+        const Eigen::VectorXd q = multiply(p) + pulls.cwiseProduct(p);  // (H + P) p
         const double step = rz / p.dot(q);
         x += step * p;
         r -= step * q;

@@ -30,6 +30,7 @@ constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and step
 
 /// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
 /// @param test_scans [sweeps] points of the held-out scans; empty for other sweeps
+/// @param first_round cell size and kernel scale of the coarsest level
 /// @param max_deviation_m largest accepted difference from the corrections of the
 /// neighbours
 /// @return indices of the scans that could not be aligned, which keep their interpolated
