@@ -20,8 +20,9 @@ bool is_same_letter(char first, char second) {
            std::tolower(static_cast<unsigned char>(second));
 }
 
-/// Returns the edit distance d of two words. Keeps only rows i - 2, i - 1 and i of d(i,
-/// j).
+/// Returns the least number of letters to replace, insert, remove, or exchange with the
+/// next one, to turn one word into the other. row[j]: this number for the first i letters
+/// of one word and the first j of the other. Keeps only rows i - 2, i - 1 and i.
 std::size_t edit_distance(std::string_view first, std::string_view second) {
     std::vector<std::size_t> two_rows_before, row_before(second.size() + 1), row(second.size() + 1);
     std::iota(row_before.begin(), row_before.end(), std::size_t{0});

@@ -110,8 +110,8 @@ void McapWriter::write_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t chunk_begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
-    // Writes an empty name, which means no compression. Compression would save little,
-    // because the floats of a scan compress poorly.
+    // First and last time, size, checksum, compression, stored size, messages. The empty
+    // name means no compression, because the floats of a scan compress poorly.
     append(
         encode_record(kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
     const std::uint64_t chunk_end = written_;
@@ -138,7 +138,8 @@ void McapWriter::write_chunk() {
     chunk_last_ns_ = 0;
 }
 
-/// Encodes the statistics record of the summary: counts, and the first and the last time.
+/// Encodes the statistics record of the summary: numbers of messages, schemas, channels,
+/// attachments, metadata and chunks, first and last time, and messages of each channel.
 std::string McapWriter::encode_statistics() const {
     std::string counts;
     std::uint64_t n_messages = 0;

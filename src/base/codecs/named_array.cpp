@@ -91,7 +91,7 @@ Utf8Sequence decode_sequence(std::string_view utf8) {
     // code point is invalid (overlong encoding).
     constexpr char32_t kMinCodePoint[] = {0, 0x80, 0x800, 0x10000}, kMaxCodePoint = 0x10FFFF;
     const auto first = static_cast<unsigned char>(utf8[0]);
-    const std::size_t n_tail = utf8_tail_size(first);
+    const std::size_t n_tail = utf8_tail_size(first);  // bytes after the first; 4: invalid
     if (n_tail >= std::size(kMinCodePoint) || utf8.size() <= n_tail) return {};
     // The first byte has the upper bits. Each further byte, 10xxxxxx, has six bits.
     char32_t code_point = n_tail == 0 ? first : first & (0x3Fu >> n_tail);

@@ -190,7 +190,8 @@ std::string decompress_blosc(std::string_view chunk) {
         const std::size_t stored_at = reader.read_number<std::uint32_t>();
         if (stored_at > chunk.size()) fail("blosc data are damaged: a block begins at byte {}", stored_at);
         codecs::ByteReader streams(chunk.substr(stored_at));
-        // A shorter block at the end of the chunk is never divided.
+        // A divided block has one stream per byte of an element. A shorter block at the
+        // end is never divided.
         const bool is_divided = (header.flags & kOneStream) == 0 && size == header.block_bytes &&
                                 size % header.element_bytes == 0;
         const std::size_t n_streams = is_divided ? header.element_bytes : 1;

@@ -41,7 +41,7 @@ std::vector<std::uint32_t> find_first_items(std::span<const std::uint64_t> cell_
         std::unordered_map<std::uint64_t, std::uint32_t> first_item_of_key;
         for (const ItemIndicesByPart& parts : blocks)
             for (const std::uint32_t item : parts[std::size_t(part)])
-                // try_emplace() keeps the earlier item if the key already exists.
+                // Items ascend within a part, so try_emplace() keeps the first of a key.
                 first_items[item] =
                     first_item_of_key.try_emplace(cell_key_per_item[item], item).first->second;
     });
