@@ -158,7 +158,7 @@ RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
         const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
-                                        [&](const auto& p) { return p.first == name; });
+                                        [&](const auto& known) { return known.first == name; });
         if (match == gradient_arrays.end())
             fail<UsageError>(
                 "the dict d_rendered has the unknown entry \"{}\"; expected only entries with "

@@ -37,13 +37,13 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
     const Progress progress = wrap_progress(report_progress);
-    Log read;
+    Log own_log;
     if (!log) {
         const py::gil_scoped_release others_run;
         limit_scan_memory(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
-        read = load_log(run.run.config, progress);
+        own_log = load_log(run.run.config, progress);
     }
-    const Evaluation result = evaluate_loaded(run, log ? log->sequence : read, baseline, progress);
+    const Evaluation result = evaluate_loaded(run, log ? log->sequence : own_log, baseline, progress);
     py::list frames;
     for (const ScoredFrame& frame : result.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,

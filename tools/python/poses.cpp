@@ -32,8 +32,8 @@ Pose read_pose(const double* matrix, const std::string& where) {
     // GLM expects the columns of a matrix, so the numbers are reordered.
     const glm::dmat3 rotation(matrix[0], matrix[4], matrix[8], matrix[1], matrix[5], matrix[9], matrix[2],
                               matrix[6], matrix[10]);
-    const glm::dmat3 square = glm::transpose(rotation) * rotation;
-    double worst = 0.0;
+    const glm::dmat3 square = glm::transpose(rotation) * rotation;  // identity for a rotation
+    double worst = 0.0;                                             // largest difference from the identity
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) worst = std::max(worst, std::abs(square[i][j] - (i == j ? 1.0 : 0.0)));
     if (!(worst <= kMaxRotationError))

@@ -41,17 +41,17 @@ py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> p
         throw py::index_error(
             fmt::format("cannot read scan {}: the log has only {} frames", position.value, frames.size()));
     const Scan& scan = frames[static_cast<std::size_t>(position.value)].scan;
-    const NumpyShape image{scan.rays.rows, scan.rays.columns};
+    const NumpyShape image_shape{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
     // In a motion-compensated log, all points of a frame have the same time, so all time
     // offsets are 0.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_array_dict(rays);
-    dict["range"] = move_to_numpy<float>(to_vector(scan.range_m), image);
-    dict["intensity"] = move_to_numpy<float>(to_vector(scan.intensity), image);
+    dict["range"] = move_to_numpy<float>(to_vector(scan.range_m), image_shape);
+    dict["intensity"] = move_to_numpy<float>(to_vector(scan.intensity), image_shape);
     std::vector<std::int32_t> classes;
     for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
-    if (!classes.empty()) dict["class"] = move_to_numpy<std::int32_t>(std::move(classes), image);
+    if (!classes.empty()) dict["class"] = move_to_numpy<std::int32_t>(std::move(classes), image_shape);
     return dict;
 }
 
