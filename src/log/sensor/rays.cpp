@@ -130,8 +130,8 @@ RayTable make_rays(const SpinningSensor& sensor) {
         const BeamRays geometry(beam);
         const int shift = offset_columns(beam, columns);
         for (std::size_t k = 0; k < fired.size(); ++k) {
-            // The beam points to the azimuth of this column when the head is at the column
-            // `shift` later. The second modulo makes negative columns positive.
+            // The beam points to the azimuth of this column when the head is `shift`
+            // columns further. The second modulo makes negative columns positive.
             const int head_column = ((fired[k] + shift) % columns + columns) % columns;
             double head_rad = sensor.first_azimuth_rad - head_column * 2.0 * kPi / columns;
             // To [-pi, pi], without changing -pi and pi.

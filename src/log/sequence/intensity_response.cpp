@@ -322,13 +322,11 @@ double rms_error(const IntensityFit& model, const CellReturns& returns) {
     };
     std::array<ChunkSum, kChunks> sums;
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> cell_returns, std::size_t chunk) {
-        for (const CellReturn& cell_return : cell_returns) {
-            const BeamGainOffset& beam = model.beams[cell_return.beam];
-            const double intensity_at_gain_1 = model.albedo[cell_return.cell] *
-                                               model.shared.range_factor(cell_return.range_m) *
-                                               model.shared.incidence_factor(cell_return.cosine);
-            const double error =
-                beam.gain * intensity_at_gain_1 + beam.offset - double(cell_return.intensity);
+        for (const CellReturn& r : cell_returns) {
+            const BeamGainOffset& beam = model.beams[r.beam];
+            const double intensity_at_gain_1 = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
+                                               model.shared.incidence_factor(r.cosine);
+            const double error = beam.gain * intensity_at_gain_1 + beam.offset - double(r.intensity);
             sums[chunk].squares += error * error;
         }
     });

@@ -132,18 +132,17 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
             if (cells[cell].empty()) continue;
             const std::optional<CellPlane> plane = fit_cell_plane(cells[cell], beam_offsets_m);
             if (!plane) continue;
-            for (const RawReturn& cell_return : cells[cell]) {
-                const double cosine = glm::dot(plane->normal, glm::dvec3(cell_return.direction));
+            for (const RawReturn& r : cells[cell]) {
+                const double cosine = glm::dot(plane->normal, glm::dvec3(r.direction));
                 const double residual_m =
-                    glm::dot(plane->normal, corrected_point(cell_return, beam_offsets_m) - plane->point);
+                    glm::dot(plane->normal, corrected_point(r, beam_offsets_m) - plane->point);
                 if (cosine == 0.0 || std::abs(residual_m) > kMaxResidual_m) continue;
                 ++block.n;
                 block.squares += residual_m * residual_m;
-                block.fits[cell_return.beam].weight += cosine * cosine;
+                block.fits[r.beam].weight += cosine * cosine;
                 // The distance of the uncorrected return. Then sum / weight is the total
                 // range offset, which the prior pulls to zero.
-                block.fits[cell_return.beam].sum +=
-                    cosine * (residual_m + beam_offsets_m[cell_return.beam] * cosine);
+                block.fits[r.beam].sum += cosine * (residual_m + beam_offsets_m[r.beam] * cosine);
             }
         }
         return block;
