@@ -50,8 +50,8 @@ std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const Regi
 ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneCaster& scene_view,
                          const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
-    const Pose before = track.pose[pose_index];
-    ScanAlignment result{.world_from_vehicle = before};  // not aligned yet
+    const Pose initial_pose = track.pose[pose_index];
+    ScanAlignment result{.world_from_vehicle = initial_pose};  // not aligned yet
     const std::vector<FrameRays> frames = rays_at_pose(sequence, pose_index, options);
     std::size_t n_rays = 0;
     for (const FrameRays& frame : frames) n_rays += frame.rays.size();
@@ -75,9 +75,9 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         if (equations.empty()) return result;
         // The prior pulls the pose towards its value before the alignment.
         Pose& pose = track.pose[pose_index];
-        step_m = equations.move_pose(pose, kPosePriorWeight, compute_twist(before, pose));
+        step_m = equations.move_pose(pose, kPosePriorWeight, compute_twist(initial_pose, pose));
     }
-    const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
+    const double moved_m = glm::distance(initial_pose.translation, track.pose[pose_index].translation);
     if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n_rays) || moved_m > options.largest_m)
         return result;
     return {.world_from_vehicle = track.pose[pose_index],
