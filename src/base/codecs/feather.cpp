@@ -239,7 +239,7 @@ Feather::Feather(std::string where, std::string bytes) : name_(std::move(where))
         std::int64_t n_free_bytes = std::int64_t(bytes_.size());
         dictionaries_ = read_batches(bytes_, footer.dictionaries, n_free_bytes);
         batches_ = read_batches(bytes_, footer.batches, n_free_bytes);
-        total_rows(dictionaries_, kMostRows * bytes_.size());
+        total_rows(dictionaries_, kMostRows * bytes_.size());  // only checks the limit
         rows_ = total_rows(batches_, kMostRows * bytes_.size());
     } catch (const DataError& error) {
         throw DataError(name_ + ": " + error.what());
