@@ -84,16 +84,17 @@ SurfaceClassMap count_votes(const std::vector<SurfaceClassCell>& votes) {
     const ItemCellIndices cells =
         number_cells(votes.size(), [&](std::size_t vote) { return key_of(votes[vote]); });
     SurfaceClassMap map(cells.n_cells);
-    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
+    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);  // votes
     for (std::size_t vote = 0; vote < votes.size(); ++vote) {
         map[cells.of[vote]].grid_index = votes[vote].grid_index;
         ++counts[cells.of[vote]][std::size_t(votes[vote].surface)];
     }
     for (std::size_t cell = 0; cell < map.size(); ++cell) {
-        std::size_t best = 0;
-        for (std::size_t k = 1; k < kSurfaceClasses; ++k)
-            if (counts[cell][k] >= counts[cell][best] && counts[cell][k] > 0) best = k;
-        map[cell].surface = SurfaceClass(best);
+        std::size_t most_voted = 0;
+        for (std::size_t class_number = 1; class_number < kSurfaceClasses; ++class_number)
+            if (counts[cell][class_number] >= counts[cell][most_voted] && counts[cell][class_number] > 0)
+                most_voted = class_number;
+        map[cell].surface = SurfaceClass(most_voted);
     }
     return map;
 }
