@@ -42,13 +42,15 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
     });
 }
 
-/// Returns the returns of the training frames that lie inside each box, [boxes].
+/// Collects the LiDAR returns of the training frames inside each box, in the box frame.
+/// @return [boxes]
 std::vector<LidarSamples> collect_samples(const Log& log, const std::vector<int>& frames,
                                           const std::vector<BoxTrack>& boxes, const InitOptions& options,
                                           const Progress& progress) {
-    std::vector<WalkedDistanceTrack> walks;
+    std::vector<WalkedDistanceTrack> walks;  // [boxes] distance walked until each time
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     // Separate lists per frame, so that threads need no lock and the order stays fixed.
+    // [frames][boxes]
     std::vector<std::vector<LidarSamples>> by_frame(frames.size(), std::vector<LidarSamples>(boxes.size()));
     progress_for(frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
         append_returns(log, log.frames[std::size_t(frames[index])], boxes, options.second_returns, walks,
@@ -134,7 +136,8 @@ DeformingActorSurfels deform_selected(const BoxTrack& box, const LidarSamples& s
     return changing;
 }
 
-/// Appends an actor to the scene. Does nothing if the box has too few points.
+/// Appends an actor to the scene: its surfels, a model with them, and an instance of this
+/// model. Does nothing if the box has too few points.
 /// @param incidence  strength of the dependence on the incidence angle
 /// (IntensityResponse)
 void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples, const InitOptions& options,
@@ -251,6 +254,8 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
         const SurfelModel& model = scene.models[instance.model];
         placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
                                : InstancePose{{}, false});
+        // A walking actor also gets the phase of its walk: walked distance / distance after
+        // which its motion repeats. A track that is not the logged one continues its steps.
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
         const BoxTrack* box = find_box(log, instance.track);

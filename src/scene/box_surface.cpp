@@ -114,7 +114,8 @@ bool ObservedBoxSurface::is_mirror_observed(const glm::dvec3& point_m) const {
 }
 
 /// Returns the share of the area of one side, or of all sides, whose patches were
-/// observed. Leaves out patches near the ground.
+/// observed. Patches are the cells of a regular grid on each side. The mirror patch is at
+/// the opposite y. Leaves out patches near the ground.
 /// @param only_mirrored if true, counts the patches of which only the mirror patch was
 /// observed, instead of the observed patches
 double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const {

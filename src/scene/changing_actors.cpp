@@ -297,7 +297,8 @@ void fade_far_swings(Scene& scene, float alpha_min) {
     }
 }
 
-/// Sums up the distances between the averaged positions at successive poses.
+/// Sums up the distances between the mean positions at successive poses. A mean is over
+/// up to kAveraging_s around its time, because labelled boxes jitter.
 WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track.time_s) {
     const auto mean_position = [&](double t_s) {
         // The window shrinks near the ends of the track, so that it stays symmetric.

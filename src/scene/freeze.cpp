@@ -39,11 +39,13 @@ ShBasis evaluate_sh(const glm::dvec3& direction) {
 
 using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
-/// Returns the matrix that rotates SH coefficients from the model frame to the world
-/// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. A
-/// weighted sum over four heights z (Gauss-Legendre) with eight azimuths each is exact,
-/// because the integrands have degree 6.
+/// Returns the matrix that rotates coefficients of spherical harmonics (SH, Y_i) from the
+/// model frame to the world frame with R, the rotation of `world_from_model`. Element
+/// (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. A weighted sum over
+/// four heights z (Gauss-Legendre) with eight azimuths each is exact, because each Y has
+/// at most degree 3, so that a product has at most degree 6.
 ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
+    // height z and weight
     constexpr std::array<std::array<double, 2>, 4> kGaussNodes{{{-0.8611363115940526, 0.3478548451374538},
                                                                 {-0.3399810435848563, 0.6521451548625461},
                                                                 {0.3399810435848563, 0.6521451548625461},
@@ -51,10 +53,11 @@ ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
     constexpr int kAzimuths = 8;
     ShRotation rotation{};
     for (const auto& [z, weight] : kGaussNodes)
-        for (int a = 0; a < kAzimuths; ++a) {
-            const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
-            const glm::dvec3 d(r * std::cos(angle), r * std::sin(angle), z);
-            const ShBasis in_model = evaluate_sh(d), in_world = evaluate_sh(world_from_model * d);
+        for (int k = 0; k < kAzimuths; ++k) {
+            const double azimuth = 2.0 * kPi * k / kAzimuths, radius = std::sqrt(1.0 - z * z);
+            const glm::dvec3 direction(radius * std::cos(azimuth), radius * std::sin(azimuth), z);
+            const ShBasis in_model = evaluate_sh(direction),
+                          in_world = evaluate_sh(world_from_model * direction);
             for (std::size_t i = 0; i < kShCoefficients; ++i)
                 for (std::size_t j = 0; j < kShCoefficients; ++j)
                     rotation[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];

@@ -68,8 +68,8 @@ std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& i
     return sensor_positions;
 }
 
-/// Returns the voxel that contains a point. Its edge is `voxel_m` * 2^level. The level
-/// rises with the distance to the nearest sensor position if `voxel_growth` is not 0.
+/// Returns the voxel that contains a point. Its edge is `voxel_m` * 2^level, nearest to
+/// `voxel_growth` * distance to the nearest sensor position, and at least `voxel_m`.
 VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensors,
                           const InitOptions& options) {
     int level = 0;

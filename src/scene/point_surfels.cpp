@@ -247,11 +247,12 @@ double mean_spacing_m(const std::vector<float>& distance2, const InitOptions& op
 /// Computes all parameters of a surfel from its sample and the nearby samples.
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
+    // The nearest samples include the sample itself, hence + 1.
     const std::size_t n_searched =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
-    std::vector<float> distance2;
-    Neighbours nearest = find_nearest(tree, samples[surfel], n_searched, distance2);
-    const double spacing_m = mean_spacing_m(distance2, options);
+    std::vector<float> squared_m2;
+    Neighbours nearest = find_nearest(tree, samples[surfel], n_searched, squared_m2);
+    const double spacing_m = mean_spacing_m(squared_m2, options);
     // Without a known surface, the normal is random. Draws in the order z, y, x, because
     // another order would change the surfels of a seed.
     Random random(hash_pair(options.seed, surfel));
@@ -313,14 +314,15 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count, Sa
         if (occupied_voxels.insert(thinning_voxel_key(samples[i].position)).second)
             first_in_voxel.push_back(static_cast<std::uint32_t>(i));
     if (first_in_voxel.size() > max_count) {
-        // Keeps a random subset that depends only on positions, not on the sample order.
-        const auto random_order = [&](std::uint32_t index) {
+        // Keeps a random subset, the smallest hashes. It depends only on positions (in
+        // steps of 0.1 mm), not on the sample order.
+        const auto position_hash = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
                              std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
         std::sort(first_in_voxel.begin(), first_in_voxel.end(), [&](std::uint32_t left, std::uint32_t right) {
-            return random_order(left) < random_order(right);
+            return position_hash(left) < position_hash(right);
         });
         first_in_voxel.resize(max_count);
     }

@@ -307,7 +307,8 @@ private:
     std::unordered_multimap<std::uint64_t, std::uint32_t> cells_;
 };
 
-/// Copies the missing properties from the surfels of the run at the same positions.
+/// Sets the properties that a PLY file lacks to those of the run's surfels at the same
+/// positions.
 /// @param model output: model of each surfel, if the file lacks it
 /// @return a note about the surfels that were matched
 /// @throws DataError if a surfel was moved, or if its model is ambiguous
@@ -339,6 +340,8 @@ std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model,
             "properties that `relidar export` writes",
             columns.missing.front().name, n_moved, surfels.size(), first_moved, nearest_m);
     }
+    // The model is the last property. Twins fit surfels of several models. They need no
+    // choice if the file has all surfels of the run, because each is then used once.
     if (columns.missing.back().kind == PlyProperty::model && matcher.count_twins() > 0 &&
         matcher.count_unused() > 0)
         fail(
@@ -376,16 +379,18 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
 /// @param note output: says which properties were copied from the run
 Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
                 std::string& note) {
+    // The lines of the header end with LF or CR LF. One record per vertex follows it.
     const std::string start = bytes.substr(0, kMaxPlyHeader);
     const std::size_t header_end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (header_end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, header_end));
-    const std::size_t data = start.find('\n', header_end + 1) + 1, n_bytes = bytes.size() - data;
+    const std::size_t first_record = start.find('\n', header_end + 1) + 1,
+                      n_data_bytes = bytes.size() - first_record;
     const PlyColumns columns = find_columns(layout, parameters);
     check_restorable(columns, scene_layout, parameters);
-    if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
-        fail("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count,
+    if (n_data_bytes / layout.stride != layout.count || n_data_bytes % layout.stride != 0)
+        fail("found {} bytes of data, expected {} vertices of {} bytes", n_data_bytes, layout.count,
              layout.stride);
     Surfels surfels;
     surfels.resize(layout.count, parameters);
@@ -394,7 +399,8 @@ Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParam
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
             const PlyProperty& property = columns.property[k];
             float value;
-            std::memcpy(&value, bytes.data() + data + i * layout.stride + columns.offset[k], sizeof value);
+            std::memcpy(&value, bytes.data() + first_record + i * layout.stride + columns.offset[k],
+                        sizeof value);
             check_value(value, property, i, scene_layout.models.size());
             if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
             else property.value_in(surfels, i) = value;

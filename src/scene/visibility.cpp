@@ -187,8 +187,9 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
 
-/// Selects the frames for each tile of the ground: the near ones, at most kMostViews,
-/// evenly spaced in time.
+/// Selects the frames (views) for each tile of the ground: those whose sensor is within
+/// kMaxTileDistance_m or kMaxDistanceRatio times the smallest distance. Of more than
+/// kMostViews, keeps kMostViews that are evenly spaced in time.
 void VisibilityChecker::select_frames() {
     // Lists for each tile the views whose sensors are within their maximum range.
     struct ViewInRange {
@@ -218,6 +219,7 @@ void VisibilityChecker::select_frames() {
         for (const ViewInRange& candidate : in_range)
             if (candidate.distance_m <= max_distance_m) views.push_back(candidate.view);
         if (views.size() <= kMostViews) continue;
+        // Works in place: the index on the right is never below k.
         for (std::size_t k = 0; k < kMostViews; ++k) views[k] = views[k * views.size() / kMostViews];
         views.resize(kMostViews);
     }

@@ -304,6 +304,7 @@ void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
             if (has_label(box) && has_label(other)) return box.id == other.id;
             return is_same_object(other, box) || is_same_object(box, other);
         };
+        // true if `box` is kept instead of `other`: 2 n_other <= 3 n_box observations
         const auto is_better = [&](const BoxTrack& box) {
             if (has_label(box) != has_label(other)) return has_label(box);
             return 2 * other.world_from_box.time_s.size() <= 3 * box.world_from_box.time_s.size();

@@ -57,9 +57,10 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t n_max) {
                             track.observations[std::min(track.observations.size(), n_max) - 1].cluster);
 }
 
-/// Returns the distance between a cluster and the predicted position of a track, divided
-/// by the largest allowed distance. A value above 1 means that the cluster is another
-/// object. While the tracked object has a label, only clusters with this label match.
+/// Returns the distance, in the view from above, between a cluster and the predicted
+/// position of a track, divided by the largest allowed distance. From 1 on, it is another
+/// object. A label is an index in Log::boxes. For a labelled track, an equal label costs 0,
+/// and another label never matches. During the label's time, no unlabelled cluster matches.
 double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s, const Log& log) {
     if (track.label != kNoLabel) {
         if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : kNoMatch;
@@ -67,15 +68,15 @@ double match_cost(const MoverTrack& track, const MoverCluster& cluster, double f
         if (labels.contains_time(frame_time_s)) return kNoMatch;
     }
     const MoverCluster& last = track.last_cluster();
-    const double dt = cluster.time_s - last.time_s;
-    if (!(dt > 0.0 && dt < kMaxGap_s)) return kNoMatch;
+    const double gap_s = cluster.time_s - last.time_s;
+    if (!(gap_s > 0.0 && gap_s < kMaxGap_s)) return kNoMatch;
     const double size_ratio = double(cluster.points_m.size()) / double(last.points_m.size());
     if (size_ratio > kMaxRatio || size_ratio < 1.0 / kMaxRatio) return kNoMatch;
     // With a single observation, the velocity is unknown.
     const double max_error_mps = track.observations.size() < 2 ? kFirstSpeed_mps : kMaxPrediction_mps;
-    const double max_error_m = kMaxPrediction_m + max_error_mps * dt;
+    const double max_error_m = kMaxPrediction_m + max_error_mps * gap_s;
     const glm::dvec3 error_m =
-        cluster.centre_m - last.centre_m - dt * last_velocity(track, kNextFrameVelocity);
+        cluster.centre_m - last.centre_m - gap_s * last_velocity(track, kNextFrameVelocity);
     return glm::length(glm::dvec2(error_m)) / max_error_m;
 }
 
@@ -109,11 +110,14 @@ private:
     MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    /// Returns true if no cluster of a frame can continue a track.
+    /// Returns true if no cluster of a frame can continue a track. A labelled track stays
+    /// open until its last label.
     bool has_ended(const MoverTrack& track, double frame_time_s) const {
         if (track.label != kNoLabel &&
             sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
             return false;
+        // match_cost() compares firing times of returns. They differ from frame times by
+        // up to a sweep, so this limit is wider.
         return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
     }
     /// Returns the pairs of an open track and a cluster of a frame, the best match first.
@@ -178,6 +182,7 @@ bool is_offset_constant(const MoverTrack& first, const MoverTrack& second, const
         squares += offset_m * offset_m;
     }
     const double n = double(common.size());
+    // Variance = mean of the squares - square of the mean, for each axis.
     const glm::dvec3 variance = squares / n - sum / n * (sum / n);
     return variance.x + variance.y < kMaxOffsetSigma_m * kMaxOffsetSigma_m;
 }
@@ -225,8 +230,8 @@ std::vector<Match> find_gap_pairs(const MoverTracks& tracks) {
     const auto start_s = [](const MoverTrack& track) { return track.observations.front().frame_time_s; };
     for (std::size_t earlier = 0; earlier < tracks.size(); ++earlier) {
         const double end_s = tracks[earlier].observations.back().frame_time_s;
-        const auto first = std::ranges::upper_bound(tracks, end_s, {}, start_s);
-        for (auto later = first; later != tracks.end(); ++later) {
+        const auto first_later = std::ranges::upper_bound(tracks, end_s, {}, start_s);
+        for (auto later = first_later; later != tracks.end(); ++later) {
             if (start_s(*later) >= end_s + kLongestGap_s) break;
             const double cost = gap_cost(tracks[earlier], *later);
             if (cost < 1.0) pairs.push_back({cost, earlier, std::size_t(later - tracks.begin())});
@@ -236,30 +241,34 @@ std::vector<Match> find_gap_pairs(const MoverTracks& tracks) {
     return pairs;
 }
 
-/// Joins tracks of the same object across gaps, unless both have a label.
+/// Joins tracks of the same object across gaps, unless both have a label. The parts of an
+/// object form a chain: each part is linked to the part that continues it.
 MoverTracks join_gaps(MoverTracks tracks) {
-    // Links each track to at most one later track, the best pairs first.
-    const std::size_t none = tracks.size();
+    // Links each track to at most one later and at most one earlier track, the best
+    // pairs first. Both arrays have one entry per track.
+    const std::size_t none = tracks.size();  // marks the end of a chain
     std::vector<std::size_t> next(tracks.size(), none);
     std::vector<char> has_previous(tracks.size(), 0);
-    for (const auto& [cost, before, after] : find_gap_pairs(tracks))
-        if (next[before] == none && !has_previous[after]) {
-            next[before] = after;
-            has_previous[after] = 1;
+    for (const auto& [cost, earlier, later] : find_gap_pairs(tracks))
+        if (next[earlier] == none && !has_previous[later]) {
+            next[earlier] = later;
+            has_previous[later] = 1;
         }
-    // Follows the links from the first track of each chain.
+    // Starts a chain at each track that continues no other, and appends the later parts
+    // to the newest joined track. Two labels are two objects, so a second label in the
+    // chain begins a new joined track, which gets the parts after it.
     MoverTracks joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {
         if (has_previous[first]) continue;
         joined.push_back(std::move(tracks[first]));
-        for (std::size_t t = next[first]; t != none; t = next[t]) {
-            MoverTrack& last = joined.back();
-            if (last.label != kNoLabel && tracks[t].label != kNoLabel) {
-                joined.push_back(std::move(tracks[t]));  // a chain can contain several labels
+        for (std::size_t part = next[first]; part != none; part = next[part]) {
+            MoverTrack& newest = joined.back();
+            if (newest.label != kNoLabel && tracks[part].label != kNoLabel) {
+                joined.push_back(std::move(tracks[part]));
                 continue;
             }
-            last.label = std::max(last.label, tracks[t].label);
-            std::ranges::move(tracks[t].observations, std::back_inserter(last.observations));
+            newest.label = std::max(newest.label, tracks[part].label);  // kNoLabel is the smallest
+            std::ranges::move(tracks[part].observations, std::back_inserter(newest.observations));
         }
     }
     return joined;
@@ -286,12 +295,12 @@ bool is_moving_track(const MoverTrack& track) {
     for (const MoverObservation& o : track.observations)
         centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
     const KinematicPath path = smooth_path(track.times_s(), centres);
-    double length = 0.0;
+    double path_m = 0.0;
     for (std::size_t i = 1; i < path.size(); ++i)
-        length += glm::distance(path[i - 1].position_m, path[i].position_m);
-    const double net = glm::distance(path.front().position_m, path.back().position_m);
+        path_m += glm::distance(path[i - 1].position_m, path[i].position_m);
+    const double net_m = glm::distance(path.front().position_m, path.back().position_m);
     // A path that wanders around one position is long but ends near its start.
-    return net > kMinPath_m && net > kMinStraightness * length;
+    return net_m > kMinPath_m && net_m > kMinStraightness * path_m;
 }
 
 bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
@@ -312,13 +321,14 @@ void merge_tracks(MoverTracks& tracks) {
     std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
         return first.observations.size() > second.observations.size();
     });
-    for (std::size_t a = 0; a < tracks.size(); ++a)
-        for (std::size_t b = a + 1; b < tracks.size(); ++b) {
-            if (!is_same_vehicle(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : list_pairs(tracks[a], tracks[b]))
-                tracks[a].observations[i].cluster.merge_cluster(tracks[b].observations[j].cluster);
-            tracks.erase(tracks.begin() + std::ptrdiff_t(b));
-            --b;  // the next track has moved to this index
+    for (std::size_t longer = 0; longer < tracks.size(); ++longer)
+        for (std::size_t shorter = longer + 1; shorter < tracks.size(); ++shorter) {
+            if (!is_same_vehicle(tracks[longer], tracks[shorter])) continue;
+            // Frames that show only the shorter track add no observation.
+            for (const auto& [i, j] : list_pairs(tracks[longer], tracks[shorter]))
+                tracks[longer].observations[i].cluster.merge_cluster(tracks[shorter].observations[j].cluster);
+            tracks.erase(tracks.begin() + std::ptrdiff_t(shorter));
+            --shorter;  // the next track has moved to this index
         }
 }
 
