@@ -57,16 +57,17 @@ double seconds_per_rad(const Lidar& lidar) {
 double half_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     const glm::dvec3& centre = sensor_from_box.translation;
     if (std::hypot(centre.x, centre.y) <= glm::length(half_size_m)) return kPi;
-    const double azimuth = std::atan2(centre.y, centre.x);
-    double largest = 0.0;
+    const double azimuth_rad = std::atan2(centre.y, centre.x);
+    double largest_rad = 0.0;
     for (int corner = 0; corner < 8; ++corner) {
         // The three bits of `corner` are the signs of its coordinates.
         const glm::dvec3 sign(corner & 1 ? 1.0 : -1.0, corner & 2 ? 1.0 : -1.0, corner & 4 ? 1.0 : -1.0);
-        const glm::dvec3 at = sensor_from_box * (sign * half_size_m);
-        const double off_centre_rad = std::remainder(std::atan2(at.y, at.x) - azimuth, 2.0 * kPi);
-        largest = std::max(largest, std::abs(off_centre_rad));
+        const glm::dvec3 corner_m = sensor_from_box * (sign * half_size_m);
+        const double off_centre_rad =
+            std::remainder(std::atan2(corner_m.y, corner_m.x) - azimuth_rad, 2.0 * kPi);
+        largest_rad = std::max(largest_rad, std::abs(off_centre_rad));
     }
-    return largest;
+    return largest_rad;
 }
 
 /// Returns the time interval in which the rotating head faces a box: the time at which it

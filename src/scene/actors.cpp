@@ -103,16 +103,16 @@ void check_track_names(const Log& log, const std::string& track_names) {
 /// Adds random points inside the box until there are `min_count` samples, with the mean
 /// intensity of the existing samples and viewing directions towards the box centre.
 void pad_samples(LidarSamples& samples, std::size_t min_count, const BoxTrack& box, std::uint64_t seed) {
-    double intensity = 0.0;
-    for (const LidarSample& s : samples) intensity += s.intensity / double(samples.size());
+    double mean_intensity = 0.0;
+    for (const LidarSample& s : samples) mean_intensity += s.intensity / double(samples.size());
     Random random(hash_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
         // Draws in the order z, y, x. Another order would change the points of a seed.
         glm::dvec3 fraction;
         for (int axis = 2; axis >= 0; --axis) fraction[axis] = random.sample_uniform();
-        const glm::dvec3 p = box.size_m * (fraction - 0.5);
-        samples.push_back(
-            {glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
+        const glm::dvec3 point_m = box.size_m * (fraction - 0.5);
+        samples.push_back({glm::vec3(point_m), static_cast<float>(mean_intensity),
+                           glm::vec3(-point_m / std::max(glm::length(point_m), 1e-9))});
     }
 }
 
@@ -254,8 +254,8 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
         const SurfelModel& model = scene.models[instance.model];
         placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
                                : InstancePose{{}, false});
-        // A walking actor also gets the phase of its walk: walked distance / distance after
-        // which its motion repeats. A track that is not the logged one continues its steps.
+        // A walking actor also gets the phase of its walk: walked distance / distance per
+        // cycle of its motion. A track that is not the logged one continues its steps.
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
         const BoxTrack* box = find_box(log, instance.track);

@@ -74,13 +74,13 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
                           const InitOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const double sensor_m = std::sqrt(double(sensors.nearest_distance_sq(point_m)));
-        const double wanted_edge = std::max(options.voxel_m, options.voxel_growth * sensor_m);
-        level = std::max(0, static_cast<int>(std::floor(std::log2(wanted_edge / options.voxel_m) + 0.5)));
+        const double distance_m = std::sqrt(double(sensors.nearest_distance_sq(point_m)));
+        const double wanted_edge_m = std::max(options.voxel_m, options.voxel_growth * distance_m);
+        level = std::max(0, static_cast<int>(std::floor(std::log2(wanted_edge_m / options.voxel_m) + 0.5)));
     }
-    const double edge = options.voxel_m * std::exp2(level);
-    return {level, int(std::floor(point_m.x / edge)), int(std::floor(point_m.y / edge)),
-            int(std::floor(point_m.z / edge))};
+    const double edge_m = options.voxel_m * std::exp2(level);
+    return {level, int(std::floor(point_m.x / edge_m)), int(std::floor(point_m.y / edge_m)),
+            int(std::floor(point_m.z / edge_m))};
 }
 
 struct VoxelSample {

@@ -228,8 +228,8 @@ void set_rotation_and_scales(Surfels& surfels, std::size_t surfel, const SurfelP
         !placement.gap.is_line_missing() && gap_m > kMinGapRatio * spacing_m && gap_m < options.max_gap_m;
     if (fills_gap) x = placement.gap.across;
     const glm::dvec3& normal = placement.plane.normal;
-    const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
-    surfels.rotation[surfel] = {float(q.w), float(q.x), float(q.y), float(q.z)};
+    const glm::dquat rotation = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
+    surfels.rotation[surfel] = {float(rotation.w), float(rotation.x), float(rotation.y), float(rotation.z)};
     const double length_m = fills_gap ? gap_m * options.scale_factor : disk_m;
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
     surfels.log_scale[surfel] = {log_scale(length_m), log_scale(disk_m)};

@@ -262,10 +262,10 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
     if (here.n < kMinReturns) return PointVisibility::unknown;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     // The margin, metres, allows errors of poses, of oblique surfaces and of wide beams.
-    const double range = here.range_m, margin = 0.3 + 0.02 * range;
+    const double range_m = here.range_m, margin_m = 0.3 + 0.02 * range_m;
     // All returns around the point are clearly behind it, so the space is empty.
-    if (*nearest > range + kMinBehindMargins * margin) return PointVisibility::empty;
-    const bool is_among_returns = range > *nearest - margin && range < *farthest + margin;
+    if (*nearest > range_m + kMinBehindMargins * margin_m) return PointVisibility::empty;
+    const bool is_among_returns = range_m > *nearest - margin_m && range_m < *farthest + margin_m;
     return is_among_returns ? PointVisibility::occupied : PointVisibility::unknown;
 }
 

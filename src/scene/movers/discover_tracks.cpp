@@ -122,8 +122,8 @@ constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 /// must exceed the apparent motion of a static object whose visible part changes.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
-    const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
-                 longest = std::max(box.size_m.x, box.size_m.y);
+    const double fastest_mps = speeds.empty() ? 0.0 : std::ranges::max(speeds),
+                 longest_m = std::max(box.size_m.x, box.size_m.y);
     const std::vector<Pose>& poses = box.world_from_box.pose;
     double path_m = 0.0, rotation_rad = 0.0;
     for (std::size_t i = 1; i < poses.size(); ++i) {
@@ -132,10 +132,10 @@ bool is_plausible(const BoxTrack& box) {
     }
     const double net_m = glm::distance(poses.front().translation, poses.back().translation);
     const bool turns_on_the_spot =
-        longest > kMinVehicleLength_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
+        longest_m > kMinVehicleLength_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
     return box.size_m.x < kMaxBoxLength_m && box.size_m.y < kMaxBoxWidth_m &&
-           box.size_m.z < kMaxBoxHeight_m && fastest > kMinSpeed_mps && fastest < kMaxSpeed_mps &&
-           net_m > kMinTravelPerSize * longest && net_m > kMinBoxStraightness * path_m &&
+           box.size_m.z < kMaxBoxHeight_m && fastest_mps > kMinSpeed_mps && fastest_mps < kMaxSpeed_mps &&
+           net_m > kMinTravelPerSize * longest_m && net_m > kMinBoxStraightness * path_m &&
            !turns_on_the_spot && box.is_moving();
 }
 
@@ -244,13 +244,13 @@ std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& trac
 /// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
 /// than half of the time.
 bool is_same_object(const BoxTrack& inner, const BoxTrack& outer) {
-    const double margin =
+    const double margin_m =
         std::max(outer.size_m.x, outer.size_m.y) < kMinVehicleLength_m ? kPersonMargin_m : kVehicleMargin_m;
     const PoseTrack& track = inner.world_from_box;
     std::size_t n_inside = 0;
     for (std::size_t i = 0; i < track.time_s.size(); ++i)
         if (outer.is_observed(track.time_s[i]) &&
-            outer.contains_point(track.pose[i].translation, track.time_s[i], margin))
+            outer.contains_point(track.pose[i].translation, track.time_s[i], margin_m))
             ++n_inside;
     return 2 * n_inside > track.time_s.size();
 }

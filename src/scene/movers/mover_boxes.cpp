@@ -94,23 +94,23 @@ Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
 std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
                                   std::optional<double> size_m) {
     std::vector<Extent> extents;
-    std::vector<double> lengths, centres;
+    std::vector<double> lengths_m, centres_m;
     for (std::size_t k = 0; k < axes.size(); ++k) {
         extents.push_back(extent_along(track.observations[k].cluster, axes[k]));
-        lengths.push_back(extents[k].high_m - extents[k].low_m);
+        lengths_m.push_back(extents[k].high_m - extents[k].low_m);
     }
-    std::sort(lengths.begin(), lengths.end());
-    const double half_size_m = 0.5 * size_m.value_or(lengths[lengths.size() * 9 / 10]);
+    std::sort(lengths_m.begin(), lengths_m.end());
+    const double half_size_m = 0.5 * size_m.value_or(lengths_m[lengths_m.size() * 9 / 10]);
     for (std::size_t k = 0; k < axes.size(); ++k) {
         const Extent& extent = extents[k];
-        const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
+        const double sensor_m = glm::dot(axes[k], track.observations[k].sensor_m);
         // If the sensor is beside the object, both ends are visible.
-        double centre = 0.5 * (extent.low_m + extent.high_m);
-        if (sensor > extent.high_m) centre = extent.high_m - half_size_m;
-        else if (sensor < extent.low_m) centre = extent.low_m + half_size_m;
-        centres.push_back(centre);
+        double centre_m = 0.5 * (extent.low_m + extent.high_m);
+        if (sensor_m > extent.high_m) centre_m = extent.high_m - half_size_m;
+        else if (sensor_m < extent.low_m) centre_m = extent.low_m + half_size_m;
+        centres_m.push_back(centre_m);
     }
-    return centres;
+    return centres_m;
 }
 
 /// Returns the height of the object's top for each observation. Beams can miss the top of
@@ -328,12 +328,13 @@ BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
 std::vector<double> speeds_mps(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     std::vector<double> speeds;
-    for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
-        // i becomes the latest pose before j that is at least kSpeedWindow_s older.
-        while (i + 1 < j && track.time_s[j] - track.time_s[i + 1] >= kSpeedWindow_s) ++i;
-        const double seconds = track.time_s[j] - track.time_s[i];
+    for (std::size_t start = 0, end = 0; end < track.pose.size(); ++end) {
+        // `start` becomes the latest pose that is at least kSpeedWindow_s older than `end`.
+        while (start + 1 < end && track.time_s[end] - track.time_s[start + 1] >= kSpeedWindow_s) ++start;
+        const double seconds = track.time_s[end] - track.time_s[start];
         if (seconds >= kSpeedWindow_s)
-            speeds.push_back(glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
+            speeds.push_back(glm::distance(track.pose[end].translation, track.pose[start].translation) /
+                             seconds);
     }
     return speeds;
 }

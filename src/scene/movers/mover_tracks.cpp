@@ -58,9 +58,9 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t n_max) {
 }
 
 /// Returns the distance, in the view from above, between a cluster and the predicted
-/// position of a track, divided by the largest allowed distance. From 1 on, it is another
-/// object. A label is an index in Log::boxes. For a labelled track, an equal label costs 0,
-/// and another label never matches. During the label's time, no unlabelled cluster matches.
+/// position of a track, divided by the largest allowed distance. From 1 on, it is
+/// another object. A label is an index in Log::boxes. In a labelled track, an equal label
+/// costs 0, another never matches, and no label matches only outside the label's time.
 double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s, const Log& log) {
     if (track.label != kNoLabel) {
         if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : kNoMatch;
