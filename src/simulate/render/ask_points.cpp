@@ -46,7 +46,7 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                 const ScanRenderPlan& plan, SubmissionTiming timing,
                                                 PointMemory memory) try {
-    // A scene with blocks has no copies for further lanes.
+    // A scene with blocks, which are loaded as the sensor moves, has no copies for lanes.
     const int parallel_limit = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
     const bool is_in_batch =
         parallel_limit > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);

@@ -35,7 +35,7 @@ bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, st
         normal_matrix += glm::outerProduct(row(i), row(i));
         right_side += row(i) / double(ranges_m[i]);
     }
-    // Sub-rays on a line do not define a plane.
+    // Sub-rays whose offsets lie on a line do not define a plane.
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right_side;
     return std::ranges::all_of(parts, [&](std::size_t index) {
@@ -50,7 +50,8 @@ bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, st
 /// @param first index of the first sub-ray of the beam
 void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m, std::size_t first,
                    const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // First tries to join all groups of the beam, then shorter and shorter sequences.
+    // Tries all groups of the beam first, then shorter and shorter sequences, so that a
+    // plane becomes one group instead of several.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             SubRayReturn joined;

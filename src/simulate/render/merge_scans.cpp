@@ -33,8 +33,9 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
-/// Appends the values that a channel has for second returns. Earlier scans may have none,
-/// so their rays get the empty value first.
+/// Appends the values that a channel of a scan has for second returns. The rays before
+/// this scan get the empty value if their scans have no such values.
+/// @param first_ray index of the scan's first ray in the merged scan
 void append_second(ScanChannel& merged, const ScanChannel& source, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (count_values(merged.second) == 0) merged.second = std::vector<T>{};
@@ -78,42 +79,45 @@ private:
 
 /// Appends the values of all channels of a scan. Rotates vectors, such as normals, into
 /// the frame of the rig.
-/// @param first index of the scan's first ray in the merged scan
-void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first) {
-    const std::size_t n = scan.image.range_m.size();
+/// @param first_ray index of the scan's first ray in the merged scan
+void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first_ray) {
+    const std::size_t n_rays = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
         // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
-        const auto add = [&]<class T>(std::vector<T>& all) {
-            const std::vector<T>* added = find_values<T>(scan.channels, info.name);
-            if (!added) {
-                all.resize(first + n, empty_value<T>(info));
+        const auto add = [&]<class T>(std::vector<T>& merged_values) {
+            const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);
+            if (!scan_values) {
+                merged_values.resize(first_ray + n_rays, empty_value<T>(info));
                 return;
             }
-            append_elements(all, *added);
-            if constexpr (std::is_same_v<T, glm::vec3>)  // `turns`: rotates with the sensor
-                for (std::size_t i = 0; info.turns && i < n; ++i)
-                    all[first + i] = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*added)[i]));
+            append_elements(merged_values, *scan_values);
+            if constexpr (std::is_same_v<T, glm::vec3>)  // `turns`: in the frame of the sensor
+                for (std::size_t i = 0; info.turns && i < n_rays; ++i)
+                    merged_values[first_ray + i] =
+                        glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
             if (scan_channel.info.name == info.name && count_values(scan_channel.second) > 0)
-                append_second(channel, scan_channel, first);
+                append_second(channel, scan_channel, first_ray);
     }
 }
 
-/// Extends the lists of second returns to all rays. For rays without a second return,
-/// range and intensity are 0, and the channels have no value.
+/// Extends the lists of second returns to the last ray, because so far they end with the
+/// last scan that has second returns. Added entries mean no return: range and intensity
+/// are 0, channels have their empty value. A channel without second values keeps none.
 void pad_second_returns(RenderedScan& merged) {
-    const std::size_t n = merged.image.range_m.size();
+    const std::size_t n_rays = merged.image.range_m.size();
     for (AdditionalReturns& second : merged.second_returns) {
-        second.range_m.resize(n);
-        second.intensity.resize(n);
+        second.range_m.resize(n_rays);
+        second.intensity.resize(n_rays);
     }
     for (ScanChannel& channel : merged.channels)
         if (count_values(channel.second) > 0)
-            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, empty_value<T>(channel.info)); },
-                       channel.second);
+            std::visit(
+                [&]<class T>(std::vector<T>& values) { values.resize(n_rays, empty_value<T>(channel.info)); },
+                channel.second);
 }
 
 /// Adds the ray counts of a scan to the merged scan: rays per actor, and rays per
@@ -162,17 +166,17 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
     merged.track = mount_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
-    std::size_t rings = 0;
-    double unseen_rays = 0.0;
+    std::size_t n_rings = 0;   // of the scans before: numbers of the next scan start here
+    double unseen_rays = 0.0;  // rays in space that the log has not observed
     for (const RenderedScan& scan : scans) {
         check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
         add_channels(merged, scan);
         RigPoses poses(merged, scan);
-        append_rays(merged, scan, poses, rings);
-        if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
+        append_rays(merged, scan, poses, n_rings);
+        if (!scan.ring.empty()) n_rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         // Ring numbers are stored in 16 bits.
-        if (rings > 65536)
-            fail<UsageError>("cannot merge scans: found {} beams in total, expected at most 65536", rings);
+        if (n_rings > 65536)
+            fail<UsageError>("cannot merge scans: found {} beams in total, expected at most 65536", n_rings);
         const std::size_t first_ray = merged.image.range_m.size();
         append_channels(merged, scan, poses, first_ray);
         for_basic_channels(scan, merged,

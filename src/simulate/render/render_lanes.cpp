@@ -14,7 +14,8 @@ ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene
 
 ParallelScanResources& ParallelScanResourcePool::next_lane() {
     if (!batch_) {
-        // Adds lanes with copies of the scene, fewer if the device memory is too small.
+        // A lane has the buffers of one scan. Adds lanes with copies of the scene up to
+        // most_, which falls to the number that the device memory can hold.
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
@@ -73,7 +74,7 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& dev
                                                                      const SimulatedSensor& sensor,
                                                                      const RayTable& ray_table,
                                                                      const RayFunction& drop_probability) {
-    // Limits for the rays that stay in device memory. They need at most 0.2 GB.
+    // Limits for the rays of all entries, which need at most 0.2 GB of device memory.
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
     const auto match =

@@ -170,7 +170,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
                                   std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
     result.time_offset_s.assign(n, 0.0f);
     // [cells] drop probability of the ray that each pixel shows
-    constexpr float kNoRay = 2.0f;
+    constexpr float kNoRay = 2.0f;  // more than a probability: no ray yet
     std::vector<float> shown_drop(n, kNoRay);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

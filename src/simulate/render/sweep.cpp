@@ -24,15 +24,15 @@ void check_track(const PoseTrack& track, const std::string& object_name) {
         fail("cannot render a scan: the poses of {} are invalid: found {}, expected {}", object_name, found,
              expected);
     };
-    const std::size_t n = track.pose.size();
-    if (n == 0 || n != track.time_s.size())
-        refuse(fmt::format("{} poses and {} times", n, track.time_s.size()),
+    const std::size_t n_poses = track.pose.size();
+    if (n_poses == 0 || n_poses != track.time_s.size())
+        refuse(fmt::format("{} poses and {} times", n_poses, track.time_s.size()),
                "at least one pose, and exactly one time for each pose");
-    for (std::size_t i = 0; i < n; ++i) {
-        const auto& [q, t] = track.pose[i];
-        bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
-        for (const double x : {t.x, t.y, t.z, track.time_s[i]})
-            is_pose = is_pose && std::abs(x) <= kMaxCoordinate;
+    for (std::size_t i = 0; i < n_poses; ++i) {
+        const auto& [rotation, translation] = track.pose[i];
+        bool is_pose = std::abs(glm::length(rotation) - 1.0) < 1e-3;
+        for (const double value : {translation.x, translation.y, translation.z, track.time_s[i]})
+            is_pose = is_pose && std::abs(value) <= kMaxCoordinate;
         if (!is_pose)
             refuse(fmt::format("an invalid pose at entry {}", i),
                    "a unit quaternion, and coordinates and times of at most 1e10");
@@ -140,8 +140,10 @@ SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor,
     return follow_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-/// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
-/// the sensor follows `world_from_sensor`.
+/// Makes a sweep for a sensor on a given track. Sets the vehicle's track in `log_` so
+/// that its LiDAR follows `world_from_sensor`, because helpers compute poses from it.
+/// Without a rolling shutter, all rays are fired at `time_s` from a single pose.
+/// @param world_from_actor [instances] null if absent
 SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
                                                   PoseTrack world_from_sensor,
                                                   const InstanceTracks& world_from_actor) {
@@ -151,18 +153,22 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     lidar.pattern = sensor.pattern;
     // The sweep starts at an azimuth that depends on the scan pattern. Without a pattern,
     // find_sweep_start() uses the log's spinning LiDAR.
-    const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    std::optional<RayTable> rays;  // without a value: the rays of the sensor
-    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
-    if (makes_rays || !log_.rolling_shutter) {
-        rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
-        if (!log_.rolling_shutter) std::ranges::fill(rays->time_offset_s, 0.0f);
+    const SweepTiming timing{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
+    std::optional<RayTable> changed_rays;  // no value: the sweep uses `sensor.rays` unchanged
+    // A pattern whose rays differ from scan to scan has no fixed rays.
+    const bool has_varying_rays = sensor.pattern && sensor.rays.size() == 0;
+    if (has_varying_rays || !log_.rolling_shutter) {
+        changed_rays = has_varying_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+        if (!log_.rolling_shutter) std::ranges::fill(changed_rays->time_offset_s, 0.0f);
     }
-    SimulatedSweep sweep{sensor, time_s, std::move(rays), log_.lidar_track(sensor.lidar)};
+    SimulatedSweep sweep{.sensor = sensor,
+                         .time_s = time_s,
+                         .changed_rays = std::move(changed_rays),
+                         .world_from_sensor = log_.lidar_track(sensor.lidar)};
     if (log_.rolling_shutter) check_path(sweep);
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
-    sweep.instances = pose_instances(layout_, log_, now, world_from_actor);
+    sweep.instances = pose_instances(layout_, log_, timing, world_from_actor);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i) {
         // An added instance without a name is a free slot.
         const bool is_free = i >= n_logged_ && layout_.instances[i].track.empty();

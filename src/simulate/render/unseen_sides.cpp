@@ -22,6 +22,7 @@ struct PartlyObservedActor {
     /// bounding sphere of the box during the scan, in the world frame
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
+    /// rays that enter through an unobserved side, and rays that hit its mirrored surfels
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
     /// Counts a ray if it sees a side of the actor that the log has not observed. Such a
@@ -58,6 +59,7 @@ std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Sce
         if (!box || !box->is_observed(scan.time_s) || !surface) continue;
         const ObservedSideFractions coverage = surface->covered_sides();
         if (list_unseen_sides(coverage).empty() && !surface->is_completed) continue;
+        // The sphere contains the box at the times of the first and of the last ray.
         const glm::dvec3 begin_m = box->world_from_box.pose_at(scan.time_s + double(first_s)).translation,
                          end_m = box->world_from_box.pose_at(scan.time_s + double(last_s)).translation;
         boxes.push_back({.track = &box->id,

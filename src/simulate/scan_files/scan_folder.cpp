@@ -210,10 +210,11 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
 std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                                    const std::vector<std::string>& files) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);
-    std::size_t n_points = 0;
+    std::size_t n_points = 0;  // first returns
     for (std::size_t i = 0; i < range_m.size(); ++i)
         if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) ++n_points;
-    // Sides filled with mirrored surfels are listed separately.
+    // Sides of actors that the log has not observed, but rays of the scan reach. Those
+    // filled with mirrored surfels are listed separately.
     Json unseen = Json::array(), completed = Json::array();
     for (const UnobservedActorSide& side : scan.unseen_sides) {
         Json& list = side.is_completed ? completed : unseen;

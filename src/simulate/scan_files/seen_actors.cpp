@@ -104,9 +104,11 @@ std::optional<double> visible_share(const ActorVisibility* view) {
 }
 
 /// Returns true if two boxes overlap by more than kMoverMargin_m along each axis of both
-/// boxes (test of separating axes). Boxes of neighbours that only touch do not overlap.
+/// boxes (test of separating axes, exact for upright boxes). Boxes of neighbours that
+/// only touch do not overlap.
 bool overlap_boxes(const Pose& a, const glm::dvec3& size_a_m, const Pose& b, const glm::dvec3& size_b_m) {
     const glm::dmat3 axes_a = glm::mat3_cast(a.rotation), axes_b = glm::mat3_cast(b.rotation);
+    // Half the length of a box, projected onto the direction `along`.
     const auto half_extent_m = [](const glm::dmat3& axes, const glm::dvec3& size_m, const glm::dvec3& along) {
         return 0.5 * glm::dot(size_m, glm::abs(along * axes));
     };

@@ -98,8 +98,8 @@ double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double a
     // and the part of the solar disc in the beam.
     double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
     if (sees_sky) {
-        const double part = (kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad;
-        per_sr += std::clamp(part, 0.0, 1.0) / kSunSolidAngle_sr;
+        const double disc_share = (kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad;
+        per_sr += std::clamp(disc_share, 0.0, 1.0) / kSunSolidAngle_sr;
     }
     // Electrons of the sunlight during a pulse.
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kQuantumEfficiency / kPhoton_J;

@@ -185,7 +185,7 @@ float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
 MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals,
                          std::vector<WetGroundRay>& wet_rays) {
     const RenderedScan& scan = input.scan;
-    const double share = film_fraction(input.weather.wet_mm);
+    const double wet_share = film_fraction(input.weather.wet_mm);  // of the ground under water
     MirroredRays mirrored;
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < normals.size(); ++i) {
@@ -194,8 +194,8 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, normals[i]);
         if (!(cosine > 0.0)) continue;
         const double albedo = scan.image.intensity[i] / input.response.range_factor(range_m);
-        wet_rays[i].through_water = 1.0 - share + share * wet_ratio(cosine, albedo);
-        wet_rays[i].mirrors = share * std::pow(water_reflectance(cosine), 2);
+        wet_rays[i].through_water = 1.0 - wet_share + wet_share * wet_ratio(cosine, albedo);
+        wet_rays[i].mirrors = wet_share * std::pow(water_reflectance(cosine), 2);
         // A sensor with one return reports the brighter of the wet ground
         // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
