@@ -329,7 +329,7 @@ std::vector<double> speeds_mps(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     std::vector<double> speeds;
     for (std::size_t start = 0, end = 0; end < track.pose.size(); ++end) {
-        // `start` becomes the latest pose that is at least kSpeedWindow_s older than `end`.
+        // `start` becomes the latest pose at least kSpeedWindow_s older than `end`.
         while (start + 1 < end && track.time_s[end] - track.time_s[start + 1] >= kSpeedWindow_s) ++start;
         const double seconds = track.time_s[end] - track.time_s[start];
         if (seconds >= kSpeedWindow_s)
