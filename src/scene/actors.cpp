@@ -261,10 +261,10 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
         const BoxTrack* box = find_box(log, instance.track);
         const PoseTrack* logged_track =
             box && !box->world_from_box.pose.empty() ? &box->world_from_box : nullptr;
-        const double before_m =
+        const double walked_before_m =
             logged_track && logged_track != track ? walked_at_start_m(*logged_track, *track) : 0.0;
         placed.back().phase =
-            (before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
+            (walked_before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
     }
     return placed;
 }

@@ -98,9 +98,9 @@ BeamGrid::BeamGrid(const Scan& scan) {
 }
 
 std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3& point_m) const {
-    const double range = glm::length(point_m);
-    if (!(range > 0.0) || row_rad_.empty()) return std::nullopt;
-    const double elevation = std::asin(std::clamp(point_m.z / range, -1.0, 1.0));
+    const double range_m = glm::length(point_m);
+    if (!(range_m > 0.0) || row_rad_.empty()) return std::nullopt;
+    const double elevation = std::asin(std::clamp(point_m.z / range_m, -1.0, 1.0));
     BeamGridCell cell;
     cell.is_beyond =
         elevation > row_rad_.front() + kBeamMargin_rad || elevation < row_rad_.back() - kBeamMargin_rad;
@@ -237,8 +237,8 @@ VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const Visibi
     const int n_sectors = static_cast<int>(view.sensor_from_world.size());
     // The sector depends on the sensor pose and the other way round. The pose in the
     // middle of the sweep is accurate enough to find the sector.
-    const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
-    const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
+    const glm::dvec3 rough_m = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
+    const int sector = static_cast<int>((0.5 + std::atan2(rough_m.y, rough_m.x) / (2.0 * kPi)) * n_sectors);
     const Pose& sensor_from_world = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))];
     const glm::dvec3 in_sensor_m = sensor_from_world * point_m;
     NeighbourRanges result;
