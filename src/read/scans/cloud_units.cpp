@@ -64,7 +64,7 @@ bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
                      time_step_s = time_unit_s * (ranges[k].first - ranges[k - 1].first);
         n_like_stamps += std::abs(time_step_s - step_s) < 0.5 * std::abs(step_s);
     }
-    return 2 * n_like_stamps + 1 > ranges.size();
+    return 2 * n_like_stamps + 1 > ranges.size();  // at least half of the steps
 }
 
 /// Returns true if the first times of some clouds differ by more than a sweep. Then they
@@ -126,8 +126,8 @@ bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double 
     return !is_constant && is_coarse_time(cloud.resolution, cloud_interval_s);
 }
 
-/// Returns the longest unit with which the duration of a cloud is plausible compared with
-/// the time between clouds, or null.
+/// Returns the longest of the units s, ms, us and ns with which the duration of a cloud
+/// is plausible compared with the time between clouds, or null.
 const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
     for (const TimeUnit& unit : kTimeUnits) {
         const double duration = span * unit.seconds / cloud_interval_s;

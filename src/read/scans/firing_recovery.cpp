@@ -46,7 +46,8 @@ constexpr double kMinForward_m = 0.05;
 // Clouds with more rings are not scans of a spinning LiDAR.
 constexpr std::size_t kMaxRecoveredRings = 512;
 
-/// Moves the seam and keeps the azimuth of the head at the time of the frame.
+/// Moves the seam later by a share of the turn. Keeps the azimuth of the head at the time
+/// of the frame.
 HeadTurn move_seam(HeadTurn turn, double share) {
     turn.seam_rad =
         std::remainder(turn.seam_rad + (turn.clockwise ? -share : share) * kFullTurn_rad, kFullTurn_rad);
@@ -83,7 +84,8 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_swe
     return fits;
 }
 
-/// Improves seam and reference until their steps are small.
+/// Improves seam and reference. Tries a step of each in both directions, accepts the best
+/// one, or else halves the step. The cost counts errors far above scale_rad as outliers.
 void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
     // Smaller gains are noise, with which the search could go back and forth.
     constexpr double kMinGain = 1e-3;
@@ -91,12 +93,13 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
     double scale_rad = 2.0 * best.spread_rad;
     for (double step = 1.0 / 64.0; step >= kFinestStep;) {
         const double best_cost = fitter.cost(best, scale_rad);
-        std::array<LatticeFit, 4> near;
+        std::array<LatticeFit, 4> neighbours;
         std::array<double, 4> costs{};
-        near.fill(best);
+        neighbours.fill(best);
         parallel_for(4, [&](int index) {
             const double share = index % 2 == 0 ? step : -step;
-            LatticeFit& fit = near[std::size_t(index)];
+            LatticeFit& fit = neighbours[std::size_t(index)];
+            // fits 0 and 1 move the seam, 2 and 3 the time of the frame
             if (index < 2) fit.turn = move_seam(fit.turn, share);
             else fit.turn.reference += share;
             fitter.improve(fit, 2, FreeValues::all);
@@ -104,7 +107,7 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
         });
         const auto least = std::ranges::min_element(costs);
         if (*least < (1.0 - kMinGain) * best_cost) {
-            best = near[std::size_t(least - costs.begin())];
+            best = neighbours[std::size_t(least - costs.begin())];
         } else {
             step *= 0.5;
             scale_rad = 2.0 * best.spread_rad;
@@ -132,8 +135,8 @@ double motion_along(const std::vector<SweepMotion>& motions, const glm::dvec3& d
     return sum;
 }
 
-/// Sum over the sweeps of the products of both motions, relative to the squared length of
-/// `reference`.
+/// Returns the factor k with which k * reference fits the motions best by least squares:
+/// the sum over the sweeps of dot(motion, reference) / sum of dot(reference, reference).
 double motion_share(const std::vector<SweepMotion>& motions, const std::vector<SweepMotion>& reference) {
     double product = 0.0, squares = 0.0;
     for (std::size_t s = 0; s < motions.size(); ++s) {
@@ -261,6 +264,8 @@ int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<Li
         if (yaw.coherence < kMinCoherence) continue;
         const double turned_rad =
             0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]) - yaw_of_poses(sensor, sweeps[s].time_s);
+        // This rotation is due to a wrong number of ticks: if the head has N of them, the
+        // phases of n_ticks drift by 2 pi (N - n_ticks) in a clockwise turn.
         const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
         counts.push_back(n_ticks * (1.0 + sign * turned_rad / kFullTurn_rad));
     }
@@ -276,21 +281,21 @@ template <class Motion>
 FiredPoint find_seam_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn,
                             const RingCone& cone) {
     FiredPoint best = find_firing(point_m, azimuth_rad_of(point_m), motion, turn);
-    double least = INFINITY;
-    for (const double end : {-turn.reference, 1.0 - turn.reference}) {
+    double least_error = INFINITY;
+    for (const double end : {-turn.reference, 1.0 - turn.reference}) {  // start and end of the sweep
         FiredPoint fired{point_m, end};
         for (int pass = 0; pass < 3; ++pass) {
             const glm::dvec3 moved_m = undo_motion(point_m, motion, fired.turn);
-            const double at = turn.turn_at(azimuth_rad_of(moved_m));
-            // the same azimuth, near this end of the sweep
-            fired.turn = at + std::round(end - at);
+            const double share = turn.turn_at(azimuth_rad_of(moved_m));
+            // adds -1, 0 or 1 turns: the same azimuth, near this end of the sweep
+            fired.turn = share + std::round(end - share);
         }
         fired.position_m = undo_motion(point_m, motion, fired.turn);
         const bool is_inside = fired.turn >= -turn.reference && fired.turn <= 1.0 - turn.reference;
         const glm::dvec3& p = fired.position_m;
         const double error = std::abs((p.z - cone.z0_m) / axis_distance_m(p) - cone.slope);
-        if (!is_inside || !(error < least)) continue;
-        least = error;
+        if (!is_inside || !(error < least_error)) continue;
+        least_error = error;
         best = fired;
     }
     return best;
@@ -370,6 +375,7 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
         recovery.other_seam_rad < kMinOtherSeam * best.spread_rad ||
         !choose_direction(recovery, best, fitter, sweeps))
         return std::nullopt;
+    // Restores some sweeps without the rotation about z, which find_ticks() measures.
     FiringRecovery without_yaw = recovery;
     without_yaw.uses_poses = false;
     without_yaw.sensor.n_ticks = 0;
@@ -406,6 +412,7 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
         }
         return spread_without_motion(LatticeFitter(std::move(picked), n_rings), sweeps.size());
     };
+    // The right time must reduce the spread of the elevations clearly.
     const double as_is_rad = spread_after(std::nullopt);
     if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;
     double least_rad = kMaxSpreadRatio * as_is_rad;

@@ -68,7 +68,7 @@ glm::dquat read_quaternion(const JsonField& field) {
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.reject(fmt::format("found a quaternion of length {}", glm::length(rotation)),
                      "expected a quaternion of length 1");
-    // Does not normalise, because this would change the last digits.
+    // The quaternion is not normalised, because this would change the last digits.
     return rotation;
 }
 
@@ -105,11 +105,13 @@ void read_named_sensor(const JsonField& field, const fs::path& folder, bool must
     set_sensor(lidar, model);
 }
 
-/// Sets the sensor of a LiDAR from {"<kind>": {...}}, or from the members of a spinning
-/// sensor without a kind. Without period_s, the period is 0 and later estimated from the
-/// time between frames.
+/// Sets the sensor of a LiDAR from a JSON object: {"<kind>": {members}}, or only the
+/// members, which are then those of a spinning sensor. If the object lacks them,
+/// max_range_m keeps the default of the log, and the period_s of a spinning sensor
+/// becomes 0. It is later estimated from the time between frames.
+/// @param must_spin  true: rejects kinds that do not spin. Only these set lidar.pattern.
 void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
-    const double max_range_m = lidar.sensor.max_range_m;
+    const double default_max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_kind(field);
     const JsonField members = kind ? field.at(kind->name) : field;
     set_sensor(lidar, kind ? read_sensor_json(field, "") : sensor::parse_spinning(field, ""));
@@ -117,7 +119,7 @@ void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
         field.reject(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
                      "expected a spinning sensor, or \"spins\": false");
     if (!lidar.pattern && !members.has_member("period_s")) lidar.sensor.period_s = 0.0;
-    if (!members.has_member("max_range_m")) lidar.sensor.max_range_m = max_range_m;
+    if (!members.has_member("max_range_m")) lidar.sensor.max_range_m = default_max_range_m;
 }
 
 /// Reads an element of "lidars".
@@ -213,7 +215,7 @@ std::vector<fs::path> list_scan_files(const fs::path& scan_folder, const fs::pat
     const bool has_other_scans = std::ranges::any_of(files, [&](const fs::path& file) {
         return !is_text_file(file) && (is_point_file(file) || is_image_file(file));
     });
-    std::map<std::string, fs::path> scan_of_stem;
+    std::map<std::string, fs::path> scan_of_stem;  // stem: file name without its ending
     std::vector<fs::path> scans;
     for (const fs::path& file : files) {
         // A CSV file directly in the folder of the log may be a table of beams.
@@ -261,6 +263,7 @@ std::string note_missing_scan(const std::vector<std::string>& stems) {
     }
     if (steps.empty()) return "";
     const int smallest = std::ranges::min(steps);
+    // Names are sorted as texts, so "10" is before "9". The numbers then decrease.
     const bool are_sorted = smallest > 0;
     const auto irregular = std::ranges::find_if(steps, [&](int step) {
         return are_sorted ? double(step) >= kMissingScan * double(smallest) : step <= 0;

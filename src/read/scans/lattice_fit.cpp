@@ -61,6 +61,7 @@ glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double
 
 glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
     const Twist& twist = motion[turn < 0.0 ? 0 : 1];
+    // The rotation by the vector w is the series p + w x p + w x (w x p) / 2 + ...
     const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
                      w = -turn * glm::dvec3(twist[3], twist[4], twist[5]), first = glm::cross(w, p),
                      second = glm::cross(w, first), third = glm::cross(w, second);
@@ -150,6 +151,8 @@ double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) c
 Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings,
                                           FreeValues free_values) const {
     constexpr std::size_t kValues = 2 + kMotionParameters;
+    // A point depends on 7 values: the 2 of its cone, then the 5 of its twist. Those in
+    // [first, end) may change.
     const std::size_t first = free_values == FreeValues::motions ? 2 : 0,
                       end = free_values == FreeValues::cones ? 2 : kValues;
     const std::size_t n = motion_index(sweeps_.size(), 0);
@@ -163,25 +166,28 @@ Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& 
         const double rho = axis_distance_m(p), slope = fit.rings[ring].slope;
         if (!(rho > 0.0) || !std::isfinite(e)) return;
         const double ratio = e / scale, root = 1.0 / (1.0 + ratio * ratio), weight = root * root;
-        const double c = p.x / rho, d = p.y / rho, scaled = u / rho;
-        // derivatives of e by z0, slope, v.x, v.y, v.z, w.x, w.y
-        const std::array<double, kValues> j = {-1.0 / rho,
-                                               -1.0,
-                                               scaled * slope * c,
-                                               scaled * slope * d,
-                                               -scaled,
-                                               -scaled * (p.y + slope * p.z * d),
-                                               scaled * (p.x + slope * p.z * c)};
-        const std::size_t motion = motion_index(sweep, u < 0.0 ? 0 : 1);
-        const auto row_of = [&](std::size_t a) {
-            return Eigen::Index(a < 2 ? 2 * ring + a : motion + a - 2);
+        const double cos_azimuth = p.x / rho, sin_azimuth = p.y / rho, scaled = u / rho;
+        // derivatives of e by the values 0 to 6: z0, slope, v.x, v.y, v.z, w.x, w.y
+        const std::array<double, kValues> derivative = {-1.0 / rho,
+                                                        -1.0,
+                                                        scaled * slope * cos_azimuth,
+                                                        scaled * slope * sin_azimuth,
+                                                        -scaled,
+                                                        -scaled * (p.y + slope * p.z * sin_azimuth),
+                                                        scaled * (p.x + slope * p.z * cos_azimuth)};
+        const std::size_t twist_row = motion_index(sweep, u < 0.0 ? 0 : 1);
+        const auto row_of = [&](std::size_t value) {
+            return Eigen::Index(value < 2 ? 2 * ring + value : twist_row + value - 2);
         };
+        // Sets only the lower triangle of the symmetric matrix.
         for (std::size_t a = first; a < end; ++a) {
-            gradient[row_of(a)] += weight * j[a] * e;
-            for (std::size_t b = first; b <= a; ++b) normal(row_of(a), row_of(b)) += weight * j[a] * j[b];
+            gradient[row_of(a)] += weight * derivative[a] * e;
+            for (std::size_t b = first; b <= a; ++b)
+                normal(row_of(a), row_of(b)) += weight * derivative[a] * derivative[b];
         }
     });
     if (free_values != FreeValues::cones) join_halves(fit, normal, gradient);
+    // The small diagonal makes the equations solvable for values without points.
     for (Eigen::Index i = 0; i < normal.rows(); ++i) normal(i, i) += 1e-8 * normal(i, i) + 1e-12;
     return -normal.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
 }
@@ -193,6 +199,7 @@ void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal,
         for (std::size_t k = 0; k < kMotionParameters; ++k) {
             const auto before = Eigen::Index(motion_index(s, 0) + k),
                        after = Eigen::Index(motion_index(s, 1) + k);
+            // adds penalty / 2 * (before - after)^2 to the cost; lower triangle only
             const double penalty = kPenalty * (normal(before, before) + normal(after, after)),
                          difference = fit.motions[s][0][k] - fit.motions[s][1][k];
             normal(before, before) += penalty;

@@ -45,7 +45,8 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
                                      int n_ticks) {
     constexpr std::size_t kBins = 256;
     const std::size_t n_sweeps = std::min(kOffsetSweeps, sweeps.size());
-    std::vector<std::vector<glm::dvec2>> points_of_bin(n_rings * n_sweeps * kBins);  // azimuth, rho
+    // [rings][sweeps][bins of the azimuth] azimuth and rho of each point
+    std::vector<std::vector<glm::dvec2>> points_of_bin(n_rings * n_sweeps * kBins);
     for (std::size_t s = 0; s < n_sweeps; ++s)
         for (std::size_t i = 0; i < sweeps[s].size(); ++i) {
             const glm::dvec3 p(sweeps[s].position_m[i]);
@@ -56,6 +57,7 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
         }
     std::vector<double> left_m(n_rings, 0.0);
     parallel_for(int(n_rings), [&](int ring) {
+        // A sum of phases is longest if they are equal, which the right trial makes them.
         std::array<double, std::size_t(PhaseTrials::kTrials)> lengths{};
         const std::size_t first = std::size_t(ring) * n_sweeps * kBins;
         for (std::size_t bin = first; bin < first + n_sweeps * kBins; ++bin) {
@@ -71,9 +73,10 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
 
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
                const HeadTurn& turn, int n_ticks, const std::vector<double>& left_m) {
+    // A bin is 1/256 of the turn. Each bin of a ring has the sum of its points' phases.
     constexpr std::size_t kBins = 256, kMaxLag = 32;
     const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
-    std::vector<std::complex<double>> phases(n_rings * kBins);
+    std::vector<std::complex<double>> phases(n_rings * kBins);  // [rings][bins]
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3& p = points[i].position_m;
         const double rho = axis_distance_m(p);
@@ -84,28 +87,34 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
     }
     const auto reference_bin = std::size_t(std::clamp(turn.reference * kBins, 0.0, double(kBins)));
     YawFit fit;
+    // length of the sum of phase differences, and its value if all of them are equal
     double joint = 0.0, possible = 0.0;
     for (std::size_t half = 0; half < 2; ++half) {
         const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
         std::complex<double> sum = 0.0;
-        double lengths = 0.0;
+        double possible_length = 0.0;
+        // A rotation by `turned` rad in a turn changes the phase by
+        //   n_ticks * turned * lag / kBins
+        // between bins at a distance of `lag`. The change is known only within +-pi, so
+        // the rotation from one lag predicts it for the next, which is more exact.
         for (std::size_t lag = 1; lag <= kMaxLag && 2 * lag <= end - begin; lag *= 2) {
-            sum = lengths = 0.0;
+            sum = possible_length = 0.0;
             for (std::size_t r = 0; r < n_rings; ++r)
                 for (std::size_t b = begin; b + lag < end; ++b) {
                     const std::complex<double> first = phases[r * kBins + b],
                                                second = phases[r * kBins + b + lag];
                     sum += second * std::conj(first);
-                    lengths += std::abs(first) * std::abs(second);
+                    possible_length += std::abs(first) * std::abs(second);
                 }
-            const double turns = double(lag) / kBins, expected = n_ticks * fit.turned_rad[half] * turns,
-                         rest = std::arg(sum * std::polar(1.0, -expected));
-            fit.turned_rad[half] += rest / (n_ticks * turns);
+            const double turns = double(lag) / kBins,
+                         predicted_phase = n_ticks * fit.turned_rad[half] * turns,
+                         remaining_phase = std::arg(sum * std::polar(1.0, -predicted_phase));
+            fit.turned_rad[half] += remaining_phase / (n_ticks * turns);
         }
         joint += std::abs(sum);  // of the largest lag
-        possible += lengths;
+        possible += possible_length;
     }
-    // A half without points turns like the other one.
+    // A half that is too short for a lag turns like the other one.
     if (reference_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
     if (reference_bin + 2 > kBins) fit.turned_rad[1] = fit.turned_rad[0];
     fit.coherence = possible > 0.0 ? joint / possible : 0.0;

@@ -40,7 +40,8 @@ bool overflows(const std::vector<double>& times, std::array<double, 2> range, do
     const auto [smallest, largest] = range;
     const double span = largest - smallest;
     if (span < kMinSpanShare * period || span > period) return false;
-    // The small times follow the overflow, the large times precede it.
+    // The small times follow the overflow, the large times precede it. Times in the
+    // middle of the period are missing, because a scan lasts less than half of it.
     double last_small = smallest, first_large = largest;
     for (const double t : times) {
         if (t < middle_of(range)) last_small = std::max(last_small, t);
@@ -50,14 +51,19 @@ bool overflows(const std::vector<double>& times, std::array<double, 2> range, do
     return pause > kLeastPause * period && pause < span;
 }
 
-/// Lists the periods with which times in this range can repeat.
+/// Lists the periods after which the times of a cloud can start again: those of counters
+/// with 16 or 32 bits, and those of clocks. The unit of the file is not known here, so
+/// the periods of clocks are listed in s, ms, us and ns.
+/// @param range  smallest and largest time, in the unit of the file
+/// @param are_offsets  true: times are relative to the scan, so no clock starts again
 std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) {
     std::vector<double> periods(kCounterPeriods.begin(), kCounterPeriods.end());
     if (are_offsets) return periods;
     for (const double period_s : kClockPeriods_s)
         for (const double units_per_s : kUnitsOfSecond) {
             const double period = period_s * units_per_s;
-            // Clocks can repeat a second or an hour without being 0 there.
+            // Times within a minute, a day or a week begin at 0. Those that repeat every
+            // second or hour can begin at another value, so they can be in any range.
             const bool can_start_anywhere = period_s == 1.0 || period_s == 3600.0;
             if (can_start_anywhere || (range[0] >= 0.0 && range[1] <= period)) periods.push_back(period);
         }
@@ -65,7 +71,8 @@ std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) 
 }
 
 /// Returns true if the field can contain the values of a counter with this period. An
-/// integer counts up to the limit of its type. A float is a scaled counter of 32 bits.
+/// integer counts up to the limit of its type. A float is a counter of 32 bits that a
+/// program may have divided, so it has any period but that of 16 bits.
 bool can_have_period(const PointFieldView& field, double period) {
     bool can_have = false;
     field.with_reader([&](const auto& time_at) {
@@ -137,6 +144,7 @@ void unwrap_times(PointTable& table, bool are_offsets) {
     const auto period =
         std::ranges::find_if(periods, [&](double candidate) { return overflows(times, range, candidate); });
     if (period == periods.end()) return;
+    // The large times precede the overflow.
     for (double& t : times)
         if (t >= middle_of(range)) t -= *period;
     replace_times(table, std::move(times));
@@ -162,17 +170,17 @@ double time_resolution(const PointTable& table) {
     const std::vector<double> times = read_times(table);
     if (times.empty()) return 0.0;
     const auto [first, last] = value_range(times);
-    const auto do_all = [&](auto test) {
+    const auto holds_for_all = [&](auto test) {
         return std::ranges::all_of(times, [&](double t) { return !std::isfinite(t) || test(t); });
     };
     double resolution = 0.0;
     // Numbers that a 32-bit float can represent exactly were probably stored as such. The
     // distance to the next larger float is greatest for the largest number.
-    if (do_all([](double t) { return double(float(t)) == t; })) {
+    if (holds_for_all([](double t) { return double(float(t)) == t; })) {
         const float largest = float(std::max(std::abs(first), std::abs(last)));
         resolution = double(std::nextafter(largest, INFINITY)) - double(largest);
     }
-    const bool are_whole = do_all([](double t) { return std::round(t) == t; });
+    const bool are_whole = holds_for_all([](double t) { return std::round(t) == t; });
     if (are_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
         resolution = std::max(resolution, 1.0);
     return resolution;

@@ -83,46 +83,51 @@ double band_distance(const RingBand& first, const RingBand& second) {
     return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
 }
 
-/// Adds narrow bands with few points, which belong to beams with few returns. Unlike
-/// stray points, such a band continues the spacing of the bands before it.
-/// @param candidate_bands  groups of all bins with points, in the order of the search:
-/// upward or downward
-/// @param strong_bands  bands with enough points, in the same order
+/// Adds weak bands: narrow bands with few points, which belong to beams with few returns.
+/// Unlike stray points, a weak band has the same distance from the band before it as this
+/// band from its predecessor, within limits.
+/// @param candidate_bands  groups of all bins with points, upward or downward
+/// @param strong_bands  bands whose bins have enough points, in the same order. Each is a
+/// part of one candidate, which can be wider because of stray points.
+/// @return strong and weak bands, in the same order
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
                                      const std::vector<RingBand>& strong_bands) {
     constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
     constexpr int kWidestWeak = 2;                                // in bins
     std::vector<RingBand> complete;
     double usual_distance = 0.0;  // between the last two bands
-    // The spacing is unknown before the second band, and directly after stray points.
+    // True if usual_distance predicts the next band. It does not before the second band,
+    // nor after a candidate that was left out as stray points.
     bool is_regular = false;
     const auto add = [&](const RingBand& band) {
         if (!complete.empty()) usual_distance = band_distance(complete.back(), band);
         is_regular = !complete.empty();
         complete.push_back(band);
     };
-    std::size_t next = 0;  // of the strong bands, each of which is a part of one group
-    for (const RingBand& group : candidate_bands) {
-        // A group with strong bands contributes only these.
-        const std::size_t first = next;
-        while (next < strong_bands.size() && strong_bands[next].first >= group.first &&
-               strong_bands[next].last <= group.last)
-            add(strong_bands[next++]);
-        const bool has_strong_bands = next > first;
+    std::size_t next_strong = 0;  // index of the next strong band
+    for (const RingBand& candidate : candidate_bands) {
+        // A candidate with strong bands contributes only these.
+        const std::size_t first_strong = next_strong;
+        while (next_strong < strong_bands.size() && strong_bands[next_strong].first >= candidate.first &&
+               strong_bands[next_strong].last <= candidate.last)
+            add(strong_bands[next_strong++]);
+        const bool has_strong_bands = next_strong > first_strong;
         if (has_strong_bands || !is_regular) continue;
-        const double distance = band_distance(complete.back(), group);
+        const double distance = band_distance(complete.back(), candidate);
         const bool continues_spacing =
             distance > kMinStepRatio * usual_distance && distance < kMaxStepRatio * usual_distance;
-        const bool is_narrow = group.last - group.first <= kWidestWeak;
-        const bool leaves_space = next == strong_bands.size() ||
-                                  band_distance(group, strong_bands[next]) > kMinStepRatio * usual_distance;
+        const bool is_narrow = candidate.last - candidate.first <= kWidestWeak;
+        const bool leaves_space =
+            next_strong == strong_bands.size() ||
+            band_distance(candidate, strong_bands[next_strong]) > kMinStepRatio * usual_distance;
         is_regular = continues_spacing && is_narrow && leaves_space;
-        if (is_regular) add(group);
+        if (is_regular) add(candidate);
     }
     return complete;
 }
 
-/// Returns the number of points that a bin of a beam must have. Stray points fill fewer.
+/// Returns the number of points that a bin of a strong band must have. Bins of stray
+/// points have fewer.
 double find_least_count(const std::vector<int>& points_per_bin) {
     std::vector<int> filled;
     std::ranges::copy_if(points_per_bin, std::back_inserter(filled), [](int n) { return n > 0; });
@@ -132,6 +137,10 @@ double find_least_count(const std::vector<int>& points_per_bin) {
 }
 
 /// Returns the bands in the histogram of elevations, from the lowest to the highest beam.
+/// Bin 0 begins at -90 degrees. First finds the strong bands, whose bins have enough
+/// points. Then adds weak bands in two passes, because a pass can extend a regular
+/// spacing only in its own direction. The first pass searches upward, the second
+/// downward. Each pass reverses both lists, so they are upward again at the end.
 std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
     if (sorted_elevations_rad.empty()) return {};
     const int n_bins = int(kPi / kBinWidth_rad) + 1;
@@ -142,13 +151,13 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
 
     std::vector<RingBand> candidates = group_bins(points_per_bin, 1.0);
     std::vector<RingBand> bands = group_bins(points_per_bin, find_least_count(points_per_bin));
-    for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
+    for (int pass = 0; pass < 2; ++pass) {
         bands = add_weak_bands(candidates, bands);
         std::ranges::reverse(candidates);
         std::ranges::reverse(bands);
     }
 
-    for (RingBand& band : bands) {
+    for (RingBand& band : bands) {  // median elevation of the points in its bins
         const auto begin = std::ranges::partition_point(
             sorted_elevations_rad, [&](double elevation_rad) { return bin_of(elevation_rad) < band.first; });
         const auto end = std::partition_point(begin, sorted_elevations_rad.end(), [&](double elevation_rad) {

@@ -111,9 +111,9 @@ void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const
     }
 }
 
-/// Returns the difference between the indices of nearly all pairs, or 0 if it varies.
-/// Blocks of so many first returns must alternate with equally large blocks of second
-/// returns.
+/// Returns the difference d between the indices of nearly all pairs, or 0 if it varies. A
+/// file then has blocks of d first returns and d second returns in turn. So d = 1 if both
+/// returns of a ray are neighbours, and d = n_points / 2 if all second returns follow.
 std::size_t find_pair_distance(const std::vector<IndexPair>& pairs, std::size_t n_points) {
     std::map<std::size_t, std::size_t> n_pairs_of_distance;
     for (const auto& [first, second] : pairs) {
@@ -128,9 +128,10 @@ std::size_t find_pair_distance(const std::vector<IndexPair>& pairs, std::size_t 
     return usual_distance;
 }
 
-/// Searches a cloud for points that occur twice, because a sensor repeats the only return
-/// of a ray. They show how second returns are stored: in blocks, or with the ring and
-/// time of the first. If few points occur twice, counts pairs of equal ring and time.
+/// Finds out how a cloud stores second returns, from the points that occur twice. A
+/// sensor repeats the only return of a ray, so both points of such a pair are stored like
+/// a first and a second return: in blocks, or with equal ring and time. If few points
+/// occur twice, only adds the pairs of equal ring and time to `counts`.
 UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
         return {};

@@ -84,10 +84,11 @@ std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_tic
 /// same firing.
 std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
-    std::vector<int> n_columns_of(n, 1);  // [firings]
-    int n_extra_columns = n_columns - int(n);
+    std::vector<int> n_columns_of(n, 1);       // [firings]
+    int n_extra_columns = n_columns - int(n);  // columns that still need a firing
     const double step_rad = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
+        // Azimuths decrease from firing to firing.
         const double gap_rad = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
                                sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
         // Repeats the firing before a gap in azimuth, where firings are missing.
@@ -153,8 +154,8 @@ private:
     }
 
     /// Returns the firing of the previous point if this point is the next return of its
-    /// ray. A near return can have another azimuth, because beams start beside the
-    /// centre.
+    /// ray, otherwise kNoIndex, to which the caller converts it back. A near return can
+    /// have another azimuth, because beams start beside the centre.
     int earlier_firing(std::size_t i) const {
         const std::size_t return_index = return_index_of(points_, i);
         if (i == 0 || return_index == 0 || !points_.firing.empty()) return kNoIndex;
@@ -165,8 +166,9 @@ private:
         return is_same_ray ? column_of_[i - 1] : kNoIndex;
     }
 
-    /// Assigns a point to its ray (ring and firing). A ray stores only one point of each
-    /// return number. If no ray is free, the nearer point stays.
+    /// Assigns a point to a ray (ring and firing), which stores only one point of each
+    /// return number. The measured firing of the point is kept in `firing_of`, even if
+    /// its ray is that of a neighbouring firing, or of a nearer point.
     void assign_point(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n_firings = sweep_.firings.size();
         const std::size_t return_index = return_index_of(points_, point_index);
