@@ -120,10 +120,11 @@ private:
     /// Adds the sweeps of the first LiDAR as frames, and the simultaneous sweeps of the
     /// other LiDARs.
     void add_frames() {
-        std::vector<double> main_s;
+        std::vector<double> main_s;  // times of the sweeps of the first LiDAR
         for (const StoredFrame& frame : lidars_[0].frames)
             main_s.push_back(sequence_.seconds_of(frame.middle_us()));
-        std::vector<std::vector<std::optional<std::size_t>>> matches;  // [lidars][sweeps of the first LiDAR]
+        // [lidars][sweeps of the first LiDAR] index of the simultaneous sweep
+        std::vector<std::vector<std::optional<std::size_t>>> matches;
         for (const NcoreLidar& lidar : lidars_) {
             std::vector<double> times_s;
             for (const StoredFrame& frame : lidar.frames)
@@ -179,6 +180,7 @@ private:
             const JsonField item = list.at(i), box = item.at("bbox3");
             const std::string frame = item.at("reference_frame_id").short_text(kLongestId);
             if (!paths.contains(frame)) paths[frame] = graph_.find_path(frame, kWorld);
+            // The box was seen at time_s. Its pose is relative to `frame` at reference_s.
             const double time_s = sequence_.seconds_of(read_time_us(item.at("timestamp_us"))),
                          reference_s =
                              sequence_.seconds_of(read_time_us(item.at("reference_frame_timestamp_us")));
@@ -239,8 +241,8 @@ private:
         std::optional<SpinningModel> model = read_model(sequence_, name);
         if (!model) return std::nullopt;
         const FittedBeams fitted = fit_beam_origins(read_samples(l), *model);
-        const std::optional<SpinningSensor> of_model = to_sensor(*model, fitted.beams);
-        const bool fits = of_model && fitted.n_returns > 0 &&
+        const std::optional<SpinningSensor> model_sensor = to_sensor(*model, fitted.beams);
+        const bool fits = model_sensor && fitted.n_returns > 0 &&
                           std::min(fitted.model_misfit_rad, fitted.misfit_rad) < kMaxMisfit_rad;
         log_.notes.push_back(fmt::format(
             "{}: the rays differ by {:.3f} degrees (median) from NCore's model, and by {:.3f} degrees from "
@@ -251,7 +253,7 @@ private:
                                : "NCore's model is used"));
         if (!fits) return std::nullopt;
         layout.has_beams = true;
-        const std::string sensor_name = std::exchange(sensor, *of_model).name;
+        const std::string sensor_name = std::exchange(sensor, *model_sensor).name;
         sensor.name = sensor_name;
         sensor.max_range_m = options_.max_range_m;
         return model;

@@ -81,7 +81,8 @@ void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
                  most_offset_rad = step_rad * offset_columns(*high, sensor.columns);
     const double width_rad =
         double(model.azimuth_rad.size() - 1) * step_rad + most_offset_rad - least_offset_rad;
-    // From the first to the last column, a full turn is one step less than 2 pi.
+    // From the first to the last column, a full turn is one step less than 2 pi. Half a
+    // step is the tolerance.
     const bool is_full_turn = width_rad >= 2.0 * kPi - 1.5 * step_rad;
     if (is_full_turn) return;
     const double begin_rad =
@@ -89,7 +90,8 @@ void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
     sensor.azimuth_rad = {{begin_rad, begin_rad + sign * width_rad}};
 }
 
-/// Returns the delay of each column: the mean of its rays' measured minus nominal times.
+/// Returns the delay of each column in seconds: the mean of its rays' measured minus
+/// nominal times, positive if they were late.
 /// A column without a ray gets the delay of the column before, or of the first column
 /// with a ray. Returns an empty list if no column has a ray.
 /// @param delay_sum_s, n_rays  [columns] sum over the rays of a column, and their number
@@ -354,6 +356,8 @@ NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vecto
         if (models_[l]) make_image(l, log.lidars[l].sensor);
 }
 
+// An element is a pixel (row, column) of the model. The image has the same rows, sorted
+// by elevation (beams), but the columns of a full turn, of which the model has a part.
 void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
     const SpinningModel& model = *models_[lidar];
     const std::size_t model_columns = model.azimuth_rad.size();  // maybe not a full turn
@@ -369,19 +373,19 @@ void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
     for (std::size_t ray = 0; ray < image.size(); ++ray) {
         // The column of the model follows from the azimuth without the beam's offset.
         const std::size_t beam = image.channel[ray];
-        const glm::dvec3 d(image.direction[ray]);
-        const double turned_rad =
-            sign * (std::atan2(d.y, d.x) - sensor.beams[beam].azimuth_offset_rad - first_rad);
+        const glm::dvec3 direction(image.direction[ray]);
+        const double turned_rad =  // of the head, since column 0 of the model
+            sign * (std::atan2(direction.y, direction.x) - sensor.beams[beam].azimuth_offset_rad - first_rad);
         const auto turned_columns = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
         const auto column = std::size_t((turned_columns % turn_columns + turn_columns) % turn_columns);
-        if (column >= model_columns) continue;
+        if (column >= model_columns) continue;  // the model does not cover this azimuth
         ray_of_element[row_of_beam[beam] * model_columns + column] = int(ray);
         // The columns of the sensor are in equal steps, those of the model only nearly.
         // The small rotation from one to the other corrects the ray.
         const double even_rad = first_rad + sign * 2.0 * kPi * double(column) / turn_columns;
         const glm::dquat correction =
             make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
-        image.direction[ray] = glm::vec3(correction * d);
+        image.direction[ray] = glm::vec3(correction * direction);
         image.origin[ray] = glm::vec3(correction * glm::dvec3(image.origin[ray]));
     }
 }
@@ -425,8 +429,9 @@ Scan NcoreScans::read_rays(std::size_t frame) const {
 }
 
 /// Copies the stored rays to their places in the image: row and column in the model give
-/// the ray (ray_of_element_). A ray that is not stored gets the delay of its column. Of
-/// two rays in the same place, the ray with a return stays.
+/// the ray (ray_of_element_). A ray that is not stored was dropped. Its time is the
+/// nominal one plus the delay of its column. Of two stored rays in the same place, the
+/// ray with a return stays.
 void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar,
                             const std::string& where) const {
     const std::size_t n_rows = models_[lidar]->elevation_rad.size(),

@@ -99,9 +99,9 @@ private:
     /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image
     std::vector<std::vector<int>> ray_of_element_;
 
-    /// Computes the rays of a LiDAR's image, and which of them is the ray of an element
-    /// (row and column) of the model. Turns the rays of each column to its azimuth in the
-    /// model.
+    /// Computes the rays of a LiDAR's image (images_), and which of them is the ray of an
+    /// element of the model (ray_of_element_). Turns the rays of each column to its
+    /// azimuth in the model.
     void make_image(std::size_t lidar, const SpinningSensor& sensor);
     RayBundle read_bundle(std::size_t frame) const;
     void place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar, const std::string& where) const;
