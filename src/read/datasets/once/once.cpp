@@ -118,13 +118,14 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
     return mount_track(is_w_first ? w_first : w_last, {make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}});
 }
 
-/// Returns how to read the scan files of a Pandar40P. Adds a note about the scale of
-/// their intensities.
+/// Returns how to read the scan files of ONCE's LiDAR, a Pandar40P. The files have no
+/// rings, so the format contains the beams of the data sheet. The maximum of the scale of
+/// intensities, for example 255, is estimated from a few files. Adds a note about it.
 read::FileFormat make_once_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
-    format.units.intensity_max = brightness.max;
-    if (!brightness.note.empty()) sequence.notes.push_back(brightness.note);
+    const read::IntensityScale scale = read::estimate_dataset_scale(scan_files, /*column_names=*/{});
+    format.units.intensity_max = scale.max;
+    if (!scale.note.empty()) sequence.notes.push_back(scale.note);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kAxesTurn_rad;
     format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
