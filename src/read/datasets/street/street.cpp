@@ -92,9 +92,10 @@ glm::dvec3 rotate_about_z(const glm::dvec3& vector, double cosine, double sine) 
 }
 
 /// Returns true if a point of a wall is on a window. Walls that face the y direction have
-/// windows of dark glass, 1.2 x 1.5 m, every 3 m.
+/// windows of dark glass, 1.2 m wide and 1.5 m high, every 3 m in both directions.
 bool is_window(const StreetShape& wall, const glm::dvec3& local_point, const glm::dvec3& local_normal) {
     if (std::abs(local_normal.y) < 0.5) return false;
+    // distances from the end of the wall and from its bottom, in metres
     const double u = local_point.x + wall.half.x, v = local_point.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
@@ -128,7 +129,7 @@ public:
     /// Returns true if the shapes inside a sphere need no test, because the ray misses
     /// the sphere or has already hit a nearer surface.
     bool can_skip_sphere(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
-        const glm::dvec3 to = sphere.centre - origin;
+        const glm::dvec3 to = sphere.centre - origin;  // `along`: its part along the ray
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
         if (glm::dot(to, to) - along * along > radius2) return true;
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
