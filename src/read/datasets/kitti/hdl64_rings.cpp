@@ -42,39 +42,39 @@ struct HeightFit {
 /// block. The height is a linear function of tan(elevation).
 HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
     HeightFit line;
-    double tt = 0.0, tz = 0.0;
+    double sum_tt = 0.0, sum_tz = 0.0;
     for (const std::size_t k : fitted_rings) {
         line.mean_tan += cones[k].slope / double(fitted_rings.size());
         line.mean_z0 += cones[k].at_zero / double(fitted_rings.size());
     }
     for (const std::size_t k : fitted_rings) {
-        const double t = cones[k].slope - line.mean_tan;
-        tt += t * t;
-        tz += t * (cones[k].at_zero - line.mean_z0);
+        const double tan_deviation = cones[k].slope - line.mean_tan;
+        sum_tt += tan_deviation * tan_deviation;
+        sum_tz += tan_deviation * (cones[k].at_zero - line.mean_z0);
     }
-    line.slope = tz / std::max(tt, 1e-12);
+    line.slope = sum_tz / std::max(sum_tt, 1e-12);
     return line;
 }
 
 /// Returns the median of tan(elevation) over the points of one beam. Used if all points
 /// have similar distances, so that no line can be fitted to them. `fit` gives the height
 /// of the beam; it was fitted to other beams of the block.
-/// @param initial  first guess of tan(elevation), on which the height depends
-double tan_elevation_at(const std::vector<glm::dvec2>& samples, const HeightFit& fit, double initial) {
-    std::vector<double> slope(samples.size());
+/// @param tan_elevation  first guess, on which the height depends; improved in 3 passes
+double tan_elevation_at(const std::vector<glm::dvec2>& samples, const HeightFit& fit, double tan_elevation) {
+    std::vector<double> slopes(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].y - fit.height_at_m(initial)) / std::max(samples[i].x, 0.1);
-        initial = compute_median(slope);
+            slopes[i] = (samples[i].y - fit.height_at_m(tan_elevation)) / std::max(samples[i].x, 0.1);
+        tan_elevation = compute_median(slopes);
     }
-    return initial;
+    return tan_elevation;
 }
 
 /// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
 /// beams in the same half of the 64 beams, because each half is one laser block.
 void fill_missing_cones(BeamCones& cones, const std::array<std::vector<glm::dvec2>, kRings>& samples_of_rings,
                         const std::string& where) {
-    for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
+    for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {  // first beam of a block
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k)
             if (cones[k].n > 0) good.push_back(k);
@@ -85,8 +85,8 @@ void fill_missing_cones(BeamCones& cones, const std::array<std::vector<glm::dvec
         const HeightFit line = fit_heights(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
-            // Interpolates tan(elevation) between the neighbouring fitted beams, or
-            // extrapolates at the ends of the block.
+            // Interpolates tan(elevation) between the neighbouring fitted beams a and b,
+            // or extrapolates at the ends of the block.
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
             const std::size_t a = next[-1], b = *next;
             const double along = (double(k) - double(a)) / double(b - a);

@@ -207,19 +207,19 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
                        const DatasetOptions& options, const std::filesystem::path& label_folder) {
     const Progress& progress = options.progress;
     ScanErrorCollector broken(options.skip_broken);
-    const auto file_of = [&](std::size_t at) {
-        return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, file_name_digits);
+    const auto file_of = [&](std::size_t frame) {
+        return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[frame].index, file_name_digits);
     };
     std::vector<RingScan> raw(sequence.frames.size());
-    progress_for(raw.size(), progress, "reading scans", [&](std::size_t at) {
-        broken.guard(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
+    progress_for(raw.size(), progress, "reading scans", [&](std::size_t frame) {
+        broken.guard(frame, [&] { raw[frame] = read_raw_scan(file_of(frame), label_folder); });
     });
     record_truncated(
-        raw, [&](std::size_t at) { return file_of(at).string(); }, broken);
+        raw, [&](std::size_t frame) { return file_of(frame).string(); }, broken);
     if (broken.size() == raw.size()) broken.report_broken(sequence, raw.size());
-    for (std::size_t at = 0; at < raw.size(); ++at)
+    for (std::size_t frame = 0; frame < raw.size(); ++frame)
         // Empties broken scans, so that the fits below ignore them.
-        if (broken.is_scan_broken(at)) raw[at] = {};
+        if (broken.is_scan_broken(frame)) raw[frame] = {};
     if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
@@ -238,18 +238,18 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
 
     const std::vector<Beam> beams = lattice.make_beams(cones);
     std::vector<read::FiredSweep> sweeps(raw.size());
-    progress_for(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
-        broken.guard(at, [&] {
-            std::vector<int> firings = find_fired_ticks(raw[at], lattice);
+    progress_for(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t frame) {
+        broken.guard(frame, [&] {
+            std::vector<int> firings = find_fired_ticks(raw[frame], lattice);
             if (firings.empty())
                 fail(
                     "{}: found {} points that cannot be assigned to firings of the sensor, expected a sweep "
                     "of an HDL-64E",
-                    file_of(at).string(), raw[at].points.size());
-            sweeps[at] = {to_lidar_points(raw[at]), {lattice.head, std::move(firings)}};
-            if (recovery) read::set_head_times(sweeps[at].points, beams, lattice.head, *recovery);
+                    file_of(frame).string(), raw[frame].points.size());
+            sweeps[frame] = {to_lidar_points(raw[frame]), {lattice.head, std::move(firings)}};
+            if (recovery) read::set_head_times(sweeps[frame].points, beams, lattice.head, *recovery);
         });
-        raw[at] = {};
+        raw[frame] = {};
     });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
