@@ -302,6 +302,7 @@ private:
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
             for (const SweepRecord& record : records) times_s.push_back(scene_.seconds_at(record.time_us));
+            // [sweeps of the first LiDAR] index of the simultaneous sweep of this LiDAR
             const auto matches = match_sweeps(main_s_, times_s, kMaxSweepGap * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
