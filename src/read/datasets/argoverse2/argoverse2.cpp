@@ -102,10 +102,10 @@ double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& v
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
-/// Cycles start at phase + index * kFiringCycle_ns, with the same phase for all points.
-/// The phase is the circular mean: each time is an angle, one cycle is a full turn, and
-/// the mean of the unit vectors does not depend on the index.
+/// Returns the index of the firing cycle of each point. All lasers of a LiDAR fire once
+/// per cycle, in pairs. Cycles start at phase + index * kFiringCycle_ns, with the same
+/// phase for all points. The phase is the circular mean: each time is an angle, one cycle
+/// is a full turn, and the mean of the unit vectors does not depend on the index.
 /// @param cycle_starts_ns  [points] measured start of the cycle of each point
 std::vector<int> number_cycles(const std::vector<double>& cycle_starts_ns) {
     std::complex<double> sum = 0.0;

@@ -230,7 +230,7 @@ std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>
     constexpr std::pair<int, const char*> kDifferences[] = {
         {37, "TAI minus UTC"}, {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}};
     for (const auto& [difference_s, name] : kDifferences)
-        for (const int earlier_s : {difference_s, -difference_s}) {
+        for (const int earlier_s : {difference_s, -difference_s}) {  // poses are moved by this
             const double begin_s = track.time_s.front() - earlier_s - kMostBeyond_s,
                          end_s = track.time_s.back() - earlier_s + kMostBeyond_s;
             if (frames.front().time_s >= begin_s && frames.back().time_s <= end_s)
