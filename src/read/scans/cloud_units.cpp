@@ -78,8 +78,9 @@ bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s
     return double(n_near) < kMostClouds * double(ranges.size());
 }
 
-/// Returns what the point times of the clouds are relative to. A share of the clouds can
-/// have wrong times, so only most of them must agree.
+/// Returns what the point times of the clouds are relative to: the stamp of the cloud (if
+/// they are near 0), the zero of the stamps (epoch, if they are near the stamps), or else
+/// another zero. Some clouds can have wrong times, so only most of them must agree.
 PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
     const auto is_near = [&](const TimeRange& range, double time_s) {
         return std::abs(range.first * unit_s - time_s) <= kBesideStamp_s &&

@@ -72,6 +72,7 @@ ScanPairs collect_pairs(const Log& sequence) {
 }
 
 /// Compares the meanings of the numbers in a pose file. Meaning 0 is the documented one.
+/// Only the overlap of scans can choose a meaning with `needs_scans`: inverse poses.
 struct PoseChoice {
     const std::vector<PoseReading>& readings;
     std::vector<double> forward;  ///< [meanings] mean x component of the vehicle's motion
@@ -87,30 +88,33 @@ struct PoseChoice {
         }
     }
 
-    bool is_forward(std::size_t k) const {
-        return forward[k] >= kMinForward && forward[k] >= forward[0] + kMoreForward;
+    bool is_forward(std::size_t meaning) const {
+        return forward[meaning] >= kMinForward && forward[meaning] >= forward[0] + kMoreForward;
     }
-    bool corrects_upside_down(std::size_t k) const { return upright[k] > upright[0] + kMoreUpright; }
+    bool corrects_upside_down(std::size_t meaning) const {
+        return upright[meaning] > upright[0] + kMoreUpright;
+    }
 
-    /// Returns true if the motion is plausible with meaning k, but less with meaning 0. A
+    /// Returns true if the motion is plausible with a meaning, but less with meaning 0. A
     /// vehicle can also drive backward, which only the scans can show.
-    bool is_possible(std::size_t k) const {
-        if (is_forward(k)) return true;
-        if (std::abs(forward[k]) < kMinForward) return false;
-        const bool is_backward = forward[k] < 0.0 && !readings[k].needs_scans;
-        return forward[0] < kMinForward || corrects_upside_down(k) || is_backward;
+    bool is_possible(std::size_t meaning) const {
+        if (is_forward(meaning)) return true;
+        if (std::abs(forward[meaning]) < kMinForward) return false;
+        const bool is_backward = forward[meaning] < 0.0 && !readings[meaning].needs_scans;
+        return forward[0] < kMinForward || corrects_upside_down(meaning) || is_backward;
     }
 
-    /// Chooses without scans. A vehicle that drives backward looks like one that drives
+    /// Chooses without scans: the first meaning that improves the motion and does not
+    /// tilt the vehicle. A vehicle that drives backward looks like one that drives
     /// forward with another order of the quaternion. Such a meaning is only `undecided`.
     void choose_by_motion(const std::vector<std::size_t>& possible) {
-        for (const std::size_t k : possible) {
-            const bool improves_motion = is_forward(k) || corrects_upside_down(k);
-            const bool becomes_tilted = upright[k] < upright[0] - kLessUpright;
-            if (readings[k].needs_scans || best > 0 || becomes_tilted || !improves_motion) continue;
-            const bool may_drive_backward = forward[0] <= -kMinForward || !is_forward(k);
-            if (may_drive_backward) undecided = k;
-            else best = k;
+        for (const std::size_t meaning : possible) {
+            const bool improves_motion = is_forward(meaning) || corrects_upside_down(meaning);
+            const bool becomes_tilted = upright[meaning] < upright[0] - kLessUpright;
+            if (readings[meaning].needs_scans || best > 0 || becomes_tilted || !improves_motion) continue;
+            const bool may_drive_backward = forward[0] <= -kMinForward || !is_forward(meaning);
+            if (may_drive_backward) undecided = meaning;
+            else best = meaning;
         }
     }
 
@@ -119,13 +123,14 @@ struct PoseChoice {
     void choose_by_overlap(const std::vector<std::size_t>& possible, const ScanPairs& scans) {
         const double first_overlap = scans.overlap_fraction(readings[0].world_from_vehicle);
         double best_overlap = first_overlap + kMoreOverlap;
-        for (const std::size_t k : possible) {
-            const double overlap = scans.overlap_fraction(readings[k].world_from_vehicle);
+        for (const std::size_t meaning : possible) {
+            const double overlap = scans.overlap_fraction(readings[meaning].world_from_vehicle);
             if (overlap > best_overlap) {
-                best = k;
+                best = meaning;
                 best_overlap = overlap;
-            } else if (is_forward(k) && !readings[k].needs_scans && overlap >= first_overlap - kMoreOverlap) {
-                undecided = k;
+            } else if (is_forward(meaning) && !readings[meaning].needs_scans &&
+                       overlap >= first_overlap - kMoreOverlap) {
+                undecided = meaning;
             }
         }
     }

@@ -227,7 +227,7 @@ std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor
                                  const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
     const auto azimuth_of = [&](std::size_t f) { return sweep.lattice.tick_azimuth_rad(sweep.firings[f]); };
-    const auto turning_time_s = [&](double azimuth_rad) {
+    const auto turning_time_s = [&](double azimuth_rad) {  // of the head, from azimuth 0
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
     std::vector<double> sum_s(n, 0.0), n_points(n, 0.0);
@@ -332,7 +332,7 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
     resize_scan(scan, int(sensor.beams.size()), n_columns, assigned.by_return.size() - 1,
                 !points.classes.empty());
     scan.rays.divergence_rad = float(sensor.divergence_rad);
-    std::size_t ray = 0;
+    std::size_t ray = 0;  // ring * n_columns + column
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
         // Firing f of a beam with an azimuth offset is stored in column f - `shift`.
         const int shift = offset_columns(sensor.beams[ring], n_columns);

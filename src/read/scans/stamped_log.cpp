@@ -256,7 +256,7 @@ DrivingDirection driving_direction(const PoseTrack& world_from_sensor) {
     const std::vector<Pose>& poses = world_from_sensor.pose;
     DrivingDirection driving;
     double sum_of_squares = 0.0;  // of the z components
-    std::size_t from = 0;         // last pose that ended a step
+    std::size_t from = 0;         // pose at which the present step begins
     for (std::size_t to = 1; to < poses.size(); ++to) {
         const glm::dvec3 step_m = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
