@@ -123,8 +123,7 @@ private:
         std::vector<double> main_s;  // times of the sweeps of the first LiDAR
         for (const StoredFrame& frame : lidars_[0].frames)
             main_s.push_back(sequence_.seconds_of(frame.middle_us()));
-        // [lidars][sweeps of the first LiDAR] index of the simultaneous sweep
-        std::vector<std::vector<std::optional<std::size_t>>> matches;
+        std::vector<std::vector<std::optional<std::size_t>>> matches;  // [lidars][sweeps of the first LiDAR]
         for (const NcoreLidar& lidar : lidars_) {
             std::vector<double> times_s;
             for (const StoredFrame& frame : lidar.frames)

@@ -81,8 +81,7 @@ void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
                  most_offset_rad = step_rad * offset_columns(*high, sensor.columns);
     const double width_rad =
         double(model.azimuth_rad.size() - 1) * step_rad + most_offset_rad - least_offset_rad;
-    // From the first to the last column, a full turn is one step less than 2 pi. Half a
-    // step is the tolerance.
+    // From the first to the last column, a full turn is one step less than 2 pi.
     const bool is_full_turn = width_rad >= 2.0 * kPi - 1.5 * step_rad;
     if (is_full_turn) return;
     const double begin_rad =

@@ -104,8 +104,7 @@ read::FiredSweep read_sweep(const SweepFiles& sweep_files,
         const std::size_t column = i / kBeams;
         points.position_m.emplace_back(p.y, -p.x, p.z);
         points.intensity.push_back(p.intensity / 255.0f);
-        // relidar numbers the beams from the highest one. Times are negative, because the
-        // time of the frame is the end of the sweep.
+        // relidar numbers the beams from the highest one. Time 0 is the end of the sweep.
         points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(p.ring)));
         points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         if (!categories.empty())

@@ -29,13 +29,11 @@ constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // along the street, left of the pavement
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
-/// @param half  half of the edge lengths, in metres
 StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, double reflectance,
                      SurfaceClass surface = SurfaceClass::building, double yaw_rad = 0.0) {
     return {StreetShape::Kind::box, centre, half, yaw_rad, false, reflectance, surface};
 }
 
-/// Returns a box with windows.
 StreetShape make_wall(const glm::dvec3& centre, const glm::dvec3& half, double reflectance,
                       SurfaceClass surface = SurfaceClass::building) {
     return {StreetShape::Kind::box, centre, half, 0.0, true, reflectance, surface};
@@ -232,10 +230,9 @@ MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2
     return walker;
 }
 
-/// Replaces the legs of a pedestrian by arms and legs that swing forward and back, as
-/// capsules that hang from a joint. Positions are in the frame of the person's box: the
-/// origin is its centre, x points forward and y left. Feet on the ground do not slide:
-/// they swing backward as far as the body moves forward.
+/// Replaces the legs of a pedestrian by arms and legs that swing: capsules that hang from
+/// a joint, in the frame of the box (origin at its centre, x forward, y left). Feet on
+/// the ground do not slide: they swing backward as far as the body moves forward.
 void add_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -248,18 +245,9 @@ void add_swinging_limbs(MovingStreetActor& pedestrian) {
         const double phase_rad = side > 0.0 ? 0.0 : kPi;
         const glm::dvec3 hip(0.0, side * kHip_m, hip_z_m),
             shoulder(0.0, side * kShoulder_m, half_height_m - kShoulderBelowTop_m);
-        pedestrian.limbs.push_back({.joint_m = hip,
-                                    .length_m = kLeg_m,
-                                    .radius_m = kLegRadius_m,
-                                    .swing_rad = kSwing_rad,
-                                    .phase_rad = phase_rad,
-                                    .reflectance = 0.35});
-        pedestrian.limbs.push_back({.joint_m = shoulder,
-                                    .length_m = kArm_m,
-                                    .radius_m = kArmRadius_m,
-                                    .swing_rad = kSwing_rad,
-                                    .phase_rad = phase_rad + kPi,
-                                    .reflectance = 0.5});
+        // joint, length, radius, largest angle, phase, reflectance
+        pedestrian.limbs.push_back({hip, kLeg_m, kLegRadius_m, kSwing_rad, phase_rad, 0.35});
+        pedestrian.limbs.push_back({shoulder, kArm_m, kArmRadius_m, kSwing_rad, phase_rad + kPi, 0.5});
     }
     // The foot on the ground moves from foot_forward_m before the hip to as far behind
     // it. The body moves this distance forward, once for each foot in a stride.
