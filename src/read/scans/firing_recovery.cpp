@@ -46,8 +46,7 @@ constexpr double kMinForward_m = 0.05;
 // Clouds with more rings are not scans of a spinning LiDAR.
 constexpr std::size_t kMaxRecoveredRings = 512;
 
-/// Moves the seam later by a share of the turn. Keeps the azimuth of the head at the time
-/// of the frame.
+/// Moves the seam later by a share of the turn. Keeps the head at the time of the frame.
 HeadTurn move_seam(HeadTurn turn, double share) {
     turn.seam_rad =
         std::remainder(turn.seam_rad + (turn.clockwise ? -share : share) * kFullTurn_rad, kFullTurn_rad);
@@ -412,7 +411,6 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
         }
         return spread_without_motion(LatticeFitter(std::move(picked), n_rings), sweeps.size());
     };
-    // The right time must reduce the spread of the elevations clearly.
     const double as_is_rad = spread_after(std::nullopt);
     if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;
     double least_rad = kMaxSpreadRatio * as_is_rad;

@@ -263,7 +263,6 @@ std::string note_missing_scan(const std::vector<std::string>& stems) {
     }
     if (steps.empty()) return "";
     const int smallest = std::ranges::min(steps);
-    // Names are sorted as texts, so "10" is before "9". The numbers then decrease.
     const bool are_sorted = smallest > 0;
     const auto irregular = std::ranges::find_if(steps, [&](int step) {
         return are_sorted ? double(step) >= kMissingScan * double(smallest) : step <= 0;

@@ -151,8 +151,7 @@ double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) c
 Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& firings,
                                           FreeValues free_values) const {
     constexpr std::size_t kValues = 2 + kMotionParameters;
-    // A point depends on 7 values: the 2 of its cone, then the 5 of its twist. Those in
-    // [first, end) may change.
+    // of the 7 values of a point (2 of its cone, 5 of its twist), [first, end) may change
     const std::size_t first = free_values == FreeValues::motions ? 2 : 0,
                       end = free_values == FreeValues::cones ? 2 : kValues;
     const std::size_t n = motion_index(sweeps_.size(), 0);
@@ -179,8 +178,7 @@ Eigen::VectorXd LatticeFitter::solve_step(const LatticeFit& fit, const Firings& 
         const auto row_of = [&](std::size_t value) {
             return Eigen::Index(value < 2 ? 2 * ring + value : twist_row + value - 2);
         };
-        // Sets only the lower triangle of the symmetric matrix.
-        for (std::size_t a = first; a < end; ++a) {
+        for (std::size_t a = first; a < end; ++a) {  // lower triangle of the symmetric matrix
             gradient[row_of(a)] += weight * derivative[a] * e;
             for (std::size_t b = first; b <= a; ++b)
                 normal(row_of(a), row_of(b)) += weight * derivative[a] * derivative[b];

@@ -93,8 +93,7 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
         const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
         std::complex<double> sum = 0.0;
         double possible_length = 0.0;
-        // A rotation by `turned` rad in a turn changes the phase by
-        //   n_ticks * turned * lag / kBins
+        // A rotation by r rad in a turn changes the phase by n_ticks * r * lag / kBins
         // between bins at a distance of `lag`. The change is known only within +-pi, so
         // the rotation from one lag predicts it for the next, which is more exact.
         for (std::size_t lag = 1; lag <= kMaxLag && 2 * lag <= end - begin; lag *= 2) {
@@ -106,10 +105,9 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
                     sum += second * std::conj(first);
                     possible_length += std::abs(first) * std::abs(second);
                 }
-            const double turns = double(lag) / kBins,
-                         predicted_phase = n_ticks * fit.turned_rad[half] * turns,
-                         remaining_phase = std::arg(sum * std::polar(1.0, -predicted_phase));
-            fit.turned_rad[half] += remaining_phase / (n_ticks * turns);
+            const double turns = double(lag) / kBins, predicted = n_ticks * fit.turned_rad[half] * turns,
+                         remaining = std::arg(sum * std::polar(1.0, -predicted));
+            fit.turned_rad[half] += remaining / (n_ticks * turns);
         }
         joint += std::abs(sum);  // of the largest lag
         possible += possible_length;

@@ -51,10 +51,9 @@ bool overflows(const std::vector<double>& times, std::array<double, 2> range, do
     return pause > kLeastPause * period && pause < span;
 }
 
-/// Lists the periods after which the times of a cloud can start again: those of counters
+/// Lists the periods after which times in this range can start again: those of counters
 /// with 16 or 32 bits, and those of clocks. The unit of the file is not known here, so
 /// the periods of clocks are listed in s, ms, us and ns.
-/// @param range  smallest and largest time, in the unit of the file
 /// @param are_offsets  true: times are relative to the scan, so no clock starts again
 std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) {
     std::vector<double> periods(kCounterPeriods.begin(), kCounterPeriods.end());
@@ -144,7 +143,6 @@ void unwrap_times(PointTable& table, bool are_offsets) {
     const auto period =
         std::ranges::find_if(periods, [&](double candidate) { return overflows(times, range, candidate); });
     if (period == periods.end()) return;
-    // The large times precede the overflow.
     for (double& t : times)
         if (t >= middle_of(range)) t -= *period;
     replace_times(table, std::move(times));

@@ -84,12 +84,10 @@ double band_distance(const RingBand& first, const RingBand& second) {
 }
 
 /// Adds weak bands: narrow bands with few points, which belong to beams with few returns.
-/// Unlike stray points, a weak band has the same distance from the band before it as this
-/// band from its predecessor, within limits.
+/// Unlike stray points, a weak band continues the spacing of the two bands before it.
 /// @param candidate_bands  groups of all bins with points, upward or downward
 /// @param strong_bands  bands whose bins have enough points, in the same order. Each is a
 /// part of one candidate, which can be wider because of stray points.
-/// @return strong and weak bands, in the same order
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
                                      const std::vector<RingBand>& strong_bands) {
     constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
@@ -126,8 +124,7 @@ std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_band
     return complete;
 }
 
-/// Returns the number of points that a bin of a strong band must have. Bins of stray
-/// points have fewer.
+/// Returns the number of points that a bin of a strong band must have.
 double find_least_count(const std::vector<int>& points_per_bin) {
     std::vector<int> filled;
     std::ranges::copy_if(points_per_bin, std::back_inserter(filled), [](int n) { return n > 0; });
@@ -137,10 +134,9 @@ double find_least_count(const std::vector<int>& points_per_bin) {
 }
 
 /// Returns the bands in the histogram of elevations, from the lowest to the highest beam.
-/// Bin 0 begins at -90 degrees. First finds the strong bands, whose bins have enough
-/// points. Then adds weak bands in two passes, because a pass can extend a regular
-/// spacing only in its own direction. The first pass searches upward, the second
-/// downward. Each pass reverses both lists, so they are upward again at the end.
+/// Bin 0 begins at -90 degrees. First finds strong bands, whose bins have enough points.
+/// Then adds weak bands in an upward and a downward pass, because a pass can extend a
+/// regular spacing only in its direction. Each pass ends by reversing both lists.
 std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
     if (sorted_elevations_rad.empty()) return {};
     const int n_bins = int(kPi / kBinWidth_rad) + 1;

@@ -79,7 +79,7 @@ struct ScanPlan {
     std::vector<std::uint16_t> beam_of_ring;
     std::optional<RingOrderDetector> order;  ///< finds rings by the order of the file, not by elevation
     std::string problem;                     ///< why no sensor fits the points of a LiDAR that may spin
-    bool is_contradiction = false;           ///< true if the problem contradicts a text
+    bool is_contradiction = false;           ///< true if the fit failed, although the LiDAR should spin
 };
 
 /// Interval of plausible times of points, relative to the time of the frame.

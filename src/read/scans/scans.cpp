@@ -88,10 +88,9 @@ std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     int n_extra_columns = n_columns - int(n);  // columns that still need a firing
     const double step_rad = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
-        // Azimuths decrease from firing to firing.
         const double gap_rad = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
                                sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
-        // Repeats the firing before a gap in azimuth, where firings are missing.
+        // Azimuths decrease. Repeats the firing before a gap, where firings are missing.
         const int n_missing = std::min(int(std::lround(gap_rad / step_rad)) - 1, n_extra_columns);
         if (n_missing > 0) {
             n_columns_of[f] += n_missing;
