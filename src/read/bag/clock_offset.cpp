@@ -33,25 +33,29 @@ constexpr double kLeastPace = 0.5;
 constexpr std::size_t kMinMessages = 3;  // from which an offset is estimated
 
 /// Rounds an offset to a known difference between clocks: leap seconds since 1999 and
-/// time zones. A cloud is recorded up to 0.25 s later than a pose of the same time, so
-/// the measured offset is too small by this delay.
+/// time zones. Measured is: offset = difference - delay. The delay is how much later a
+/// cloud is recorded than a pose of the same time, -0.05 to 0.25 s. Returns the measured
+/// offset if no known difference gives such a delay.
 std::int64_t round_offset(std::int64_t measured_ns) {
     constexpr std::int64_t kUsualDelay_ns = 100 * kNsPerMs;
     constexpr std::int64_t kMinDelay_ns = -50 * kNsPerMs, kMaxDelay_ns = 250 * kNsPerMs;
-    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
-    const std::int64_t n_seconds = std::abs(seconds), delay_ns = seconds * kOffsetUnit_ns - measured_ns;
-    const bool is_gps_minus_utc = n_seconds >= 13 && n_seconds <= 19;
-    const bool is_tai_minus_utc = n_seconds >= 32 && n_seconds <= 37;
-    const bool are_leap_seconds = is_gps_minus_utc || is_tai_minus_utc;
-    const bool is_time_zone = n_seconds % 900 == 0;  // whole quarters of an hour
+    const std::int64_t rounded_s = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
+    const std::int64_t difference_s = std::abs(rounded_s),
+                       delay_ns = rounded_s * kOffsetUnit_ns - measured_ns;
+    // GPS minus UTC is 13 s (1999) to 18 s; TAI minus GPS is 19 s.
+    const bool is_gps_difference = difference_s >= 13 && difference_s <= 19;
+    const bool is_tai_minus_utc = difference_s >= 32 && difference_s <= 37;
+    const bool are_leap_seconds = is_gps_difference || is_tai_minus_utc;
+    const bool is_time_zone = difference_s % 900 == 0;  // whole quarters of an hour
     const bool is_known = are_leap_seconds || is_time_zone;
     const bool is_possible_delay = delay_ns >= kMinDelay_ns && delay_ns <= kMaxDelay_ns;
-    return is_known && is_possible_delay ? seconds * kOffsetUnit_ns : measured_ns;
+    return is_known && is_possible_delay ? rounded_s * kOffsetUnit_ns : measured_ns;
 }
 
 /// Returns true if most messages have the same time stamps as reference messages, for
 /// example poses that were computed from clouds. Then both have one clock, and the
-/// measured offset is a delay. An offset that makes even more stamps equal is no delay.
+/// measured offset is a delay. Returns false if as many stamps or more are equal after
+/// the offset is subtracted, because then it is the real difference of two clocks.
 bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
                   std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
@@ -71,7 +75,9 @@ constexpr std::size_t kLeastRun = 3;                 // fewer clouds between two
 /// Clouds [begin, end) between two jumps.
 struct ClockRun {
     std::size_t begin = 0, end = 0;
-    std::int64_t ahead_ns = 0;           ///< median time by which the clouds are ahead of the reference
+    /// Median time by which the clouds are ahead of the reference: time stamp - recording
+    /// time, minus the same of the reference message that was recorded at that time.
+    std::int64_t ahead_ns = 0;
     std::int64_t ahead_recorder_ns = 0;  ///< median time by which they are ahead of the recorder
 
     std::size_t size() const { return end - begin; }
@@ -86,7 +92,8 @@ std::int64_t median_of(std::size_t begin, std::size_t end, const Function& funct
 }
 
 /// Splits the clouds where their times jump relative to the recording times. A late
-/// message is no jump: its time stamp follows the previous one regularly.
+/// message is no jump: its time stamp follows the previous one after about a period, but
+/// its recording time does not.
 /// @param period_ns  usual time between clouds
 /// @param can_use_log  false: the recording times come from a conversion, so that only
 /// steps of a day are jumps
@@ -96,8 +103,9 @@ std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogC
         const std::int64_t step_ns = cloud.time_ns(clock) - before.time_ns(clock);
         const std::int64_t log_step_ns = cloud.log_ns - before.log_ns;
         if (!can_use_log) return std::abs(step_ns) >= kDay_ns;
-        // The time stamps show the usual period better than the recording times.
+        // true if the step of the time stamps is nearer to the period than the recorder's
         const bool is_regular = std::abs(step_ns - period_ns) <= std::abs(log_step_ns - period_ns);
+        // A time stamp that goes back is a jump, unless the recording time goes back too.
         const bool is_late = is_regular && (step_ns > 0 || log_step_ns < 0);
         return std::abs(step_ns - log_step_ns) >= kMinJump_ns && !is_late;
     };
@@ -113,7 +121,8 @@ std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogC
 
 /// Sets by how much the clouds of each run (clouds between two jumps of the clock) are
 /// ahead of the recorder and of the reference messages. Both are medians over the clouds.
-/// @param can_use_log  false: the recording times come from a conversion and count as 0
+/// @param can_use_log  false: the recording times come from a conversion and count as 0,
+/// so that both medians are time stamps
 void measure_runs(std::vector<ClockRun>& runs, const std::vector<CloudEntry>& clouds, LogClock clock,
                   const std::vector<MessageTimes>& reference, bool can_use_log) {
     const auto ahead_recorder_ns = [&](std::size_t i) {
@@ -130,7 +139,9 @@ void measure_runs(std::vector<ClockRun>& runs, const std::vector<CloudEntry>& cl
     }
 }
 
-/// Messages and the reference messages that were recorded nearest to them.
+/// Messages and the reference messages that were recorded nearest to them. A message is
+/// recorded after its time stamp, so on the clock of the recorder, "ahead" is minus the
+/// delay of the message.
 struct OffsetSamples {
     std::vector<std::int64_t> ahead_ns;            ///< time stamp minus recording time of each message
     std::vector<std::int64_t> reference_ahead_ns;  ///< the same of the reference message
@@ -138,8 +149,7 @@ struct OffsetSamples {
     std::size_t size() const { return offset_ns.size(); }
 
     /// Returns true if messages [begin, end) are ahead of the recorder, but the reference
-    /// is not. No delay explains this, because a message is recorded after its time
-    /// stamp.
+    /// is not. Then the messages have another clock, because no delay explains this.
     bool are_ahead(std::size_t begin, std::size_t end) const {
         return median_of(begin, end, [&](std::size_t i) { return ahead_ns[i]; }) > kMaxAhead_ns &&
                median_of(begin, end, [&](std::size_t i) { return reference_ahead_ns[i]; }) < kMaxAhead_ns / 3;
@@ -164,9 +174,9 @@ OffsetSamples pair_messages(const std::vector<MessageTimes>& messages,
     return samples;
 }
 
-/// Returns the drift of a clock: the change of the median offset from the first to the
-/// last tenth of the messages, and the larger of these offsets. Returns 0 if the change
-/// is small, or if messages that are late for a while can explain it.
+/// Returns the drift of a clock: the median offset of the last tenth of the messages
+/// minus that of the first tenth, and the larger of these two offsets. Returns 0 if the
+/// change is small, or if messages that are late for a while can explain it.
 /// @param samples  offsets of messages from a reference, in the order of recording
 ClockOffset find_drift(const OffsetSamples& samples) {
     const std::size_t n = samples.size(), n_tenth = n / 10;
@@ -176,10 +186,12 @@ ClockOffset find_drift(const OffsetSamples& samples) {
     const std::int64_t last_ns = samples.median_offset_ns(n - n_tenth, n);
     const std::int64_t change_ns = std::abs(last_ns - first_ns);
     const bool is_last_larger = std::abs(last_ns) > std::abs(first_ns);
-    // Messages ahead of the recorder have another clock, so a small change is a drift.
+    // If the larger offset is not a delay, already a small change is a drift.
     const bool has_other_clock =
         is_last_larger ? samples.are_ahead(n - n_tenth, n) : samples.are_ahead(0, n_tenth);
-    // Messages that are late for a while do not change the offset evenly.
+    // At an even drift, the median of all messages is the mean of first and last. If
+    // messages are late for a while, it is near one of them. Limit:
+    // |median - (first + last) / 2| < change / 4.
     const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
     const bool is_drift =
         has_other_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns;
@@ -235,11 +247,14 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
         std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns);
     // No delay makes messages ahead of the recorder, so a smaller offset is enough then.
     const bool is_large = std::abs(median_ns) >= (are_ahead ? kMaxAhead_ns : kLeastOffset_ns);
+    // Replaces the offset at an end, from find_drift(), by the median if it is steady.
     if (spread_ns <= max_spread_ns && is_large)
         clock = {.offset_ns = round_offset(median_ns),
                  .drift_ns = clock.drift_ns,
                  .is_clear = std::abs(median_ns) >= kClear_ns};
     else if (clock.drift_ns == 0) return {};
+    // Equal time stamps show one clock, so a drift is a growing delay, unless messages
+    // are ahead of the recorder. Any other offset is uncertain.
     if (share_stamps(messages, reference, clock.offset_ns)) {
         if (clock.drift_ns != 0 && !are_ahead) return {};
         clock.is_clear = false;
@@ -257,12 +272,13 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
         });
     };
     const std::int64_t period_ns = median_period_ns(clock);
-    // Recording times of a conversion differ from the times of measurement.
+    // Recording times of a conversion do not have the period of the measurements.
     const bool can_use_log = clock == LogClock::stamps && period_ns > 0 &&
                              std::abs(median_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
     std::vector<ClockRun> runs = split_at_jumps(clouds, clock, period_ns, can_use_log);
     measure_runs(runs, clouds, clock, reference, can_use_log);
-    // Prefers clouds on the clock of the reference.
+    // The other runs are moved to the clock of the main run: the longest run on the clock
+    // of the reference, or if there is none, the longest of all.
     const ClockRun main = *std::ranges::max_element(runs, {}, [](const ClockRun& run) {
         return std::pair(std::abs(run.ahead_ns) <= kMinJump_ns && run.size() >= kLeastRun, run.size());
     });
@@ -274,6 +290,7 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
     for (const ClockRun& run : runs) {
         const std::int64_t ahead_ns = run.ahead_ns - main.ahead_ns;
         const bool is_other_clock = std::abs(ahead_ns) > kMinJump_ns;
+        // Neither run is ahead of the recorder, so a delay can explain the difference.
         const bool may_be_late = std::max(run.ahead_recorder_ns, main.ahead_recorder_ns) <= kMaxAhead_ns &&
                                  std::abs(ahead_ns) < kMostDelay_ns;
         if (is_other_clock && run.size() < kLeastRun && !may_be_late) {
@@ -283,8 +300,8 @@ std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
         kept.insert(kept.end(), clouds.begin() + std::ptrdiff_t(run.begin),
                     clouds.begin() + std::ptrdiff_t(run.end));
         if (!is_other_clock || !can_use_log || may_be_late) continue;
-        // The nearest clouds of both runs are whole sweeps apart, which is more precise
-        // than `ahead_ns`.
+        // The nearest clouds of both runs are k periods apart: moved = step - k period.
+        // This is more precise than `ahead_ns`, from which only k is rounded.
         const bool is_before = run.begin < main.begin;
         const std::int64_t step_ns = clouds[is_before ? run.end - 1 : run.begin].stamp_ns -
                                      clouds[is_before ? main.begin : main.end - 1].stamp_ns;

@@ -20,7 +20,8 @@ constexpr std::size_t kAzimuthSamples = 256, kAzimuthBins = 60;
 constexpr double kWidestPart_rad = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
+// An azimuth step is the angle from the middle of a cloud to the middle of the next one.
+// Clouds are slices of a revolution if their steps are about equal, |mean of
 // exp(i step)| >= kMinStepAgreement, and about as wide as a cloud, |mean step - w| <=
 // kMaxStepError * mean step. w is the median width of a cloud, or 2 pi minus this width
 // if that is smaller.
@@ -41,6 +42,8 @@ std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_
     const CircularGap gap =
         find_widest_gap(kAzimuthBins, [&](std::size_t bin) { return is_bin_occupied[bin]; });
     if (gap.length >= kAzimuthBins) return std::nullopt;
+    // The range begins where the gap ends. gap.end can be kAzimuthBins or more if the gap
+    // passes bin 0; remainder() below removes such a full turn.
     const double bin_rad = 2.0 * kPi / kAzimuthBins;
     const double extent_rad = 2.0 * kPi - bin_rad * double(gap.length);
     const double middle_rad = bin_rad * double(gap.end) - kPi + 0.5 * extent_rad;
@@ -53,6 +56,7 @@ std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_
 double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
     std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const RevolutionPart& cloud : partial_clouds)
+        // Steps of 1 % of a cloud are below the 6 degrees of a bin, so no bin is missed.
         for (double share = -0.5; share <= 0.5; share += 0.01) {
             const double azimuth_rad = std::remainder(
                 double(cloud.arc.middle_rad) + share * double(cloud.arc.extent_rad), 2.0 * kPi);
@@ -77,8 +81,9 @@ struct RevolutionPartition {
 /// Returns the border between two clouds that is nearest to the rear of the LiDAR.
 /// @param n_parts  number of clouds in a revolution
 double find_cut_rad(const std::vector<RevolutionPart>& partial_clouds, double n_parts) {
-    // The sum of exp(i n middle) has the angle n * middle, equal for the clouds of all
-    // parts. A border is half a part after a middle.
+    // Middles differ by multiples of 2 pi / n. So n * middle is the same angle for all
+    // clouds, and the sum of exp(i n middle) has this angle. A border is half a part,
+    // pi / n, after a middle. Whole parts then move it next to the rear, pi.
     std::complex<double> sum = 0.0;
     for (const RevolutionPart& cloud : partial_clouds)
         sum += std::polar(1.0, n_parts * double(cloud.arc.middle_rad));
@@ -92,7 +97,9 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPa
     if (partial_clouds.size() < 4) return std::nullopt;
     std::vector<float> extents_rad;
     std::vector<std::int64_t> steps_ns;
-    std::complex<double> sum_of_steps = 0.0;  // of exp(i step)
+    // Sum of exp(i step). Its angle is the mean step, -pi to pi, positive if the LiDAR
+    // rotates counterclockwise. Its length is the number of steps if all are equal.
+    std::complex<double> sum_of_steps = 0.0;
     for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
         extents_rad.push_back(partial_clouds[k].arc.extent_rad);
         if (k == 0) continue;
@@ -100,18 +107,18 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPa
         steps_ns.push_back(cloud.stamp_ns - before.stamp_ns);
         sum_of_steps += std::polar(1.0, double(cloud.arc.middle_rad) - double(before.arc.middle_rad));
     }
-    // The angle of the sum is the mean step. Its length shows whether the steps agree.
     const double extent_rad = compute_median(extents_rad), step_rad = std::abs(std::arg(sum_of_steps));
     const bool are_steps_equal =
         std::abs(sum_of_steps) >= kMinStepAgreement * double(partial_clouds.size() - 1);
     if (extent_rad > kWidestPart_rad || !are_steps_equal) return std::nullopt;
-    // In a rotating LiDAR, each cloud begins where the previous one ends. A step above
-    // half a turn appears as the smaller step in the other direction.
+    // In a rotating LiDAR, each cloud begins where the previous one ends, so the step is
+    // the width. A step above half a turn, such as 240 degrees, appears as the smaller
+    // step in the other direction, -120 degrees. The width is converted in the same way.
     const double width_rad = std::min(extent_rad, 2.0 * kPi - extent_rad);
     const bool are_adjacent = std::abs(step_rad - width_rad) <= kMaxStepError * step_rad;
     if (!are_adjacent || widest_gap_rad(partial_clouds) > kLeastGap_rad) return std::nullopt;
     const double n_parts = std::round(2.0 * kPi / step_rad);
-    // Steps of half a turn have no direction, so clockwise is assumed.
+    // A step of half a turn is the same in both directions, so clockwise is assumed.
     const bool are_halves = n_parts < 2.5;
     const bool is_negative = are_halves || std::arg(sum_of_steps) < 0.0;
     return RevolutionPartition{.extent_rad = extent_rad,
@@ -142,14 +149,15 @@ JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
     const std::optional<RevolutionPartition> parts = estimate_split(partial_clouds);
     JoinedRevolutions joined;
     if (!parts) return joined;
-    // rotation since the start of the revolution, 0 to 2 pi
+    // rotation from the start of the revolution to the middle of a cloud, 0 to 2 pi
     const auto rotation_rad = [&](const RevolutionPart& part) {
         const double direction = parts->step_rad < 0.0 ? -1.0 : 1.0;
         const double angle_rad = direction * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle_rad - 2.0 * kPi * std::floor(angle_rad / (2.0 * kPi));
     };
-    // A revolution also ends if a cloud is missing, because its time step is then too
-    // long.
+    // The rotation only decreases from the last cloud of a revolution to the first of the
+    // next. A revolution also ends if a cloud is missing, seen by a time step that is too
+    // long, because the rotation may increase across such a gap.
     const auto begins_revolution = [&](const RevolutionPart& part, const RevolutionPart& before) {
         const double step_s = 1e-9 * double(part.stamp_ns - before.stamp_ns);
         return rotation_rad(part) <= rotation_rad(before) || step_s >= kMinPauseSteps * parts->step_s;
