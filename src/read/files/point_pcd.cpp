@@ -12,21 +12,22 @@ namespace relidar::read {
 namespace {
 
 constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
-// Three bytes of LZF data decompress to at most this many bytes.
+// Three bytes of LZF data decompress to at most this many bytes: length 7 + 255 + 2.
 constexpr std::size_t kMostExpansion = 264;
 constexpr std::size_t kMostPadding = 64;  // maximum size of the padding in a point, in bytes
 
+/// The lines of the header. All lists have one entry per field.
 struct PcdHeader {
     std::vector<std::string> names;
-    std::vector<double> sizes, counts;
-    std::string types;  ///< one letter per field
-    double points = -1.0, width = 0.0, height = 1.0;
-    std::string data;
+    std::vector<double> sizes, counts;                ///< bytes of a value, and values per point
+    std::string types;                                ///< letters F, I or U, see PointField::kind
+    double points = -1.0, width = 0.0, height = 1.0;  ///< points is -1 without the line POINTS
+    std::string data;        ///< how the points are stored: ascii, binary or binary_compressed
     std::size_t length = 0;  ///< bytes of the header
 };
 
-/// Parses the numbers of a line of the header. Limits them to 1e9, so that their
-/// conversion to integers is always defined.
+/// Parses the numbers of a line of the header, which follow its first word. Limits them
+/// to 1e9, so that their conversion to integers is always defined.
 std::vector<double> parse_counts(const std::vector<std::string>& words, const std::string& where) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
@@ -71,19 +72,22 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
 /// Returns the fields of a point. Rejects fields whose numbers do not fit together. A
 /// COUNT of 0 is allowed for fields that relidar ignores.
 std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& where) {
-    const std::size_t n = header.names.size();
-    const bool are_equal = header.sizes.size() == n && header.types.size() == n && header.counts.size() == n;
-    if (n == 0 || n > kMostPcdFields || !are_equal)
+    const std::size_t n_fields = header.names.size();
+    const bool are_equal = header.sizes.size() == n_fields && header.types.size() == n_fields &&
+                           header.counts.size() == n_fields;
+    if (n_fields == 0 || n_fields > kMostPcdFields || !are_equal)
         fail("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same number of each, 1 to {}",
-             where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
+             where, n_fields, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
     std::vector<PointField> fields;
     double point_bytes = 0.0;
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i = 0; i < n_fields; ++i) {
         if (header.counts[i] < 1.0 && is_known_field(header.names[i]))
             fail("{}: COUNT of the field '{}' is 0, expected at least 1", where, quote(header.names[i]));
         point_bytes += header.sizes[i] * header.counts[i];
-        fields.push_back(
-            {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
+        fields.push_back({.name = header.names[i],
+                          .kind = header.types[i],
+                          .size = std::size_t(header.sizes[i]),
+                          .count = std::size_t(header.counts[i])});
     }
     if (point_bytes > double(kMostBytes))
         fail("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", where, point_bytes,
@@ -94,25 +98,28 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
 /// Unit in which the size of a point is measured: numbers of a text file, or bytes.
 enum class PointUnit { values, bytes };
 
-/// Decides which fields with COUNT 0 exist. Some programs write COUNT 0 for padding that
-/// the file does not have, others for padding that it has. If points are larger than
-/// their other fields, such fields get the extra size; otherwise they are removed.
+/// Decides whether fields with COUNT 0 ("empty" fields) exist. Some programs write it for
+/// padding that the file does not have, others for padding that it has. The extra size,
+/// that of a point minus that of its other fields, decides:
+/// - none: the empty fields do not exist and are removed;
+/// - one value for each empty field: their COUNT becomes 1;
+/// - any other: a single empty field becomes padding of this size; several are an error.
 /// @param point_size  size of a point in the file, in values or bytes
 void set_empty_counts(std::vector<PointField>& fields, std::size_t point_size, PointUnit unit,
                       const std::string& where) {
-    // empty: fields with COUNT 0, whose size is that of one value each
-    std::size_t known_size = 0, empty_size = 0, n_empty = 0;
+    // empty_size: size of the empty fields if each has one value
+    std::size_t nonempty_size = 0, empty_size = 0, n_empty = 0;
     for (const PointField& field : fields) {
         const std::size_t value_size = unit == PointUnit::values ? 1 : field.size;
-        known_size += value_size * field.count;
+        nonempty_size += value_size * field.count;
         if (field.count > 0) continue;
         empty_size += value_size;
         ++n_empty;
     }
-    std::size_t extra_size = point_size - std::min(known_size, point_size);
+    std::size_t extra_size = point_size - std::min(nonempty_size, point_size);
     if (extra_size > kMostPadding) extra_size = 0;  // other data follows the points
-    const bool have_one_value_each = extra_size == empty_size;
-    if (n_empty > 1 && extra_size > 0 && !have_one_value_each)
+    const bool fits_one_value_each = extra_size == empty_size;
+    if (n_empty > 1 && extra_size > 0 && !fits_one_value_each)
         fail(
             "{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, expected 0 or {} "
             "more",
@@ -120,8 +127,8 @@ void set_empty_counts(std::vector<PointField>& fields, std::size_t point_size, P
     if (extra_size == 0) std::erase_if(fields, [](const PointField& field) { return field.count == 0; });
     for (PointField& field : fields) {
         if (field.count > 0) continue;
-        if (have_one_value_each) field.count = 1;
-        else field = {std::string(kPaddingName), 'U', 1, extra_size};
+        if (fits_one_value_each) field.count = 1;
+        else field = {.name = std::string(kPaddingName), .kind = 'U', .size = 1, .count = extra_size};
     }
 }
 
@@ -173,12 +180,13 @@ std::string decompress_points(std::string_view compressed_data, const std::strin
         fail("{}: the file is truncated: found {} bytes after the header, expected at least {}", where,
              compressed_data.size(), kSizesBytes);
     codecs::ByteReader reader(compressed_data);
-    const auto packed = reader.read_number<std::uint32_t>(), size = reader.read_number<std::uint32_t>();
+    const auto n_packed = reader.read_number<std::uint32_t>(),
+               n_unpacked = reader.read_number<std::uint32_t>();
     compressed_data = reader.read_rest();
-    if (packed > compressed_data.size() || size / kMostExpansion > packed)
+    if (n_packed > compressed_data.size() || n_unpacked / kMostExpansion > n_packed)
         fail("{}: {} bytes of compressed data cannot unpack to {} bytes; the file has {} bytes", where,
-             packed, size, compressed_data.size());
-    return decompress_lzf(compressed_data.substr(0, packed), size, where);
+             n_packed, n_unpacked, compressed_data.size());
+    return decompress_lzf(compressed_data.substr(0, n_packed), n_unpacked, where);
 }
 
 }  // namespace
