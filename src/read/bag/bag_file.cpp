@@ -169,15 +169,15 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
             last_reported_share = share;
             progress("reading the recording", (double(f) + share) / double(files_.size()));
         };
-        std::int64_t last_ns = 0;
+        std::int64_t previous_ns = 0;
         const MessageCallback pass_message = [&](BagMessage message) {
             const BagTopic& topic = topics_.topics()[message.topic];
             message.message_position.file = std::uint32_t(f);
             const std::int64_t stored_ns = message.log_ns;
             const bool is_possible = stored_ns >= 0 && stored_ns <= kMaxRosTime_ns;
             // The time of the previous message replaces an impossible one.
-            if (!is_possible) message.log_ns = last_ns;
-            last_ns = message.log_ns;
+            if (!is_possible) message.log_ns = previous_ns;
+            previous_ns = message.log_ns;
             const bool is_requested = filter(topic);
             if (is_requested && !is_possible && noted_topics.insert(message.topic).second)
                 add_note_once(

@@ -48,18 +48,18 @@ constexpr PacketDriver kPacketDrivers[] = {
 };
 
 /// Appends the reasons why a topic gave no clouds to `reasons`.
-/// @param t  index of the topic
-void explain_topic(const BagRecording& bag, const BagIndex& index, std::size_t t,
+/// @param topic_index  index in `bag.topics()`
+void explain_topic(const BagRecording& bag, const BagIndex& index, std::size_t topic_index,
                    std::vector<std::string>& reasons) {
-    const BagTopic& topic = bag.topics()[t];
-    const TopicStatistics& facts = index.facts[t];
+    const BagTopic& topic = bag.topics()[topic_index];
+    const TopicStatistics& facts = index.facts[topic_index];
     const std::string name = quote(topic.name);
     for (const PacketDriver& packet_driver : kPacketDrivers)
         if (topic.type.starts_with(packet_driver.package))
             reasons.push_back(fmt::format(
                 "{}: found packets that relidar cannot decode; convert them to point clouds with {}", name,
                 packet_driver.driver));
-    const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
+    const auto clouds = std::ranges::find(index.clouds, topic_index, &CloudTopic::topic);
     const bool is_empty = clouds != index.clouds.end() && clouds->clouds.empty();
     if (is_empty && !clouds->packets.empty())
         reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
@@ -197,7 +197,7 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
         if (clouds.clouds.empty() || (has_sensor_frame && !is_in_sensor_frame(clouds))) continue;
         topics_of_frame[lidar_frame(index, clouds)].push_back(c);
     }
-    std::vector<std::size_t> lidars;
+    std::vector<std::size_t> lidars;  // indices in index.clouds, like `candidates`
     for (const auto& [frame, candidates] : topics_of_frame) {
         const std::size_t best_index = *std::ranges::max_element(
             candidates, {}, [&](std::size_t c) { return score_raw_data(index.clouds[c]); });
@@ -205,6 +205,8 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
         std::vector<std::string> copies;
         for (const std::size_t c : candidates) {
             const CloudTopic& clouds = index.clouds[c];
+            // Several LiDARs of one topic are no copies. Other clouds beside packets are
+            // usual, because drivers make them from packets, so they need no note.
             if (clouds.topic == best.topic) lidars.push_back(c);
             else if (best.packets.empty()) copies.push_back(clouds.make_name(bag));
         }
@@ -214,8 +216,8 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
     return lidars;
 }
 
-/// Returns the index of the main LiDAR, whose clouds define the frames of the log.
-/// Prefers packets and clouds with times, then the LiDAR with the most points.
+/// Returns the main LiDAR, whose clouds define the frames of the log, as an index in
+/// `cloud_topic_indices`. Prefers packets and clouds with times, then the most points.
 std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& cloud_topic_indices) {
     const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
         const CloudTopic& clouds = index.clouds[c];
@@ -251,13 +253,14 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
             "{}: the recording has no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
             "livox_ros_driver2/CustomMsg; it contains {}",
             bag.file_paths().front().string(), explain_no_clouds(bag, index), format_topics(bag));
+    // choice.main is an index in choice.lidars, which contains indices in index.clouds.
     choice.main = choose_main(index, choice.lidars);
-    const std::size_t main_index = choice.lidars[choice.main];
+    const std::size_t main_cloud_index = choice.lidars[choice.main];
     std::vector<std::size_t> accepted;
     for (const std::size_t c : choice.lidars) {
         const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
-        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main_index]);
+        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main_cloud_index]);
         if (obstacle.empty()) {
             check_cloud_frame(name, clouds, choice);
             accepted.push_back(c);
@@ -270,7 +273,7 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                  obstacle);
         }
     }
-    choice.main = std::size_t(std::ranges::find(accepted, main_index) - accepted.begin());
+    choice.main = std::size_t(std::ranges::find(accepted, main_cloud_index) - accepted.begin());
     choice.lidars = std::move(accepted);
     return choice;
 }

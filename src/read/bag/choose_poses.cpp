@@ -230,8 +230,9 @@ struct FittedHeading {
     double residual_m;  ///< root of the mean square of the horizontal error
 };
 
-/// Fits the heading by least squares. It is the angle of the sum of p * conj(w), with the
-/// centred horizontal positions p in the plane and w in the world as complex numbers.
+/// Fits the heading, the angle h that minimises the sum of |p - exp(i h) w|^2. p in the
+/// plane and w in the world are horizontal positions minus their mean, as complex
+/// numbers. h is the angle of the sum of p * conj(w), whose parts are `dot` and `cross`.
 FittedHeading fit_heading(const PlacePairs& pairs) {
     const std::size_t n = pairs.world_m.size();
     double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;

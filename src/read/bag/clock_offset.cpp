@@ -39,9 +39,8 @@ constexpr std::size_t kMinMessages = 3;  // from which an offset is estimated
 std::int64_t round_offset(std::int64_t measured_ns) {
     constexpr std::int64_t kUsualDelay_ns = 100 * kNsPerMs;
     constexpr std::int64_t kMinDelay_ns = -50 * kNsPerMs, kMaxDelay_ns = 250 * kNsPerMs;
-    const std::int64_t rounded_s = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
-    const std::int64_t difference_s = std::abs(rounded_s),
-                       delay_ns = rounded_s * kOffsetUnit_ns - measured_ns;
+    const std::int64_t whole_s = std::llround(1e-9 * double(measured_ns + kUsualDelay_ns));
+    const std::int64_t difference_s = std::abs(whole_s), delay_ns = whole_s * kOffsetUnit_ns - measured_ns;
     // GPS minus UTC is 13 s (1999) to 18 s; TAI minus GPS is 19 s.
     const bool is_gps_difference = difference_s >= 13 && difference_s <= 19;
     const bool is_tai_minus_utc = difference_s >= 32 && difference_s <= 37;
@@ -49,7 +48,7 @@ std::int64_t round_offset(std::int64_t measured_ns) {
     const bool is_time_zone = difference_s % 900 == 0;  // whole quarters of an hour
     const bool is_known = are_leap_seconds || is_time_zone;
     const bool is_possible_delay = delay_ns >= kMinDelay_ns && delay_ns <= kMaxDelay_ns;
-    return is_known && is_possible_delay ? rounded_s * kOffsetUnit_ns : measured_ns;
+    return is_known && is_possible_delay ? whole_s * kOffsetUnit_ns : measured_ns;
 }
 
 /// Returns true if most messages have the same time stamps as reference messages, for

@@ -306,7 +306,8 @@ private:
         std::vector<MessageTimes> times = list_times(main.clouds);
         for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i) {
             const packets::PacketRevolution& revolution = main.revolutions[main.clouds[i].revolution_index];
-            const std::int64_t ahead_ns = revolution.stamp_less_clock_ns;  // 0: unknown
+            // log_ns becomes the time on the sensor's clock, if this is known (not 0).
+            const std::int64_t ahead_ns = revolution.stamp_less_clock_ns;
             if (ahead_ns != 0) times[i].log_ns = times[i].stamp_ns - ahead_ns;
         }
         // The same messages with stamps of the other clock.

@@ -295,6 +295,7 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
         **std::ranges::max_element(entries, {}, [](const CloudTopic* entry) { return entry->clouds.size(); });
     const auto is_lidar = [&](const CloudTopic* entry) {
         if (entry == &largest) return true;
+        // Each of the two begins before the other ends.
         const bool alternates = position_of(entry->clouds.front()) < position_of(largest.clouds.back()) &&
                                 position_of(largest.clouds.front()) < position_of(entry->clouds.back());
         return alternates && double(entry->clouds.size()) >= kLeastShare * double(largest.clouds.size());
