@@ -72,15 +72,14 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
 /// Returns the fields of a point. Rejects fields whose numbers do not fit together. A
 /// COUNT of 0 is allowed for fields that relidar ignores.
 std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& where) {
-    const std::size_t n_fields = header.names.size();
-    const bool are_equal = header.sizes.size() == n_fields && header.types.size() == n_fields &&
-                           header.counts.size() == n_fields;
-    if (n_fields == 0 || n_fields > kMostPcdFields || !are_equal)
+    const std::size_t n = header.names.size();
+    const bool are_equal = header.sizes.size() == n && header.types.size() == n && header.counts.size() == n;
+    if (n == 0 || n > kMostPcdFields || !are_equal)
         fail("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same number of each, 1 to {}",
-             where, n_fields, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
+             where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
     std::vector<PointField> fields;
     double point_bytes = 0.0;
-    for (std::size_t i = 0; i < n_fields; ++i) {
+    for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0 && is_known_field(header.names[i]))
             fail("{}: COUNT of the field '{}' is 0, expected at least 1", where, quote(header.names[i]));
         point_bytes += header.sizes[i] * header.counts[i];
@@ -180,13 +179,12 @@ std::string decompress_points(std::string_view compressed_data, const std::strin
         fail("{}: the file is truncated: found {} bytes after the header, expected at least {}", where,
              compressed_data.size(), kSizesBytes);
     codecs::ByteReader reader(compressed_data);
-    const auto n_packed = reader.read_number<std::uint32_t>(),
-               n_unpacked = reader.read_number<std::uint32_t>();
+    const auto packed = reader.read_number<std::uint32_t>(), unpacked = reader.read_number<std::uint32_t>();
     compressed_data = reader.read_rest();
-    if (n_packed > compressed_data.size() || n_unpacked / kMostExpansion > n_packed)
+    if (packed > compressed_data.size() || unpacked / kMostExpansion > packed)
         fail("{}: {} bytes of compressed data cannot unpack to {} bytes; the file has {} bytes", where,
-             n_packed, n_unpacked, compressed_data.size());
-    return decompress_lzf(compressed_data.substr(0, n_packed), n_unpacked, where);
+             packed, unpacked, compressed_data.size());
+    return decompress_lzf(compressed_data.substr(0, packed), unpacked, where);
 }
 
 }  // namespace

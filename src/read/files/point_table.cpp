@@ -59,7 +59,7 @@ std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
     // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector:
-    // "points:0".
+    // "points:0". The enum PointAttribute begins with x, y and z.
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
             return FieldMeaning{PointAttribute(axis - '0'), 0};
