@@ -120,13 +120,14 @@ public:
         packet.firings.resize(std::size_t(packet.n_slots));
         packet.echoes.resize(packet.firings.size() * beams_.size());
         codecs::ByteReader reader(packet_bytes.substr(layout_.blocks_at));
-        // The order of the blocks: groups of joined blocks, banks of lasers, returns.
-        for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
-            const std::size_t group = b / n_joined, bank = b % n_joined / n_returns;
+        // Order of the blocks: groups with the same firings, banks of lasers, returns.
+        // An echo row of a block has one return of one firing for all lasers of a bank.
+        for (std::size_t block = 0; block < layout_.n_blocks / n_joined * n_joined; ++block) {
+            const std::size_t group = block / n_joined, bank = block % n_joined / n_returns;
             const double azimuth_deg = read_azimuth_deg(reader, bank);
-            for (std::size_t f = 0; f < layout_.firings * layout_.block_returns; ++f) {
-                const std::size_t slot = group * layout_.firings + f / layout_.block_returns;
-                const std::size_t return_index = b % n_returns + f % layout_.block_returns;
+            for (std::size_t echo_row = 0; echo_row < layout_.firings * layout_.block_returns; ++echo_row) {
+                const std::size_t slot = group * layout_.firings + echo_row / layout_.block_returns;
+                const std::size_t return_index = block % n_returns + echo_row % layout_.block_returns;
                 LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
                 firing.part = read_sequence(packet_bytes, group, n_returns);
@@ -254,10 +255,10 @@ private:
             const std::size_t next =
                 std::size_t(slot) - std::size_t(slot % per_block) + std::size_t(per_block);
             if (slot % per_block == 0 && next < packet.firings.size()) {
-                const double to_next =
+                const double to_next_deg =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
                 // A larger step spans a sector in which the sensor does not fire.
-                if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
+                if (std::abs(to_next_deg) < kLargestStep_deg) step_deg = to_next_deg;
             }
             firing.azimuth_deg = std::fmod(
                 firing.azimuth_deg + step_deg * double(slot % per_block) / double(per_block) + 360.0, 360.0);

@@ -211,10 +211,12 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
             const double late_us = timing.cycle_us * double(firing.part);
             const double column_deg = azimuth_deg - late_us * mean_deg_us;
             const int slot = int(n_before) + firing.slot - entry.first_slot;
+            // Number of the column. Its first firing has the slot `slot - part`, which is
+            // negative if the first column lacks firings; + parts makes it positive.
             const int number = has_columns ? column_of(revolution, azimuth_deg)
                                            : (slot - firing.part + timing.parts) / timing.parts;
             // Tests only the first firing of a column, because all its firings belong to
-            // the same revolution. `number` is the number of the column.
+            // the same revolution.
             if (number != previous_number) is_firing_inside = is_inside(revolution, number, column_deg);
             previous_number = number;
             if (!is_firing_inside) continue;

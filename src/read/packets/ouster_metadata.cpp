@@ -27,6 +27,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// name, is legacy, bytes of a pixel, mask and unit (m) of the range, byte offset of the
+// reflectivity and whether it has 2 bytes, number of returns
 constexpr OusterProfile kOusterProfiles[] = {
     {"LEGACY", true, 12, 0xFFFFF, 1e-3, 4, true, 1},
     {"RNG19_RFL8_SIG16_NIR16", false, 12, 0x7FFFF, 1e-3, 4, false, 1},
@@ -383,7 +385,8 @@ std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata
         const bool may_change_port = has_serial(packet, *format) || (is_alone && format->profile->is_legacy);
         if (!has_other_port || may_change_port) candidates.push_back(format);
     }
-    // Keeps only the candidates that meet a condition, if any candidate meets it.
+    // Keeps only the candidates that meet a condition, if any candidate meets it. So an
+    // earlier condition counts more than a later one.
     const auto prefer = [&](auto meets_condition) {
         if (candidates.size() > 1 && std::ranges::any_of(candidates, meets_condition))
             std::erase_if(candidates, [&](const auto& format) { return !meets_condition(format); });

@@ -55,7 +55,7 @@ struct PacketEncoder::Impl {
     struct FiringClockAnchor {
         std::int64_t position;
         double time_s, azimuth_deg;
-        double clock_less_time_s = 0.0;
+        double clock_less_time_s = 0.0;  ///< time on the sensor's clock minus `time_s`
     };
     std::optional<FiringClockAnchor> last;         ///< last firing of all scans
     std::optional<FiringClockAnchor> clock_start;  ///< firing at which the sensor's clock starts
@@ -88,15 +88,17 @@ struct PacketEncoder::Impl {
     /// are more exact than recorded times. The time then only gives the number of full
     /// turns.
     double count_steps(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
-        const double by_time = (firing.time_s - anchor.time_s) / firing_period_s();
+        const double steps_by_time = (firing.time_s - anchor.time_s) / firing_period_s();
         if (has_fixed_columns()) {
             const double n = n_fixed();
-            const double turned = std::fmod(double(find_column(firing) - anchor.position) + n * 1e6, n);
-            return turned + n * std::round((by_time - turned) / n);
+            // Positions increase over all turns; n * 1e6 keeps the remainder positive.
+            const double turned_columns =
+                std::fmod(double(find_column(firing) - anchor.position) + n * 1e6, n);
+            return turned_columns + n * std::round((steps_by_time - turned_columns) / n);
         }
-        if (!options.times_jitter) return std::round(by_time);
+        if (!options.times_jitter) return std::round(steps_by_time);
         const double turned_deg = std::remainder(firing.azimuth_deg - anchor.azimuth_deg, 360.0);
-        const double turns = std::round(by_time * firing_step_deg() / 360.0 - turned_deg / 360.0);
+        const double turns = std::round(steps_by_time * firing_step_deg() / 360.0 - turned_deg / 360.0);
         return std::round((turned_deg + 360.0 * turns) / firing_step_deg());
     }
 
@@ -170,16 +172,16 @@ struct PacketEncoder::Impl {
     /// azimuth.
     void fill_gap(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
-        const double n = double(next_firing_index - last->position);
-        const double by_rate_deg = n * firing_step_deg();
-        const double all_deg = turned_deg + 360.0 * std::round((by_rate_deg - turned_deg) / 360.0);
-        for (std::int64_t p = last->position + 1; p < next_firing_index; ++p) {
-            const double share = double(p - last->position) / n;
+        const double n_steps = double(next_firing_index - last->position);
+        const double nominal_deg = n_steps * firing_step_deg();
+        const double total_deg = turned_deg + 360.0 * std::round((nominal_deg - turned_deg) / 360.0);
+        for (std::int64_t position = last->position + 1; position < next_firing_index; ++position) {
+            const double share = double(position - last->position) / n_steps;
             FiringColumn firing{.time_s = last->time_s + share * (next_firing.time_s - last->time_s)};
-            firing.azimuth_deg = std::fmod(last->azimuth_deg + share * all_deg + 360.0, 360.0);
+            firing.azimuth_deg = std::fmod(last->azimuth_deg + share * total_deg + 360.0, 360.0);
             firing.is_filled = true;
-            set_clock(firing, p);
-            store_firing(std::move(firing), p);
+            set_clock(firing, position);
+            store_firing(std::move(firing), position);
         }
     }
 
@@ -192,15 +194,15 @@ struct PacketEncoder::Impl {
             fired[std::size_t(position % n_fixed())] = true;
         } else if (last) {
             // Fills gaps at the end of a revolution, where a log can omit firings without
-            // returns. A longer gap is a pause between scans and is not filled.
-            // Outside its field of view, a sensor does not fire.
+            // returns. A longer gap is a pause between scans and is not filled, nor is a
+            // gap outside the field of view, where a sensor does not fire.
             std::int64_t max_missing_firings =
                 std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / firing_period_s());
             if (sensor.azimuth_rad)
                 max_missing_firings = std::min<std::int64_t>(max_missing_firings, 3 * per_packet());
             if (position - last->position > max_missing_firings) {
                 finish_packets();
-                position = (packet + 1) * per_packet() + 1;
+                position = (packet + 1) * per_packet() + 1;  // slot 1, see find_first_slot()
             } else fill_gap(firing, position);
         }
         set_clock(firing, position);
@@ -213,17 +215,18 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(per_packet()), FiringColumn{});
     }
 
-    /// Computes times and azimuths of firings that no scan contains, from another firing
-    /// and the nominal rotation rate.
+    /// Computes times and azimuths of firings that no scan contains, from an anchor and
+    /// the nominal rotation rate. The anchor is the previous known firing of the packet,
+    /// else its first known firing, else the last firing of all scans.
     void fill_packet() {
-        const auto first = std::ranges::find_if(pending, &FiringColumn::is_known) - pending.begin();
+        const auto first_known = std::ranges::find_if(pending, &FiringColumn::is_known) - pending.begin();
         const std::int64_t begin = packet * per_packet();
         const auto anchor_at = [&](std::int64_t slot) {
             const FiringColumn& firing = pending[std::size_t(slot)];
             return FiringClockAnchor{begin + slot, firing.time_s, firing.azimuth_deg,
                                      firing.clock_s - firing.time_s};
         };
-        FiringClockAnchor anchor = first < per_packet() ? anchor_at(first) : *last;
+        FiringClockAnchor anchor = first_known < per_packet() ? anchor_at(first_known) : *last;
         for (std::int64_t slot = 0; slot < per_packet(); ++slot) {
             FiringColumn& firing = pending[std::size_t(slot)];
             if (firing.is_known()) anchor = anchor_at(slot);

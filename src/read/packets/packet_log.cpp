@@ -106,6 +106,8 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
     // Width of the sectors between the time stamp and the current entry. It is negative
     // if the sectors follow the entry, because the time stamp refers to the last firing.
     double skipped_deg = 0.0;
+    // `after_us` counts from the time stamp. The stamp is at the end if it is nearer to
+    // the last firing than to the first.
     const bool is_stamp_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     for (std::size_t f = 0; is_stamp_at_end && f < n; ++f)
         if (skips_after(f)) skipped_deg -= step_deg(f);

@@ -62,8 +62,9 @@ std::size_t find_sorted_index(const std::vector<PacketIndexEntry>& packets, std:
 }
 
 /// Corrects the receive time of a late packet, which belongs at index `at` of the sorted
-/// packets [0, n). The new time is its clock plus stamp_ns - clock_ns of a neighbour.
-/// Raises the stamps of later packets to at least the time that this rule gives.
+/// packets [0, n). The new time is its clock plus stamp_ns - clock_ns of the packet
+/// before it. Raises later stamps by the same rule, so that they do not precede the new
+/// time. Without a packet before it, uses the one after it, whose stamp is later anyway.
 void correct_late_stamp(std::vector<PacketIndexEntry>& packets, std::size_t n, std::size_t at,
                         PacketIndexEntry& late) {
     const PacketIndexEntry& neighbour = packets[at > 0 ? at - 1 : at];
@@ -143,7 +144,7 @@ double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTimin
         entry.azimuth_deg =
             azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
     }
-    // The mean over the recording is more exact than the rate within the last packet.
+    // From here, uses the mean rate, which is more exact than that in the last packet.
     const double mean_deg_us = rotation_deg_per_us(packets);
     if (mean_deg_us > 0.0) deg_us = mean_deg_us;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
@@ -151,7 +152,8 @@ double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTimin
         if (entry.skipped_deg == 0.0f) continue;
         // The head passed a sector without firings during this packet. Computes the time
         // from a neighbour on the same side of the sector: the next entry if the sector
-        // precedes `entry`, otherwise the previous.
+        // precedes `entry`, otherwise the previous. Without a neighbour (p - 1 of the
+        // first entry is out of range too), computes it from the width of the sector.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -196,9 +198,10 @@ SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, 
         behind_deg = std::min(behind_deg, wrap(entry.azimuth_deg - middle_deg));
         if (p > 0 && turn_of(entry) > turn_of(packets[p - 1])) ++n_skips;
     }
+    // The sector begins one step after the last firing before it.
     const double width_deg = before_deg + behind_deg - firing_step_deg;
     if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
-    return {middle_deg - before_deg + firing_step_deg, width_deg};
+    return {.begin_deg = middle_deg - before_deg + firing_step_deg, .width_deg = width_deg};
 }
 
 }  // namespace relidar::packets
