@@ -162,17 +162,17 @@ std::string_view BagRecording::unpack_bytes(const BagMessage& message, std::stri
 void BagRecording::read_messages(const TopicFilter& filter, const MessageCallback& callback,
                                  const Progress& progress) {
     std::set<std::size_t> noted_topics;  // topics with a note about recording times
-    for (std::size_t f = 0; f < files_.size(); ++f) {
+    for (std::size_t file_index = 0; file_index < files_.size(); ++file_index) {
         double last_reported_share = -1.0;
         const auto report_progress = [&](double share) {
             if (!progress || share < last_reported_share + 0.01) return;
             last_reported_share = share;
-            progress("reading the recording", (double(f) + share) / double(files_.size()));
+            progress("reading the recording", (double(file_index) + share) / double(files_.size()));
         };
         std::int64_t previous_ns = 0;
         const MessageCallback pass_message = [&](BagMessage message) {
             const BagTopic& topic = topics_.topics()[message.topic];
-            message.message_position.file = std::uint32_t(f);
+            message.message_position.file = std::uint32_t(file_index);
             const std::int64_t stored_ns = message.log_ns;
             const bool is_possible = stored_ns >= 0 && stored_ns <= kMaxRosTime_ns;
             // The time of the previous message replaces an impossible one.
@@ -189,7 +189,7 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
             callback(message);
         };
         const auto add_note = [&](const std::string& text) { add_note_once(text); };
-        files_[f]->read_messages(topics_, {filter, pass_message, add_note, report_progress});
+        files_[file_index]->read_messages(topics_, {filter, pass_message, add_note, report_progress});
     }
 }
 

@@ -298,13 +298,13 @@ private:
     };
     packets::MetadataList ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
-    std::uint64_t bytes_ = 0;
+    std::uint64_t bytes_ = 0;  ///< size of the file
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
-    int link_ = 0;
-    std::uint64_t begin_ = 0;
+    int link_ = 0;             ///< link type of the frames, see kLinkTypes
+    std::uint64_t begin_ = 0;  ///< byte offset of the first frame
     std::map<CaptureStreamKey, CaptureStream> streams_;
-    mutable std::size_t n_cut_ = 0;
-    mutable std::mutex lock_;  ///< protects the read position in the file
+    mutable std::size_t n_cut_ = 0;  ///< frames that were truncated during the capture
+    mutable std::mutex lock_;        ///< protects the read position in the file
 
     static std::string_view payload_of(const Datagram& datagram) {
         return std::string_view(datagram.bytes).substr(kUdpHeaderBytes);
