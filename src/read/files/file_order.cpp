@@ -36,10 +36,10 @@ double elevation_of_rad(const glm::vec3& point) {
 std::optional<double> rotation_sign_of(const LidarPoints& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
-        const double step = std::remainder(
+        const double step_rad = std::remainder(
             azimuth_of_rad(points.position_m[i]) - azimuth_of_rad(points.position_m[i - 1]), 2.0 * kPi);
-        if (step > 0.0) ++n_up;
-        if (step < 0.0) ++n_down;
+        if (step_rad > 0.0) ++n_up;
+        if (step_rad < 0.0) ++n_down;
     }
     const double least = kMinSameSignFraction * double(points.size());
     if (double(n_up) > least) return 1.0;
@@ -164,19 +164,19 @@ bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>
                      const std::vector<double>& ring_elevations_rad) {
     if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
         return false;
-    std::vector<double> steps;
+    std::vector<double> steps_rad;
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t r = 1; r < ring_elevations_rad.size(); ++r) {
-        const double step = ring_elevations_rad[r] - ring_elevations_rad[r - 1];
-        if (step > 0.0) ++n_up;
-        if (step < 0.0) ++n_down;
-        if (std::isfinite(step)) steps.push_back(std::abs(step));
+        const double step_rad = ring_elevations_rad[r] - ring_elevations_rad[r - 1];
+        if (step_rad > 0.0) ++n_up;
+        if (step_rad < 0.0) ++n_down;
+        if (std::isfinite(step_rad)) steps_rad.push_back(std::abs(step_rad));
     }
     const bool are_sorted =
         double(std::max(n_up, n_down)) >= kMinSortedShare * double(ring_elevations_rad.size() - 1);
-    if (steps.empty() || !are_sorted) return false;
+    if (steps_rad.empty() || !are_sorted) return false;
     return compute_median(ring_errors(points, ring_of_point, ring_elevations_rad)) <
-           kInRing * compute_median(steps);
+           kInRing * compute_median(steps_rad);
 }
 
 }  // namespace
