@@ -128,7 +128,7 @@ protected:
     /// Returns the manufacturer's number, from 0, of the laser of a ring.
     std::size_t laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
 
-    /// Returns the firing sequence of a block. Sequences can be in different packets.
+    /// Returns the firing sequence of a block, which is one of `n_here` in its packet.
     std::size_t sequence_of_block(std::size_t block_index, std::uint32_t packet_number) const {
         const auto n_packets = std::size_t(packets_per_firing()), n_here = layout_.n_sequences() / n_packets;
         return packet_number % n_packets * n_here +
@@ -140,7 +140,7 @@ protected:
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const {
         const std::size_t n_returns = std::size_t(returns_);
-        const std::size_t n_joined = count_blocks() / std::size_t(packets_per_firing());
+        const std::size_t n_joined = count_blocks() / std::size_t(packets_per_firing());  // of the same firings
         for (std::size_t block = 0; block < layout_.n_blocks; ++block) {
             const auto block_firings = firings.subspan(block / n_joined * layout_.firings, layout_.firings);
             const BlockIndex block_index{sequence_of_block(block, packet_number),
@@ -304,14 +304,14 @@ public:
         write_mode(bytes, number);
         const std::uint8_t mode = is_dual() ? kTwoReturns : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
-        const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kNsPerSecond / 1000;
+        const std::int64_t time_us = (clock_ns + 500) / 1000, us_per_second = kNsPerSecond / 1000;
         if (product_.is_mode_first) append_raw(bytes, mode);
         append_raw(bytes, speed_rpm);
-        if (product_.is_mode_first) append_utc(bytes, time_us / second_us);
-        append_raw(bytes, std::uint32_t(time_us % second_us));
+        if (product_.is_mode_first) append_utc(bytes, time_us / us_per_second);
+        append_raw(bytes, std::uint32_t(time_us % us_per_second));
         if (!product_.is_mode_first) append_raw(bytes, mode);
         append_raw(bytes, kFactory);
-        if (!product_.is_mode_first) append_utc(bytes, time_us / second_us);
+        if (!product_.is_mode_first) append_utc(bytes, time_us / us_per_second);
         append_raw(bytes, number);
         bytes.append(product_.motion_bytes, '\0');
         if (product_.has_checksums) append_crc32(bytes, tail_offset);

@@ -16,7 +16,7 @@ namespace relidar::packets {
 namespace {
 
 constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
-constexpr double kSameFiring_us = 1.0;
+constexpr double kSameFiring_us = 1.0;           // columns that are nearer in time are one firing
 // distance at which the direction of a ray without a return is computed
 constexpr double kProbeRange_m = 1e4;
 
@@ -51,7 +51,7 @@ private:
     int image_columns_;
     /// [columns of a turn] columns of the image; empty if they are equal
     std::vector<std::optional<std::size_t>> place_;
-    std::vector<int> shift_;
+    std::vector<int> shift_;  ///< [rings] number of the firing minus its column in a turn
 };
 
 /// Returns how badly the delays fit: after subtracting `beam_delays_us`, all rays of a
@@ -60,15 +60,15 @@ private:
 double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < rays.n_firings(); ++firing) {
-        double first = INFINITY, last = -INFINITY;
+        double first_us = INFINITY, last_us = -INFINITY;
         for (std::size_t ring = 0; ring < rays.n_rings(); ++ring) {
             const std::optional<std::size_t> ray = rays.ray_at(ring, firing);
             if (!ray || scan.range_m[*ray] <= 0.0f) continue;
             const double time_us = 1e6 * double(scan.rays.time_offset_s[*ray]) - beam_delays_us[ring];
-            first = std::min(first, time_us);
-            last = std::max(last, time_us);
+            first_us = std::min(first_us, time_us);
+            last_us = std::max(last_us, time_us);
         }
-        if (last > first) sum_us += last - first;
+        if (last_us > first_us) sum_us += last_us - first_us;
     }
     return sum_us;
 }
@@ -112,7 +112,7 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
         ++n_used;
     }
     column.time_s /= double(std::max<std::size_t>(n_used, 1));
-    column.azimuth_deg = std::fmod(360.0 - std::atan2(sum_y, sum_x) * 180.0 / kPi, 360.0);
+    column.azimuth_deg = std::fmod(360.0 - std::atan2(sum_y, sum_x) * 180.0 / kPi, 360.0);  // clockwise
     return column;
 }
 
@@ -120,7 +120,7 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
 /// them. Uses the nearest firing with a return, and the rotation of the head between the
 /// two.
 void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
-    std::vector<std::ptrdiff_t> timed;  // firings with returns
+    std::vector<std::ptrdiff_t> timed;  // indices of the firings with returns
     for (std::size_t i = 0; i < firings.size(); ++i)
         if (firings[i].has_returns) timed.push_back(std::ptrdiff_t(i));
     if (timed.empty()) return;
