@@ -30,12 +30,12 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// Files or folders that identify this kind. "name*" matches a beginning, and
-    /// ".ending" files with this extension, also inside a folder.
+    /// Files or folders, separated by blanks, any of which identifies this kind. "name*"
+    /// matches a beginning, ".ending" files with this extension, also inside a folder.
     const char* marker;
     const char* describe;
     Log (*load)(const fs::path&, const DatasetOptions&);
-    /// selected with DatasetOptions::sequence
+    /// true if it contains several recordings; DatasetOptions::sequence selects one
     bool holds_drives = false;
 };
 
