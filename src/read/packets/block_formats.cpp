@@ -140,7 +140,7 @@ protected:
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const {
         const std::size_t n_returns = std::size_t(returns_);
-        const std::size_t n_joined = count_blocks() / std::size_t(packets_per_firing());  // of the same firings
+        const std::size_t n_joined = count_blocks() / std::size_t(packets_per_firing());  // of equal firings
         for (std::size_t block = 0; block < layout_.n_blocks; ++block) {
             const auto block_firings = firings.subspan(block / n_joined * layout_.firings, layout_.firings);
             const BlockIndex block_index{sequence_of_block(block, packet_number),
