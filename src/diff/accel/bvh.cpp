@@ -67,7 +67,8 @@ std::uint32_t count_top_nodes(std::uint32_t n_instances) {
 /// compute_node_boxes() processes all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of arrays in the scratch memory of a build. Offset k is word k * n_surfels.
+/// Offsets of arrays in the scratch memory of a build. Offset k is word k * n, where n is
+/// the number of surfels, rounded up to a multiple of 4.
 /// Arrays that are not needed at the same time share an offset.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
@@ -259,10 +260,12 @@ SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
 }
 
 /// Converts the binary trees of all models to wide trees (up to eight children per node).
+/// First selects the binary nodes that become wide nodes, from the roots down. `queue`
+/// lists them, level by level. Then numbers these nodes and writes them.
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
-    // The trees, and temporary arrays that the kernels below share. `bound` is the
-    // largest possible number of wide nodes.
+    // The trees, and temporary arrays that the kernels below share. The binary trees have
+    // entries per surfel (n), the wide trees per wide node (at most `bound`).
     shared::BvhWideParams params{.tree = binary_bvh(),
                                  .wide = wide_bvh(),
                                  .queue = queue.address(),
@@ -287,7 +290,7 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
         max_level_nodes = std::min<std::uint64_t>(max_level_nodes * RELIDAR_BVH_WIDTH, bound);
         ++params.level;
     }
-    run(stream, wide_mark_rest, kWorkgroupSize, params);  // all remaining levels
+    run(stream, wide_mark_rest, kWorkgroupSize, params);  // all levels that remain in uneven trees
 
     // Numbers the nodes (count, prefix sum, index of each node), and writes them.
     run(stream, wide_count, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
@@ -448,24 +451,28 @@ HostBvhCopy Bvh::download_bvh() const {
     return host;
 }
 
+/// Records a kernel that computes the cost of all trees in m^2, and the copy of its sums
+/// to the host. The cost is half the area of each node's box, plus the same of each leaf
+/// times the cost of testing its surfels. One thread per node, one sum per workgroup.
+/// append_tree() increases `bound`, but `cost_sums` keeps its size, so the nodes of
+/// appended trees are left out.
 void Bvh::measure_cost(Stream& stream) {
-    Impl& b = *impl_;
-    // Each workgroup writes one sum. Leaves out appended trees, for which there are no
-    // sums.
-    const auto n_nodes = std::uint32_t(std::min<std::size_t>(b.bound, kWorkgroupSize * b.cost_sums.size()));
-    run(stream, b.cost_kernel, n_nodes,
-        {.wide = b.wide_bvh(),
-         .boxes = b.boxes.address(),
-         .partial = b.cost_sums.address(),
+    Impl& trees = *impl_;
+    const auto n_nodes =
+        std::uint32_t(std::min<std::size_t>(trees.bound, kWorkgroupSize * trees.cost_sums.size()));
+    run(stream, trees.cost_kernel, n_nodes,
+        {.wide = trees.wide_bvh(),
+         .boxes = trees.boxes.address(),
+         .partial = trees.cost_sums.address(),
          .bound = n_nodes});
-    b.costs.record_copy(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
+    trees.costs.record_copy(stream, trees.cost_sums.buffer(), trees.cost_sums.size() * sizeof(float));
 }
 
 std::optional<double> Bvh::read_cost(Stream& stream) {
-    Impl& b = *impl_;
-    if (!b.costs.is_pending()) return std::nullopt;
-    const float* sums = static_cast<const float*>(b.costs.wait_for_bytes(stream));
-    return std::accumulate(sums, sums + b.cost_sums.size(), 0.0);
+    Impl& trees = *impl_;
+    if (!trees.costs.is_pending()) return std::nullopt;
+    const float* sums = static_cast<const float*>(trees.costs.wait_for_bytes(stream));
+    return std::accumulate(sums, sums + trees.cost_sums.size(), 0.0);
 }
 
 }  // namespace relidar

@@ -309,7 +309,7 @@ void RayQueryAccel::Impl::reserve_indices(std::uint32_t n_surfels) {
 }
 
 /// Allocates the bottom-level structure (BLAS) of a model, and assigns a part of the
-/// scratch buffer to its builds.
+/// scratch buffer to its builds. `scratch_bytes` is the end of the parts so far.
 void RayQueryAccel::Impl::allocate_blas(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     set_geometry(input, model);
