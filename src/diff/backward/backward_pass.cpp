@@ -118,8 +118,9 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
-/// Assigns each ray a range of hit records: a prefix sum of the numbers of hits gives the
-/// first record of each ray.
+/// Assigns each ray a range of hit records: first_hit_[r] is the number of hits of the
+/// rays 0 to r - 1 (an exclusive prefix sum). Ray r writes its hits to the records from
+/// this index on. Also writes the total to `n_hits_`.
 void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
@@ -128,8 +129,9 @@ void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve_scratch(device_, n_rays_);
         reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    // Reads the field `n_hits` of each rendered ray. Offset and stride count 32-bit
-    // words.
+    // The forward pass has stored the number of hits in the field `n_hits` of each
+    // RenderedRay. The prefix sum reads these structs as one array of 32-bit words.
+    // Offset and stride count these words.
     const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                                    .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                                    .stride = sizeof(shared::RenderedRay) / 4};
@@ -144,9 +146,9 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.capacity = sort_->capacity();
 }
 
-/// Sorts the hit records by gradient row (the row of a surfel in the array of gradients),
-/// and sums the records of each row. The sort keeps the order of hits, so that the sums
-/// are the same in every run.
+/// Sorts the hit records by gradient row (a row is one surfel of one instance), and sums
+/// the records of each row. The sort keeps the order of hits, so that the sums are the
+/// same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     // The passes of the sort read one set of arrays and write the other: the row of each
     // hit (key), and the index of its record.
@@ -154,6 +156,7 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
                            .order = slots_[index].address().cast_tag<shared::SortOrder>()};
     };
+    // Unused records have the row n_rows, so the keys need bits for 0 to n_rows.
     const auto n_key_bits = std::uint32_t(std::bit_width(params.n_rows));
     const SortBuffers sorted = sort_->run(stream, sort_buffers(0), sort_buffers(1), n_key_bits,
                                           n_hits_.address().cast_tag<shared::SortCount>());
@@ -169,8 +172,9 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
                                       .most_hits = most_hits_.address(),
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
-    // A thread sums a block of records. `parts` are the sums of its first and last row.
-    // From them, the second kernel sums the rows that extend over several blocks.
+    // A thread sums a block of sorted records, row by row. The first and the last row of
+    // a block may extend into its neighbours, so their sums are stored in `parts`. From
+    // them, the second kernel sums the rows that extend over several blocks.
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);
@@ -227,15 +231,17 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
+    // If `marks_touched` is true, `trace` marks the surfels with a gradient. The kernels
+    // after it skip all other surfels.
     const bool has_pose_gradients = gradients.poses.size() > 0,
-               lists = scene.can_skip_surfels() && !gradients.zero_untouched;
+               marks_touched = scene.can_skip_surfels() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene = trace_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
     params.d_sh = gradients.surfels.sh.address();
-    if (lists) params.touched = gradients.touched.address();
+    if (marks_touched) params.touched = gradients.touched.address();
     params.d_rays = gradients.rays.address();
     if (batch.stored_hits) {
         RELIDAR_ASSERT_EQ(batch.stored_hits->can_store_hits(batch.rays), true);
@@ -254,8 +260,8 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
         const ConcurrentLaunchScope zeros(stream);
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-        if (lists) stream.fill(gradients.touched);
-        if (lists && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
+        if (marks_touched) stream.fill(gradients.touched);
+        if (marks_touched && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
     }
     relidar::run(stream, impl_->trace, count_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->sum_gradients(stream, params);
@@ -265,7 +271,7 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
                         .touched = &gradients.touched,
                         .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
                         .zero_untouched = gradients.zero_untouched,
-                        .touched_is_marked = lists});
+                        .touched_is_marked = marks_touched});
     if (has_pose_gradients) impl_->poses.reduce(stream, scene, model, view_origin_m, gradients);
 }
 

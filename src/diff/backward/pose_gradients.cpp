@@ -18,23 +18,28 @@ struct BlockTable {
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
-/// Splits the surfels of each instance into blocks for the sums of gradients. Only the
+/// Splits the surfels of each instance into blocks for the sums of gradients. Instances
+/// of a model share its surfels, but each has its own rows of gradients. Therefore a
+/// block has two start indices: its first surfel and its first gradient row. Only the
 /// first instance of a model has the gradient of the view direction, because the
 /// direction belongs to the model's surfels.
 BlockTable split_into_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
-    std::vector<bool> has_instance(layout.models.size(), false);
-    for (std::size_t i = 0; i < layout.instances.size(); ++i) {
-        const std::uint32_t model_index = layout.instances[i].model;
+    std::vector<bool> has_earlier_instance(layout.models.size(), false);
+    for (std::size_t instance = 0; instance < layout.instances.size(); ++instance) {
+        const std::uint32_t model_index = layout.instances[instance].model;
         const SurfelModel& model = layout.models[model_index];
-        const std::uint32_t first_row = scene.first_gradient_row(i);
-        const bool is_first_instance = !has_instance[model_index];
-        has_instance[model_index] = true;
+        const std::uint32_t first_row = scene.first_gradient_row(instance);
+        const bool is_first_instance = !has_earlier_instance[model_index];
+        has_earlier_instance[model_index] = true;
         table.first.push_back(std::uint32_t(table.blocks.size()));
-        for (std::uint32_t k = 0; k < model.count; k += kSurfelsPerBlock) {
-            const std::uint32_t n_surfels = std::min(kSurfelsPerBlock, model.count - k);
-            table.blocks.push_back({model.first + k, first_row + k, n_surfels, is_first_instance ? 1u : 0u});
+        for (std::uint32_t offset = 0; offset < model.count; offset += kSurfelsPerBlock) {
+            const std::uint32_t n_surfels = std::min(kSurfelsPerBlock, model.count - offset);
+            table.blocks.push_back({.first_surfel = model.first + offset,
+                                    .first_row = first_row + offset,
+                                    .n_surfels = n_surfels,
+                                    .with_view = is_first_instance ? 1u : 0u});
         }
     }
     table.first.push_back(std::uint32_t(table.blocks.size()));
