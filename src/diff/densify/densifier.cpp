@@ -88,13 +88,16 @@ struct Densifier::Impl {
     void rearrange_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step, const GrowthPlan& plan);
 };
 
-/// Runs the kernel that chooses an action for each surfel (keep, clone, split, drop).
-/// Waits for it and returns how many surfels of each model got each action.
+/// Runs the kernel that chooses an action for each surfel: keep, clone (add a copy),
+/// split (replace by two smaller ones) or drop (faint, large, invalid or outside its
+/// actor's box). Surfels with a large mean gradient grow: small ones are cloned, large
+/// ones split. Waits for it and returns how many surfels of each model got each action.
 ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
     const SurfelStatistics& statistics = arrays.statistics;
-    // Sizes of the models in metres. The limits of surfel sizes are shares of them.
+    // Sizes of the models in metres, as floats for the kernel. A surfel is large if its
+    // standard deviation exceeds a share of its model's size.
     const std::vector<float> model_extents(extents_m.begin(), extents_m.end());
-    // Large surfels are dropped only after step `large_from`.
+    // Up to step `large_from`, no surfel is dropped because of its size.
     const float max_extent_share =
         step > options.large_from ? float(options.max_extent_share) : std::numeric_limits<float>::infinity();
     stream.fill(counters);
@@ -115,11 +118,12 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
                   .n_models = std::uint32_t(model_extents.size()),
                   .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
-    const std::vector<std::uint32_t> values = counters.download();  // [models, counters]
+    // One row per model: numbers of surfels by action, and the sum of growth weights.
+    const std::vector<std::uint32_t> values = counters.download();
     ModelCounts counts(model_extents.size());
     for (std::size_t model = 0; model < counts.size(); ++model)
-        for (std::size_t k = 0; k < RELIDAR_DENSIFY_COUNTERS; ++k)
-            counts[model][k] = values[model * RELIDAR_DENSIFY_COUNTERS + k];
+        for (std::size_t counter = 0; counter < RELIDAR_DENSIFY_COUNTERS; ++counter)
+            counts[model][counter] = values[model * RELIDAR_DENSIFY_COUNTERS + counter];
     return counts;
 }
 
@@ -190,6 +194,7 @@ void Densifier::Impl::rearrange_surfels(Stream& stream, DeviceScene& scene, Adam
     arrays.move_surfels(stream, adam.first_moments(), kZeroNew, plan.size());
     arrays.move_surfels(stream, adam.second_moments(), kZeroNew, plan.size());
     // Moves both halves of a split surfel to random points in it, and makes them smaller.
+    // Has the same key as choose_actions(), but takes other numbers from its sequence.
     relidar::run(stream, spawn, n_before,
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .action = arrays.action.address(),

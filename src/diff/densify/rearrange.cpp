@@ -46,6 +46,8 @@ std::uint32_t SurfelReorderer::capacity() const {
     return std::min(scratch_surfels_.capacity(), std::uint32_t(std::min(n, n_frames)));
 }
 
+/// Returns the size of all arrays of this object, 4 bytes per word. They are the spare
+/// parameters, `frames` and its spare array, and six arrays with one word per surfel.
 std::size_t SurfelReorderer::bytes_per_surfel() const {
     return 4 * (floats_per_surfel(scratch_surfels_.parameters_used()) + 6 + 2 * statistics.n_words);
 }
