@@ -83,15 +83,17 @@ void HitListTracer::grow_lists(Stream& stream) {
 }
 
 /// Returns memory for one hit list per thread, or empty lists if it is not available. It
-/// is the memory `kept`, the memory of the last batch, or new memory, in this order.
-/// @param kept hits that the forward pass stores for the backward pass. If a list fits
-/// into this memory, its hits need not be copied
+/// is the memory `kept`, the memory of the last batch (`hits_`), or new memory, in this
+/// order. The lengths of the lists always have separate memory, which only grows.
+/// @param kept hits that the forward pass stores for the backward pass, or null. If a
+/// list fits into this memory, its hits need not be copied
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
                                               const StoredRayHits* kept) {
     const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
     if (n_lists > kMostLists) return {};
     if (has_overflowed(stream)) grow_lists(stream);
-    // The kept hits of a ray must be at least a full list, and few enough to be sorted.
+    // The kept memory of a ray must have room for a full list, but not for more hits than
+    // a subgroup can sort.
     const bool uses_kept =
         kept && kept->per_ray >= std::max(hits_per_list_, 1u) && kept->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =
@@ -103,6 +105,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
     if (uses_kept) {
         hits_ = {};
     } else if (!can_reuse_lists) {
+        // Keeps as many lists as before, so that smaller batches cause no reallocation.
         const std::size_t n_old_lists =
             allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0;
         allocate_lists(std::max(n_lists, n_old_lists));
