@@ -30,6 +30,7 @@ void ActorBoxLoss::add_regularisers(Stream& stream, const DeviceScene& scene,
                                     const SurfelGradients& gradients, const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
     const std::vector<SurfelModel>& models = scene.layout().models;
+    // The kernel skips the surfels of models without a box (half_size_m is 0).
     double n_boxed = 0.0;                         // number of surfels of models with a box
     std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all these models
     for (const SurfelModel& model : models) {
