@@ -9,7 +9,7 @@ namespace relidar {
 CollectedHits collect_hits(Device& device, const KernelVariant& variant, const TraceConstants& constants,
                            shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> kernel(device, "diff/traversal/collect_hits", variant, constants);
-    const std::size_t n_rays = rays.size(), n_slots = n_rays * max_hits;
+    const std::size_t n_rays = rays.size(), n_slots = n_rays * max_hits;  // one row of slots per ray
     const Array<DeviceRay> device_rays(device, to_device_rays(rays), "rays");
     const Array<std::uint32_t, shared::PassCapCount> n_truncated(device, std::vector<std::uint32_t>{0u},
                                                                  "number of truncated rays");
@@ -29,7 +29,8 @@ CollectedHits collect_hits(Device& device, const KernelVariant& variant, const T
          .surfel = surfel.address(),
          .max_hits = max_hits});
     stream.submit_and_wait();
-    // A search ends early if it needs too many passes over the scene.
+    // A pass finds the next few hits of a ray. A search ends early if it needs too many
+    // passes.
     const std::uint32_t n_incomplete = n_truncated.download()[0];
     if (n_incomplete > 0)
         fail<DeviceError>("cannot collect the hits of {} rays: {} searches were truncated, expected none",
