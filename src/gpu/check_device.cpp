@@ -20,8 +20,10 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums with `n_threads`
-/// threads. Returns the largest relative error of a sum.
+/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums. Each of the
+/// `n_threads` threads adds one integer, and sum i gets those of the threads i, i +
+/// n_sums, ... All sums are small integers, which floats represent exactly. Returns the
+/// largest relative error of a sum.
 double run_atomic_adds(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
                        std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
                        double* elapsed_s = nullptr) {
@@ -62,7 +64,7 @@ constexpr std::uint32_t kCheckWorkgroup = 256;
 
 /// Returns the correct results of all subgroup operations for one thread, in the order of
 /// kOperationNames.
-/// @param lanes values of the lanes of this subgroup
+/// @param lanes values of the lanes (threads) of this subgroup
 /// @param earlier_sum sum of all earlier subgroups of the workgroup
 /// @param total sum of the workgroup
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lanes, std::size_t lane,
@@ -113,8 +115,9 @@ std::string find_wrong_result(const Words& values, std::uint32_t earlier_sum, st
     return {};
 }
 
-/// Compares the results of all subgroup operations with the host's results. Returns a
-/// text about the first wrong result, or an empty text.
+/// Compares the results of all subgroup operations with the host's results. Thread i of
+/// the launch has the value test_value(i), which both compute. Returns a text about the
+/// first wrong result, or an empty text.
 std::string run_subgroup_test(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
@@ -127,16 +130,18 @@ std::string run_subgroup_test(Device& device) {
     stream.submit_and_wait();
     const Words actual = results.download();
     const auto n_lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
-    for (std::uint32_t workgroup = 0; workgroup < kCheckThreads; workgroup += kCheckWorkgroup) {
+    // Each workgroup starts at `first_thread`, and each of its subgroups at `first_lane`.
+    for (std::uint32_t first_thread = 0; first_thread < kCheckThreads; first_thread += kCheckWorkgroup) {
         std::uint32_t total = 0;        // sum of the values of all threads in the workgroup
         std::uint32_t earlier_sum = 0;  // sum of its subgroups before the current one
-        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(workgroup + i);
-        for (std::uint32_t first = workgroup; first < workgroup + kCheckWorkgroup; first += n_lanes) {
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(first_thread + i);
+        for (std::uint32_t first_lane = first_thread; first_lane < first_thread + kCheckWorkgroup;
+             first_lane += n_lanes) {
             Words values;
-            for (std::uint32_t i = 0; i < n_lanes; ++i) values.push_back(shared::test_value(first + i));
-            const std::string error =
-                find_wrong_result(values, earlier_sum, total, actual.data() + first * RELIDAR_CHECK_RESULTS,
-                                  lanes_reconverge(device));
+            for (std::uint32_t i = 0; i < n_lanes; ++i) values.push_back(shared::test_value(first_lane + i));
+            const std::string error = find_wrong_result(values, earlier_sum, total,
+                                                        actual.data() + first_lane * RELIDAR_CHECK_RESULTS,
+                                                        lanes_reconverge(device));
             if (!error.empty()) return error;
             earlier_sum = std::accumulate(values.begin(), values.end(), earlier_sum);
         }

@@ -94,7 +94,8 @@ const ComputeLibrary* load_library(const LibraryNames& names) {
     return loaded->init(0) == 0 ? loaded.release() : nullptr;
 }
 
-/// A process uses cards of one vendor, so only one library is loaded.
+/// Returns the library of a vendor, or null if it has none or another vendor's library is
+/// loaded. A process uses cards of one vendor, so only one library is loaded.
 const ComputeLibrary* find_library(std::uint32_t vendor_id) {
     const auto names = std::ranges::find(kLibraries, vendor_id, &LibraryNames::vendor_id);
     if (names == std::end(kLibraries)) return nullptr;
@@ -125,15 +126,16 @@ int find_device(const ComputeLibrary& library, const Device::Impl& device) {
         device.info.name, library.names->file, n_devices);
 }
 
-/// Memory that a library has imported, in the context of its device.
+/// Memory that a library has imported, in the context of its device. All functions of the
+/// library return 0 if they succeed.
 struct ImportedBlock {
     const ComputeLibrary& library;
     int device_index, device = 0;
     void *context = nullptr, *memory = nullptr;
     std::byte* pointer = nullptr;
 
-    ImportedBlock(const ComputeLibrary& of, const Device::Impl& owner, const MemoryBlock& block)
-        : library(of), device_index(find_device(of, owner)) {
+    ImportedBlock(const ComputeLibrary& importer, const Device::Impl& owner, const MemoryBlock& block)
+        : library(importer), device_index(find_device(importer, owner)) {
         library.check(library.get_device(&device, device_index), 2);
         library.check(library.retain_context(&context, device), 4);
         ImportDescription import;
@@ -148,7 +150,7 @@ struct ImportedBlock {
         mapping.size = block.n_bytes;
         const int mapped = imported ? imported : library.map_memory(&pointer, memory, &mapping);
         if (!imported && mapped) library.destroy_memory(memory);
-        library.pop_context(&context);
+        library.pop_context(&context);  // before the checks, which may throw
         library.check(imported, 7);
         library.check(mapped, 8);
     }

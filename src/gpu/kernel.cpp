@@ -25,12 +25,12 @@ std::span<const std::uint32_t> embedded_spirv(std::string_view kernel_name) {
                 fmt::format("cannot create kernel {}: src/CMakeLists.txt does not list it", kernel_name));
 }
 
-/// They use subgroup operations in branches, or in loops that lanes leave early.
+/// Kernels with subgroup operations in branches, or in loops that lanes leave early.
 constexpr std::array<std::string_view, 3> kReconvergingKernels{"diff/accel/bvh_cluster",
                                                                "diff/backward/trace", "gpu/check_subgroups"};
 
-/// lavapipe up to 25.0. Later versions execute a load in an untaken branch, which may
-/// crash.
+/// Returns true for lavapipe up to Mesa 25.0. Later versions execute a load in an untaken
+/// branch, which may crash.
 bool skips_dead_loads(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");
@@ -45,7 +45,8 @@ bool skips_dead_loads(const std::string& driver_name) {
 std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<const std::uint32_t> module,
                                         std::string_view base, const KernelConstants& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
-    for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
+    for (const SpecialisationConstant& constant : constants)
+        values[static_cast<std::uint32_t>(constant.id)] = constant.value;
     std::vector<std::uint32_t> words = gpu::mark_params_readonly(gpu::remove_branches(module, values));
     // These edits help only the CPU driver lavapipe. make_nonuniform() comes first,
     // because hoist_loads() moves the loads that it must recognise.
@@ -146,18 +147,19 @@ std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, co
                                                         std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
     std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
-    for (const SpecialisationConstant& c : kernel.constants)
-        key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
+    for (const SpecialisationConstant& constant : kernel.constants)
+        key += fmt::format(" {}={}", static_cast<std::uint32_t>(constant.id), constant.value);
     // Modules of programs can have equal names, so the key contains the code.
     if (kernel.loaded_words)
         key.append(reinterpret_cast<const char*>(kernel.words.data()), kernel.words.size_bytes());
     std::shared_future<gpu::CompiledPipeline>& pipeline = device.pipelines.by_key[key];
     if (pipeline.valid()) return pipeline;
-    // Copies what it needs, because the kernel may be destroyed before.
+    // Copies what it needs, because the kernel may be destroyed before the compilation.
+    // The copy of `loaded_words` keeps the memory of `words` alive.
     pipeline = std::async(mode, [&device, module = kernel.module, base = kernel.name, words = kernel.words,
                                  loaded_words = kernel.loaded_words, constants = kernel.constants,
                                  subgroups = kernel.subgroups] {
-        const CompilerSlot compiler_slot(device.pipelines.compilers);
+        const CompilerSlot compiler_slot(device.pipelines.compilers);  // waits for a free slot
         const std::string text = format_constants(words, constants);
         const std::string name = text.empty() ? module : module + " " + text;
         return create_pipeline(device, kernel_spirv(device, words, base, constants), name, constants,

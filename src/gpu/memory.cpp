@@ -98,7 +98,8 @@ DeviceMemoryAllocator::~DeviceMemoryAllocator() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
-/// Smaller for a small heap, for example the 256 MiB that a host can access.
+/// Returns the size of new blocks of a memory type. It is smaller for a small heap, for
+/// example the 256 MiB that a host can access.
 std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
     // Drivers without hardware report a heap size of 0.
@@ -124,6 +125,8 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequi
     return suitable_types;
 }
 
+/// Takes space in an existing block of a memory type.
+/// @param exports true: only in blocks that other programs can import; false: in others
 std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
     const VkMemoryRequirements& requirements, std::uint32_t type, bool exports) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])

@@ -22,12 +22,12 @@ SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const Execut
 
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::vector<std::uint32_t> modes;  // execution modes of the entry points so far
-    bool extended = false;             // true after OpExtension was inserted
+    bool is_extended = false;          // true after OpExtension was inserted
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         // Extensions follow the capabilities and precede all other instructions.
-        if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
+        if (!is_extended && opcode != kOpCapability && opcode != kOpExtension) {
             append_instruction(result, extension_words);
-            extended = true;
+            is_extended = true;
         }
         if (opcode == kOpEntryPoint) {
             append_instruction(modes, kOpExecutionMode, {instruction[2], mode.mode});
@@ -74,7 +74,9 @@ public:
 
     std::uint32_t block_type() const { return block_; }
 
-    /// Byte offsets of all device addresses in a value at `offset`.
+    /// Appends the byte offsets of all device addresses in a value at `offset`. The words
+    /// of an array type from index 2 are the element type and the id of the length. Those
+    /// of a struct type are the member types.
     void append_pointers(std::uint32_t type_id, std::uint32_t offset,
                          std::vector<std::uint32_t>& offsets) const {
         const auto type_entry = types_.find(type_id);
@@ -167,9 +169,14 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     };
     require(words.size() >= kHeaderWords && words[0] == kMagic, "the magic number of SPIR-V");
     require(words[1] <= kMaxVersion, "a SPIR-V version up to 1.6 (Vulkan 1.3)");
-    // The upper half of the first word of an instruction is its number of words.
-    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
-        require(words[at] >> 16 > 0 && words[at] >> 16 <= words.size() - at, "its last words (truncated)");
+    // The upper half of the first word of an instruction is its number of words, the
+    // lower half its opcode.
+    for (std::size_t first_word = kHeaderWords; first_word < words.size();
+         first_word += words[first_word] >> 16)
+        require(words[first_word] >> 16 > 0 && words[first_word] >> 16 <= words.size() - first_word,
+                "its last words (truncated)");
+    // Words of OpEntryPoint: 1 execution model, 2 function, then the name. Words of
+    // OpDecorate: 1 target, 2 decoration. Kernels get addresses, so no binding may exist.
     bool has_main = false, has_bindings = false;
     std::uint32_t last_opcode = 0;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {

@@ -85,14 +85,15 @@ public:
         for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             if (opcode == kOpLabel) label = instruction[1];
             else if (opcode == kOpPhi) with_phi_.insert(label);
+            // Words 1 and 2 are the block after the loop and the continue block.
             else if (opcode == kOpLoopMerge)
-                for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
+                for (const std::size_t word : {1u, 2u}) header_of_[instruction[word]] = label;
             else if (opcode == kOpBranch) next_[label] = {instruction[1]};
             else if (opcode == kOpBranchConditional) next_[label] = {instruction[2], instruction[3]};
             // Words 2, 4, 6 ... are targets: the default, then one after each literal.
             else if (opcode == kOpSwitch)
-                for (std::size_t k = 2; k < instruction.size(); k += 2)
-                    next_[label].push_back(instruction[k]);
+                for (std::size_t word = 2; word < instruction.size(); word += 2)
+                    next_[label].push_back(instruction[word]);
         });
     }
 
@@ -128,13 +129,15 @@ private:
 }  // namespace
 
 /// Replaces conditional branches whose condition is known by unconditional ones. The
-/// blocks that become unreachable stay in the module.
+/// blocks that become unreachable stay in the module. A selection merge precedes its
+/// branch and names the block in which both paths join. It is held back until the branch
+/// is decided, and left out with the branch.
 SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     SpirvConstantValues values(constants);
     const ControlFlowGraph blocks(words);
-    std::uint32_t block = 0;
-    SpirvInstruction merge;  // Merge instruction that belongs to the next branch.
+    std::uint32_t block = 0;  // id of the current block
+    SpirvInstruction merge;   // Merge instruction that belongs to the next branch.
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         values.evaluate(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];

@@ -94,7 +94,8 @@ private:
     }
 
     /// Writes one instruction to the result, with the declarations that belong before it.
-    /// Adds the zero to the index of an access to device memory.
+    /// Adds the zero to the index of an access to device memory. The words of such an
+    /// OpAccessChain are: 1 type, 2 result, 3 pointer, 4 member 0 (the array), 5 index.
     void emit_edited(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && !decorated_) {
             if (is_new_lane_) emit(kOpDecorate, {lane_, kBuiltIn, kLocalInvocationIndex});
@@ -109,7 +110,7 @@ private:
             emit_zero();
             filled_ = true;
         }
-        const std::size_t at = result_.size();
+        const std::size_t start = result_.size();  // of this instruction
         if (opcode == kOpAccessChain && instruction.size() >= 6 &&
             storage_pointers_.contains(instruction[1]) && !parameters_.contains(instruction[3])) {
             const std::uint32_t zero = next_++, index = next_++;
@@ -121,9 +122,10 @@ private:
         }
         append_instruction(result_, instruction);
         if (opcode != kOpEntryPoint) return;
+        // The interface of an entry point must list all variables that it uses.
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
-        result_[at] = std::uint32_t(result_.size() - at) << 16 | kOpEntryPoint;
+        result_[start] = std::uint32_t(result_.size() - start) << 16 | kOpEntryPoint;
     }
 };
 

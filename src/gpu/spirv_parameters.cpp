@@ -87,7 +87,8 @@ public:
     }
 
     /// Appends instructions that load one parameter from its private variable. A struct
-    /// is loaded member by member and then composed.
+    /// is loaded member by member and then composed. The words of a struct type from
+    /// index 2 are the types of its members.
     /// @param path member indices of the parameter
     /// @param result id of the loaded value
     void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& path,
@@ -108,18 +109,19 @@ public:
     }
 
     /// Adds the private variables, and at the start of the entry point the copies to
-    /// them.
+    /// them. New decorations precede the first decoration, as the order of SPIR-V
+    /// requires. New types, constants and variables precede the first function.
     /// @param code all functions; they must load parameters from these variables
     SpirvWords make_module(std::span<const std::uint32_t> spirv_words, const SpirvWords& code) {
-        const SpirvWords first = copy_parameters();
+        const SpirvWords prologue = copy_parameters();
         SpirvWords result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
-        bool functions = false, decorated = false;
+        bool in_functions = false, has_decorations = false;
         for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            if (opcode == kOpFunction && !functions) append_instruction(result, globals_);
-            functions = functions || opcode == kOpFunction;
-            if (functions) return;
-            if (opcode == kOpDecorate && !decorated) append_instruction(result, decorations_);
-            decorated = decorated || opcode == kOpDecorate;
+            if (opcode == kOpFunction && !in_functions) append_instruction(result, globals_);
+            in_functions = in_functions || opcode == kOpFunction;
+            if (in_functions) return;
+            if (opcode == kOpDecorate && !has_decorations) append_instruction(result, decorations_);
+            has_decorations = has_decorations || opcode == kOpDecorate;
             SpirvWords words(instruction.begin(), instruction.end());
             // The interface of an entry point must list all variables that it uses.
             if (opcode == kOpEntryPoint) {
@@ -128,7 +130,7 @@ public:
             }
             append_instruction(result, words);
         });
-        append_functions(result, code, first);
+        append_functions(result, code, prologue);
         result[3] = next_;
         return result;
     }
@@ -154,12 +156,16 @@ private:
             default: return std::nullopt;
         }
     }
+    /// Returns the pointer type to a type. Declares it at the first call.
+    /// @param types known pointer types of this storage class, by the type that they
+    /// point to
     std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& types, std::uint32_t storage_class,
                                   std::uint32_t type_id) {
         const auto [at, is_new] = types.try_emplace(type_id, next_);
         if (is_new) append_instruction(globals_, kOpTypePointer, {next_++, storage_class, type_id});
         return at->second;
     }
+    /// Returns a constant of the module with this value, or declares a new one.
     std::uint32_t declare_int(std::uint32_t value) {
         for (const auto& [id, known] : module_.constants)
             if (known == value) return id;

@@ -259,8 +259,8 @@ std::uint64_t Stream::Impl::stage_parameters(const KernelBase& kernel, const voi
     return stage_bytes(params.data(), n_bytes).address;
 }
 
-/// Rows of workgroups, because Vulkan limits the number in one dimension. A slow launch
-/// is split into dispatches of consecutive rows.
+/// A launch as rows of workgroups, because Vulkan limits the number in one dimension. A
+/// slow launch is split into pieces: dispatches of consecutive rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -284,6 +284,7 @@ Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::u
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
     // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
+    // A row has at most `max_groups` workgroups, unless there would be too many rows.
     const std::uint32_t min_columns = (n_workgroups - 1) / kMaxGroups + 1;
     const std::uint32_t max_columns = std::max(std::min({n_workgroups, kMaxGroups, max_groups}), min_columns);
     // Gives all rows the same number of workgroups, so that the launch has few

@@ -125,7 +125,8 @@ void report_note(const std::string& text) {
     if (open_callbacks().note && !fixed_trust) open_callbacks().note(text);
 }
 
-/// Disables features that failed the test of the device, and notes alternatives.
+/// Disables features that failed the test of the device, and notes alternatives. Floats
+/// are added with float atomics or, without these, with compare-and-swap (`float_swaps`).
 void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) { report_note(fmt::format("{}: {}", info.name, text)); };
@@ -141,6 +142,7 @@ void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
             "all methods of adding floats give wrong sums on this device; relidar can render on it, but "
             "cannot train");
     }
+    // A size of 0 means that the driver's default size has passed the test.
     if (results.subgroup_size != 0 && results.subgroup_size != info.subgroup_size) {
         note(
             fmt::format("subgroups of {} lanes give wrong results on this device; relidar uses subgroups of "
