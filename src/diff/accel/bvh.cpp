@@ -316,22 +316,22 @@ Bvh::~Bvh() = default;
 /// Submits the kernels of a build: surfel boxes, sort, binary trees (H-PLOC), conversion
 /// to wide nodes, boxes of the wide nodes, and the top-level tree.
 void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
-    Impl& b = *impl_;
-    b.compute_boxes(stream, scene, options, {0, b.n});
-    const SortBuffers sorted = b.sort_surfels(stream, scene);
-    run(stream, b.cluster, b.n,
-        {.tree = b.binary_bvh(),
-         .boxes = b.boxes.address(),
-         .keys = b.scratch_at<glm::uvec2, shared::MortonKeys>(kKeysAt),
+    Impl& bvh = *impl_;
+    bvh.compute_boxes(stream, scene, options, {0, bvh.n});
+    const SortBuffers sorted = bvh.sort_surfels(stream, scene);
+    run(stream, bvh.cluster, bvh.n,
+        {.tree = bvh.binary_bvh(),
+         .boxes = bvh.boxes.address(),
+         .keys = bvh.scratch_at<glm::uvec2, shared::MortonKeys>(kKeysAt),
          .surfels = sorted.order.cast_tag<shared::SortedSurfels>(),
          .models = scene.model_table().address(),
-         .other_ends = b.scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .clusters = b.scratch_at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
-         .roots = b.queue.address(),
-         .n_surfels = b.n,
-         .n_models = b.n_models});
-    b.collapse_tree(stream, scene);
-    b.compute_node_boxes(stream, 0, kAllModels);
+         .other_ends = bvh.scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = bvh.scratch_at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .roots = bvh.queue.address(),
+         .n_surfels = bvh.n,
+         .n_models = bvh.n_models});
+    bvh.collapse_tree(stream, scene);
+    bvh.compute_node_boxes(stream, 0, kAllModels);
     rebuild_top_level(stream, scene);
 }
 
@@ -346,18 +346,18 @@ void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
 }
 
 void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
-    Impl& b = *impl_;
+    Impl& bvh = *impl_;
     // One workgroup builds the tree over all instances, whose number is small. It sorts
     // them, which needs a power of two of keys (`n_padded`).
-    run(stream, b.top, kWorkgroupSize,
+    run(stream, bvh.top, kWorkgroupSize,
         {.bvh = bvh_addresses(),
          .instances = scene.instance_table().address(),
-         .root_of = b.root_of.address(),
-         .node_boxes = b.node_boxes.address(),
-         .boxes = b.top_boxes.address(),
-         .keys = b.top_keys.address(),
-         .n_instances = b.n_instances,
-         .n_padded = std::uint32_t(b.top_keys.size())});
+         .root_of = bvh.root_of.address(),
+         .node_boxes = bvh.node_boxes.address(),
+         .boxes = bvh.top_boxes.address(),
+         .keys = bvh.top_keys.address(),
+         .n_instances = bvh.n_instances,
+         .n_padded = std::uint32_t(bvh.top_keys.size())});
 }
 
 /// Replaces the arrays of the top-level tree by larger ones.
@@ -427,20 +427,21 @@ void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
 }
 
 void Bvh::append_instances(const DeviceScene& scene) {
-    Impl& b = *impl_;
+    Impl& bvh = *impl_;
     const std::size_t n = scene.layout().instances.size();
-    if (n > b.roots.size()) reserve_spare(n, [&](std::size_t capacity) { b.allocate_instances(capacity); });
-    b.n_instances = std::uint32_t(n);
-    b.upload_roots(scene.layout());
+    if (n > bvh.roots.size())
+        reserve_spare(n, [&](std::size_t capacity) { bvh.allocate_instances(capacity); });
+    bvh.n_instances = std::uint32_t(n);
+    bvh.upload_roots(scene.layout());
 }
 
 shared::BvhPointers Bvh::bvh_addresses() const {
-    const Impl& b = *impl_;
-    return {.nodes = b.nodes.address(),
-            .order = b.order.address(),
-            .roots = b.roots.address(),
-            .top_nodes = b.top_node_array.address(),
-            .top_order = b.top_order.address()};
+    const Impl& bvh = *impl_;
+    return {.nodes = bvh.nodes.address(),
+            .order = bvh.order.address(),
+            .roots = bvh.roots.address(),
+            .top_nodes = bvh.top_node_array.address(),
+            .top_order = bvh.top_order.address()};
 }
 
 HostBvhCopy Bvh::download_bvh() const {
@@ -453,26 +454,26 @@ HostBvhCopy Bvh::download_bvh() const {
 
 /// Records a kernel that computes the cost of all trees in m^2, and the copy of its sums
 /// to the host. The cost is half the area of each node's box, plus the same of each leaf
-/// times the cost of testing its surfels. One thread per node, one sum per workgroup.
-/// append_tree() increases `bound`, but `cost_sums` keeps its size, so the nodes of
-/// appended trees are left out.
+/// times the cost of testing its surfels. Each workgroup writes one sum. Nodes of
+/// appended trees are left out, because append_tree() increases `bound` but not
+/// `cost_sums`.
 void Bvh::measure_cost(Stream& stream) {
-    Impl& trees = *impl_;
+    Impl& bvh = *impl_;
     const auto n_nodes =
-        std::uint32_t(std::min<std::size_t>(trees.bound, kWorkgroupSize * trees.cost_sums.size()));
-    run(stream, trees.cost_kernel, n_nodes,
-        {.wide = trees.wide_bvh(),
-         .boxes = trees.boxes.address(),
-         .partial = trees.cost_sums.address(),
+        std::uint32_t(std::min<std::size_t>(bvh.bound, kWorkgroupSize * bvh.cost_sums.size()));
+    run(stream, bvh.cost_kernel, n_nodes,
+        {.wide = bvh.wide_bvh(),
+         .boxes = bvh.boxes.address(),
+         .partial = bvh.cost_sums.address(),
          .bound = n_nodes});
-    trees.costs.record_copy(stream, trees.cost_sums.buffer(), trees.cost_sums.size() * sizeof(float));
+    bvh.costs.record_copy(stream, bvh.cost_sums.buffer(), bvh.cost_sums.size() * sizeof(float));
 }
 
 std::optional<double> Bvh::read_cost(Stream& stream) {
-    Impl& trees = *impl_;
-    if (!trees.costs.is_pending()) return std::nullopt;
-    const float* sums = static_cast<const float*>(trees.costs.wait_for_bytes(stream));
-    return std::accumulate(sums, sums + trees.cost_sums.size(), 0.0);
+    Impl& bvh = *impl_;
+    if (!bvh.costs.is_pending()) return std::nullopt;
+    const float* sums = static_cast<const float*>(bvh.costs.wait_for_bytes(stream));
+    return std::accumulate(sums, sums + bvh.cost_sums.size(), 0.0);
 }
 
 }  // namespace relidar
