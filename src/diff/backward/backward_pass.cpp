@@ -129,9 +129,8 @@ void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve_scratch(device_, n_rays_);
         reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    // The forward pass has stored the number of hits in the field `n_hits` of each
-    // RenderedRay. The prefix sum reads these structs as one array of 32-bit words.
-    // Offset and stride count these words.
+    // The forward pass has stored the counts in the field `n_hits` of each RenderedRay.
+    // Offset and stride select this field. They count 32-bit words.
     const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                                    .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                                    .stride = sizeof(shared::RenderedRay) / 4};
@@ -255,8 +254,7 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
         impl_->gather->set_addresses(params);
     }
     {
-        // The kernels add to these arrays. The fills are independent, so one barrier is
-        // enough.
+        // The kernels add to these arrays. One barrier is enough for independent fills.
         const ConcurrentLaunchScope zeros(stream);
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);

@@ -19,10 +19,9 @@ struct BlockTable {
 };
 
 /// Splits the surfels of each instance into blocks for the sums of gradients. Instances
-/// of a model share its surfels, but each has its own rows of gradients. Therefore a
-/// block has two start indices: its first surfel and its first gradient row. Only the
-/// first instance of a model has the gradient of the view direction, because the
-/// direction belongs to the model's surfels.
+/// of a model share its surfels, but not their rows of gradients, so a block has two
+/// start indices. Only the first instance of a model has the gradient of the view
+/// direction, because the direction belongs to the model's surfels.
 BlockTable split_into_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
