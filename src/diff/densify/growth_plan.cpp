@@ -9,7 +9,8 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
     return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
-/// Returns the models with their surfel ranges after surfels were added and removed.
+/// Returns the models with their surfel ranges after surfels were added and removed. The
+/// copies of a model follow from the weights up to its start and up to its end.
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
                                                    const ModelCounts& counts) const {
     std::uint32_t first_surfel = 0;
