@@ -94,8 +94,7 @@ void Renderer::wait_for_device() noexcept {
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     if (r.appended) {
-        // append_model() has allocated memory to refit the trees, but not to rebuild
-        // them.
+        // append_model() has allocated memory to refit the trees, not to rebuild them.
         r.appended = false;
         r.stream.submit_and_wait();
         r.accel.reset();
