@@ -149,7 +149,7 @@ void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered_b
     loss.add_losses(stream, rendered_batch, batch, terms);
 }
 
-/// Computes the simulated and the measured point of each ray.
+/// Computes the simulated and the measured point of each ray, if any, and counts both.
 void ChamferLoss::Impl::compute_points(Stream& stream, const RenderedBatch& rendered_batch,
                                        const TargetBatch& batch) const {
     relidar::run(stream, points, batch.n_rays,
