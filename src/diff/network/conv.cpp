@@ -23,9 +23,9 @@ constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of th
 /// weights. Each part needs a sum per weight. Layers with many weights get fewer parts,
 /// so that all sums need at most kMostPartial floats.
 std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
-    const std::uint32_t lines = grid.n * grid.rows;
-    const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
-    return std::uint32_t(std::clamp<std::size_t>(div_ceil(lines, kLinesOfPart), 1, most));
+    const std::uint32_t n_rows = grid.n * grid.rows;
+    const std::size_t max_parts = std::max<std::size_t>(1, kMostPartial / n_weights);
+    return std::uint32_t(std::clamp<std::size_t>(div_ceil(n_rows, kLinesOfPart), 1, max_parts));
 }
 
 /// Checks that the device can run the network. Returns `taps` (the number of weights per

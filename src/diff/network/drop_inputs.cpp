@@ -84,8 +84,7 @@ void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> 
 
 void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to) {
     shared::DropInputsParams params{};
-    // Images without measured drops keep null addresses, so that the kernel skips
-    // targets.
+    // Without measured drops, the addresses stay null, so that the kernel skips targets.
     params.samples = samples_.address();
     if (has_measured()) {
         target_.reserve(stream.device(), to.grid.n_pixels_total(), "targets");

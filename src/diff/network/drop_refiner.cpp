@@ -75,8 +75,7 @@ struct RayDropInference::Impl {
         shaped.emplace_front(device, network);
     }
 
-    /// Returns the network with arrays for an image size. Allocates them if they do not
-    /// exist.
+    /// Returns the network with arrays for an image size. Allocates missing arrays.
     SizedRayDropNetwork& network_for(Stream& stream, network::ImageBatchSize grid) {
         auto match = std::ranges::find(shaped, grid, &SizedRayDropNetwork::grid);
         const bool is_known = match != shaped.end();

@@ -109,19 +109,19 @@ public:
     /// Trains on the next batch. An epoch leaves out images that do not fill a complete
     /// batch. The order is random, so each epoch leaves out other images.
     void train_on_next_batch() {
-        const std::size_t k = std::size_t(report.step++) % n_steps_;  // step index in the epoch
+        const std::size_t step_in_epoch = std::size_t(report.step++) % n_steps_;
         const int epoch = int(std::size_t(report.step - 1) / n_steps_);
-        if (k == 0) entropy_ = accuracy_ = 0.0;
+        if (step_in_epoch == 0) entropy_ = accuracy_ = 0.0;
         // `order_` is also empty after a resume within an epoch.
-        if (k == 0 || order_.empty())
+        if (step_in_epoch == 0 || order_.empty())
             order_ = sample_epoch(n_images_, int(grid_.columns),
                                   regularisation_of(options_).turns && grid_.circular, seed_, epoch);
-        const RayDropScore score = train_on_batch(std::span(order_).subspan(k * batch_, batch_));
+        const RayDropScore score = train_on_batch(std::span(order_).subspan(step_in_epoch * batch_, batch_));
         entropy_ += score.entropy;
         accuracy_ += score.accuracy;
         report.epoch = epoch + 1;
-        report.entropy = entropy_ / double(k + 1);
-        report.accuracy = accuracy_ / double(k + 1);
+        report.entropy = entropy_ / double(step_in_epoch + 1);
+        report.accuracy = accuracy_ / double(step_in_epoch + 1);
         report.seconds =
             before_s_ + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
         if (!std::isfinite(score.entropy))
