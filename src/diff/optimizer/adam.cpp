@@ -47,8 +47,8 @@ shared::AdamParams make_adam_params(const AdamOptions& options, int step_number)
     return params;
 }
 
-/// Sets the parts of a surfel's row in a parameter group. The row of spherical harmonics
-/// has a block of coefficients per channel. Every other row is one block.
+/// Sets the parts of a surfel's row in a parameter group. The row of spherical harmonics,
+/// [channels, coefficients], has a block per channel. Every other row is one block.
 /// @param sh_degree highest degree of harmonics that is updated. It grows during training
 void set_row_layout(shared::AdamParams& params, const SurfelParameterGroup& group, int sh_degree) {
     params.stride = group.count_floats();
