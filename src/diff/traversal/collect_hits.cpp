@@ -29,8 +29,7 @@ CollectedHits collect_hits(Device& device, const KernelVariant& variant, const T
          .surfel = surfel.address(),
          .max_hits = max_hits});
     stream.submit_and_wait();
-    // A pass finds the next few hits of a ray. A search ends early if it needs too many
-    // passes.
+    // A search ends early if it needs too many passes. A pass finds the next few hits.
     const std::uint32_t n_incomplete = n_truncated.download()[0];
     if (n_incomplete > 0)
         fail<DeviceError>("cannot collect the hits of {} rays: {} searches were truncated, expected none",
