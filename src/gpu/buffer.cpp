@@ -64,14 +64,12 @@ void check_budget(const Device::Impl& device, std::size_t size_bytes, const std:
 /// allocation of the driver becomes a sparse buffer of several pieces.
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used, const std::string& text)
     : device(&owner), use(used), n_bytes(size) {
-    // A device that is opened only for compilation may have no hardware, so it allocates
-    // no memory.
+    // A device that only compiles may have no hardware, so it allocates no memory.
     if (owner.compile_only) return;
     owner.check_process();
     owner.free_orphans();
     check_buffer_size(owner, size, text);
-    // Staging and parameter buffers are small or in host memory, so the budget does not
-    // apply to them.
+    // Other buffers are small or in host memory, so the budget does not apply to them.
     if (use == gpu::BufferPurpose::device) check_budget(owner, size, text);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;

@@ -20,10 +20,9 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums. Each of the
-/// `n_threads` threads adds one integer, and sum i gets those of the threads i, i +
-/// n_sums, ... All sums are small integers, which floats represent exactly. Returns the
-/// largest relative error of a sum.
+/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums, one per thread. Thread
+/// i adds to sum i % n_sums. Floats represent these sums exactly. Returns the largest
+/// relative error of a sum.
 double run_atomic_adds(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
                        std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
                        double* elapsed_s = nullptr) {

@@ -315,8 +315,7 @@ void Device::Impl::open_device(const DeviceOptions& options) {
     memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device,
                                                           share_memory && info.type == "CPU", exports_memory);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
-    // A kernel gets the address of these zeros instead of an array that a launch leaves
-    // out.
+    // Kernels get the address of these zeros instead of arrays that a launch leaves out.
     constexpr std::size_t kNothingBytes = 64 << 10;
     nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::BufferPurpose::parameters,
                                              "placeholder for optional arrays");
@@ -480,8 +479,7 @@ Device::Impl::Impl() = default;
 Device::Impl::~Impl() {
     if (!device) return;
     if (is_forked()) {
-        // Leaks everything, because calls of the driver could wait for its missing
-        // threads.
+        // Leaks everything, because driver calls could wait for its missing threads.
         static_cast<void>(nothing.release());
         static_cast<void>(transfers.release());
         static_cast<void>(memory.release());

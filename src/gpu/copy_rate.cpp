@@ -16,11 +16,10 @@
 namespace relidar {
 namespace {
 
-/// Copies `n_vectors` vectors several times and returns the duration of the fastest copy
-/// in seconds. Alternates between a copy kernel and the driver's copy command, because
-/// either can be faster. A GPU raises its clock only under load, so the copies run
-/// without pauses. A CPU device runs each kind only once, because a copy takes seconds
-/// there.
+/// Copies `n_vectors` vectors (16 bytes each) several times. Alternates between a copy
+/// kernel and the driver's copy command, because either can be faster. A GPU raises its
+/// clock only under load, so the copies of a round run without pauses.
+/// @return duration of the fastest copy in seconds
 double fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");
@@ -38,7 +37,7 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Clock::time_point begin = Clock::now();
     double fastest_s = 1e30;
     for (int round = 0; round < kCopyRounds; ++round) {
-        const bool has_run_both = round > 1;  // a CPU device then stops
+        const bool has_run_both = round > 1;  // a CPU device then stops, because its copies are slow
         if (has_run_both && seconds_since(begin) > kMaxCopyTime_s) break;
         const Clock::time_point start = Clock::now();
         for (int k = 0; k < kCopiesPerRound; ++k) {
@@ -50,8 +49,7 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
         stream.submit_and_wait();
         fastest_s = std::min(fastest_s, seconds_since(start) / kCopiesPerRound);
     }
-    // The device's timestamps are more precise, because they exclude submissions and
-    // waits.
+    // Timestamps are more precise, because they exclude submissions and waits.
     if (!device.info().timestamps) return fastest_s;
     const auto times_ms = stream.times().milliseconds;
     return std::min(std::ranges::min(times_ms.at("gpu/copy")), std::ranges::min(times_ms.at("copy"))) /

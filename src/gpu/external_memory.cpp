@@ -103,8 +103,7 @@ const ComputeLibrary* find_library(std::uint32_t vendor_id) {
     return kLoaded && kLoaded->names == names ? kLoaded : nullptr;
 }
 
-/// Returns the index that the library gives to the Vulkan device, which has the same
-/// UUID.
+/// Returns the library's index of the device that has the UUID of the Vulkan device.
 int find_device(const ComputeLibrary& library, const Device::Impl& device) {
     VkPhysicalDeviceIDProperties id{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &id};

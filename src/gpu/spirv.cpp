@@ -171,10 +171,8 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     require(words[1] <= kMaxVersion, "a SPIR-V version up to 1.6 (Vulkan 1.3)");
     // The upper half of the first word of an instruction is its number of words, the
     // lower half its opcode.
-    for (std::size_t first_word = kHeaderWords; first_word < words.size();
-         first_word += words[first_word] >> 16)
-        require(words[first_word] >> 16 > 0 && words[first_word] >> 16 <= words.size() - first_word,
-                "its last words (truncated)");
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
+        require(words[at] >> 16 > 0 && words[at] >> 16 <= words.size() - at, "its last words (truncated)");
     // Words of OpEntryPoint: 1 execution model, 2 function, then the name. Words of
     // OpDecorate: 1 target, 2 decoration. Kernels get addresses, so no binding may exist.
     bool has_main = false, has_bindings = false;

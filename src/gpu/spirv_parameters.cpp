@@ -156,9 +156,7 @@ private:
             default: return std::nullopt;
         }
     }
-    /// Returns the pointer type to a type. Declares it at the first call.
-    /// @param types known pointer types of this storage class, by the type that they
-    /// point to
+    /// Returns the pointer type to `type_id` from `types`. Declares it at the first call.
     std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& types, std::uint32_t storage_class,
                                   std::uint32_t type_id) {
         const auto [at, is_new] = types.try_emplace(type_id, next_);

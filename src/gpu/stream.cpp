@@ -23,8 +23,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
     gpu::vk_check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
     gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
-    // Devices with a time limit for launches also need the times, to estimate later
-    // launches.
+    // A device with a time limit also needs the times, to estimate later launches.
     const bool measures = d.info().timestamps && device->launch_limit.has_limit();
     for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
