@@ -81,16 +81,16 @@ public:
                          std::vector<std::uint32_t>& offsets) const {
         const auto type_entry = types_.find(type_id);
         if (type_entry == types_.end()) return;
-        const SpirvInstruction t = type_entry->second;
-        switch (t[0] & 0xffffu) {
+        const SpirvInstruction type = type_entry->second;
+        switch (type[0] & 0xffffu) {
             case kOpTypePointer: offsets.push_back(offset); break;
             case kOpTypeArray:
-                for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    append_pointers(t[2], offset + k * strides_.at(type_id), offsets);
+                for (std::uint32_t k = 0; k < constants_.at(type[3]); ++k)
+                    append_pointers(type[2], offset + k * strides_.at(type_id), offsets);
                 break;
             case kOpTypeStruct:
-                for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    append_pointers(t[k + 2], offset + offsets_.at({type_id, k}), offsets);
+                for (std::uint32_t k = 0; k + 2 < type.size(); ++k)
+                    append_pointers(type[k + 2], offset + offsets_.at({type_id, k}), offsets);
                 break;
             default: break;
         }
@@ -103,20 +103,22 @@ public:
     Extent find_extent(std::uint32_t type_id) const {
         const auto type_entry = types_.find(type_id);
         if (type_entry == types_.end()) return {};
-        const SpirvInstruction t = type_entry->second;
+        const SpirvInstruction type = type_entry->second;
         Extent extent;
-        switch (t[0] & 0xffffu) {
+        switch (type[0] & 0xffffu) {
             case kOpTypeInt:
-            case kOpTypeFloat: return {t[2] / 8, t[2] / 8};
+            case kOpTypeFloat: return {type[2] / 8, type[2] / 8};
             case kOpTypePointer: return {8, 8};
-            case kOpTypeVector: extent = find_extent(t[2]); return {t[3] * extent.size, extent.alignment};
+            case kOpTypeVector:
+                extent = find_extent(type[2]);
+                return {type[3] * extent.size, extent.alignment};
             case kOpTypeArray:
-                if (!constants_.contains(t[3]) || !strides_.contains(type_id)) return {};
-                return {constants_.at(t[3]) * strides_.at(type_id), find_extent(t[2]).alignment};
+                if (!constants_.contains(type[3]) || !strides_.contains(type_id)) return {};
+                return {constants_.at(type[3]) * strides_.at(type_id), find_extent(type[2]).alignment};
             default: break;
         }
-        for (std::uint32_t k = 0; k + 2 < t.size(); ++k) {
-            const Extent member = find_extent(t[k + 2]);
+        for (std::uint32_t k = 0; k + 2 < type.size(); ++k) {
+            const Extent member = find_extent(type[k + 2]);
             if (member.alignment == 0 || !offsets_.contains({type_id, k})) return {};
             extent.size = std::max(extent.size, offsets_.at({type_id, k}) + member.size);
             extent.alignment = std::max(extent.alignment, member.alignment);

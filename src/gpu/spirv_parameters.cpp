@@ -79,10 +79,10 @@ public:
     /// Returns true if a private variable can hold a parameter of this type: a number, a
     /// vector, an address, or a struct of these.
     bool is_copyable(std::uint32_t type_id) const {
-        const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kOpTypeStruct) return alignment_bytes(type_id).has_value();
-        for (std::size_t k = 2; k < t.size(); ++k)
-            if (!is_copyable(t[k])) return false;
+        const SpirvWords& type = module_.types.at(type_id);
+        if ((type[0] & 0xffffu) != kOpTypeStruct) return alignment_bytes(type_id).has_value();
+        for (std::size_t k = 2; k < type.size(); ++k)
+            if (!is_copyable(type[k])) return false;
         return true;
     }
 
@@ -93,17 +93,17 @@ public:
     /// @param result id of the loaded value
     void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& path,
                      std::uint32_t result) {
-        const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kOpTypeStruct) {
+        const SpirvWords& type = module_.types.at(type_id);
+        if ((type[0] & 0xffffu) != kOpTypeStruct) {
             append_instruction(instructions, kOpLoad, {type_id, result, declare_private(type_id, path)});
             return;
         }
-        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kOpCompositeConstruct, type_id, result};
-        for (std::size_t k = 2; k < t.size(); ++k) {
+        SpirvWords construct{std::uint32_t(type.size() + 1) << 16 | kOpCompositeConstruct, type_id, result};
+        for (std::size_t k = 2; k < type.size(); ++k) {
             MemberPath member = path;
             member.push_back(std::uint32_t(k - 2));
             construct.push_back(next_++);
-            append_load(instructions, t[k], member, construct.back());
+            append_load(instructions, type[k], member, construct.back());
         }
         append_instruction(instructions, construct);
     }
@@ -147,12 +147,12 @@ private:
 
     /// Returns the alignment of a number, vector or address, and nullopt for other types.
     std::optional<std::uint32_t> alignment_bytes(std::uint32_t type_id) const {
-        const SpirvWords& t = module_.types.at(type_id);
-        switch (t[0] & 0xffffu) {
+        const SpirvWords& type = module_.types.at(type_id);
+        switch (type[0] & 0xffffu) {
             case kOpTypeInt:
-            case kOpTypeFloat: return t[2] / 8;
-            case kOpTypeVector: return alignment_bytes(t[2]);
-            case kOpTypePointer: return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
+            case kOpTypeFloat: return type[2] / 8;
+            case kOpTypeVector: return alignment_bytes(type[2]);
+            case kOpTypePointer: return type[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
             default: return std::nullopt;
         }
     }
