@@ -118,6 +118,7 @@ struct ActorPixel {
     std::uint16_t beam;  ///< among the beams of all LiDARs
 };
 
+/// Input images of the network with the measured drops, and their pixels on actors.
 struct TrainingImages {
     std::vector<RayDropImage> images;
     std::vector<ActorPixel> actor_pixels;
@@ -136,10 +137,12 @@ struct TrainingImages {
 void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run, const Config& config,
                const Frame& frame, const IgnoredMeasurements& masks) {
     SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
-    // A network of single pixels needs no neighbours, so stripes of each image suffice.
+    // A stripe is some neighbouring columns. A network of single pixels needs no
+    // neighbours, so some stripes of each image suffice.
     const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
     const int interval = uses_stripes ? choose_interval(sensor.rays) : 1;
     const ImageStripes stripes(interval, sensor.rays, training.images.size());
+    // Rotated by half a column, so that no ray is one that trained the scene.
     sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
     const RenderedScan scan = renderer.render(sensor, frame.time_s);
     RayDropImage& image = training.images.emplace_back(
@@ -152,7 +155,7 @@ void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run,
     // not change them.
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (scan.image.drop_prob[i] == 1.0f) image.dropped[i] = -1.0f;
-    // A ray of a grid has no laser.
+    // A ray of a grid belongs to no beam, so it cannot help to fit the offsets of beams.
     if (!uses_grid_rays(config)) training.add_actor_pixels(run.sequence, frame.lidar, scan);
 }
 
@@ -182,42 +185,51 @@ TrainingImages render_images(Device& device, const Run& run, const Config& confi
     return result;
 }
 
-/// Estimates RayDropNetwork::actor_logits from the measured drops, and adds them to the
-/// drop logits of the images. The values maximise a posterior with a normal prior of
-/// deviation kActorLogitSigma. An error that all beams share remains for the network,
-/// which corrects it on all surfaces.
+/// Estimates RayDropNetwork::actor_logits, an offset b for each beam, from the measured
+/// drops of rays that hit actors. Adds the offsets to the rendered logits of these rays:
+///   P(ray is dropped) = sigmoid(rendered logit + s + b[beam])
+/// Here, s is an error that all beams share. Newton's method maximises
+///   log P(measured drops) - sum of b^2 / (2 kActorLogitSigma^2)
+/// Discards s, because the network itself corrects it, on all surfaces.
 std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<std::string>& inputs,
                                     std::size_t n_beams) {
     constexpr int kNewtonSteps = 40;
     constexpr double kMaxStep = 0.5;  // a longer step could overshoot where the curvature is small
-    constexpr double kPrior = 1.0 / (kActorLogitSigma * kActorLogitSigma);
-    const auto channel = std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
-    const auto logit = [&](const ActorPixel& p) -> float& {
-        RayDropImage& image = training.images[p.image];
-        return image.channels[channel * image.dropped.size() + p.pixel];
+    constexpr double kPriorPrecision = 1.0 / (kActorLogitSigma * kActorLogitSigma);
+    const auto logit_channel =
+        std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
+    const auto logit = [&](const ActorPixel& sample) -> float& {
+        RayDropImage& image = training.images[sample.image];
+        return image.channels[logit_channel * image.dropped.size() + sample.pixel];
     };
-    double shared = 0.0;  // error of all beams
-    std::vector<double> offsets(n_beams, 0.0);
+    double shared_error = 0.0;                  // s in the equation above
+    std::vector<double> offsets(n_beams, 0.0);  // b
     for (int step = 0; step < kNewtonSteps; ++step) {
-        std::vector<double> slope(n_beams), curvature(n_beams);  // of the log-likelihood
-        for (const ActorPixel& p : training.actor_pixels) {
-            const double drop = 1.0 / (1.0 + std::exp(-double(logit(p)) - shared - offsets[p.beam]));
-            slope[p.beam] += double(training.images[p.image].dropped[p.pixel]) - drop;
-            curvature[p.beam] += drop * (1.0 - drop);
+        // First and negative second derivative of log P by the offset of each beam. Their
+        // sums are the derivatives by the shared error.
+        std::vector<double> slope(n_beams), curvature(n_beams);
+        for (const ActorPixel& sample : training.actor_pixels) {
+            const double drop_probability =
+                1.0 / (1.0 + std::exp(-double(logit(sample)) - shared_error - offsets[sample.beam]));
+            slope[sample.beam] +=
+                double(training.images[sample.image].dropped[sample.pixel]) - drop_probability;
+            curvature[sample.beam] += drop_probability * (1.0 - drop_probability);
         }
-        // Moves the shared error and the offsets in turn, because each changes the other.
+        // Even steps move the shared error, odd steps the offsets: each changes the
+        // slopes of the other. The 1e-9 avoids a division by 0.
         if (step % 2 == 0) {
-            const double sum = std::accumulate(slope.begin(), slope.end(), 0.0);
-            shared += std::clamp(sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9), -kMaxStep,
-                                 kMaxStep);
+            const double slope_sum = std::accumulate(slope.begin(), slope.end(), 0.0);
+            shared_error += std::clamp(slope_sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9),
+                                       -kMaxStep, kMaxStep);
             continue;
         }
-        for (std::size_t k = 0; k < n_beams; ++k)
-            offsets[k] +=
-                std::clamp((slope[k] - kPrior * offsets[k]) / (curvature[k] + kPrior), -kMaxStep, kMaxStep);
+        for (std::size_t beam = 0; beam < n_beams; ++beam)
+            offsets[beam] += std::clamp(
+                (slope[beam] - kPriorPrecision * offsets[beam]) / (curvature[beam] + kPriorPrecision),
+                -kMaxStep, kMaxStep);
     }
     const std::vector<float> result(offsets.begin(), offsets.end());
-    for (const ActorPixel& p : training.actor_pixels) logit(p) += result[p.beam];
+    for (const ActorPixel& sample : training.actor_pixels) logit(sample) += result[sample.beam];
     return result;
 }
 
@@ -252,7 +264,8 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     begin_stage(session.stages, "network");
     const std::vector<RayDropImage>& images = training.images;
     if (images.empty()) return {};  // the user stopped
-    // The network of the paper does not add its output to the rendered logit.
+    // Offsets of beams improve the rendered logits, which most networks correct. The
+    // network of the paper predicts drops, not corrections, so it gets no offsets.
     const std::vector<float> actor_logits =
         config.refine.network == "paper" || training.actor_pixels.empty()
             ? std::vector<float>{}
@@ -261,11 +274,12 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
         session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
         run.config.train.checkpoint_minutes, session.note,
         [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); });
-    std::optional<RayDropTrainState> start;
-    if (session.start) start = read_drop_state(*session.start);
+    std::optional<RayDropTrainState> start_state;  // empty: training does not resume
+    if (session.start) start_state = read_drop_state(*session.start);
     bool stopped = false;
-    // Called after each step: reports the progress and saves checkpoints. Training stops
-    // if it returns false.
+    // Called after each step: reports the progress, and saves a checkpoint after each
+    // epoch, at intervals of time, and if the user stops. Training stops if it returns
+    // false.
     const auto after_step = [&](const RayDropTrainProgress& progress,
                                 const std::function<RayDropTrainState()>& download_state) {
         if (session.step) session.step(progress);
@@ -279,7 +293,7 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
         return !stopped;
     };
     RayDropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,
-                                                start ? &*start : nullptr);
+                                                start_state ? &*start_state : nullptr);
     if (uses_grid_rays(config)) network.image = config.sensor.grid;
     network.actor_logits = actor_logits;
     return stopped ? RayDropNetwork{} : network;

@@ -80,8 +80,10 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     if (!has_return) std::atomic_ref(drops_[bin]).fetch_add(1, std::memory_order_relaxed);
 }
 
-/// Computes the rates of persistent drops. From each bin, grows an interval until it has
-/// enough rays, and gives its rate to all of its bins. A bin keeps the maximum.
+/// Computes the rates of persistent drops: at such an azimuth, a beam loses its rays in
+/// most frames, for example because the vehicle hides the view. From each bin, grows an
+/// interval until it has enough rays, and gives its rate to all of its bins. A bin keeps
+/// the largest rate of all intervals that contain it.
 RayDropTable RayDropCounts::persistent_rates() const {
     RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
@@ -95,7 +97,8 @@ RayDropTable RayDropCounts::persistent_rates() const {
                 ++end;
             }
             if (n_rays < kMinRaysPerRate) continue;
-            // The minimum of both rates: an interval can contain bins whose rays return.
+            // A bin gets at most its own rate, because an interval can contain bins whose
+            // rays return. A bin without rays gets the rate of the interval.
             const float interval_rate = float(n_drops) / float(n_rays);
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
@@ -172,7 +175,8 @@ int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
 
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
     const int n_bins = observed_drop_rates.bins;
-    // A bin is an azimuth interval of a beam. In a blind bin, (almost) no ray returned.
+    // A bin is an azimuth interval of a beam. In a blind bin, (almost) no ray returned. A
+    // sector is a run of bins in which all beams of the LiDAR are blind.
     const auto is_blind_at = [&](std::size_t beam, int bin) {
         return observed_drop_rates.probability[wrapped_bin(observed_drop_rates, beam, bin)] >= kMinBlindRate;
     };
@@ -183,8 +187,8 @@ void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop
         const auto are_all_blind_at = [&](int bin) {
             return std::ranges::all_of(beams, [&](std::size_t beam) { return is_blind_at(beam, bin); });
         };
-        // All beams are blind in the bins of a sector. Beams have different azimuth
-        // offsets, so one beam can be blind in a few more bins on each side.
+        // Beams have different azimuth offsets, so one beam can be blind in a few more
+        // bins before or after the sector [first, first + count). These are dropped, too.
         const int max_extra_bins = azimuth_spread_bins(sensor, n_bins);
         const auto drop_sector = [&](int first, int count) {
             for (const std::size_t beam : beams) {
