@@ -58,8 +58,9 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
-/// Returns F1 = n_both / (n_both + (n_missed + n_false) / 2) as numerator and
-/// denominator.
+/// Returns how well the simulated and the real outline of a box agree:
+///   F1 = n_both / (n_both + (n_missed + n_false) / 2)
+/// as numerator and denominator, so that those of several boxes can be added.
 std::pair<double, double> silhouette_f1(const MovingBoxPoints& points) {
     return {double(points.n_both), double(points.n_both) + 0.5 * double(points.n_missed + points.n_false)};
 }
@@ -91,6 +92,8 @@ struct BoxGroupErrors {
         either += box_either;
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
+        // The chamfer distance of a box: the mean distance to the nearest point of the
+        // other scan, from simulated to real plus from real to simulated.
         chamfer_m.push_back(compute_mean(to_real) +
                             compute_mean(nearest_distances_m(points.real_m, points.simulated_m)));
         for (const double d : to_real) inlier_flags.push_back(d <= kInlierDistance_m ? 1.0 : 0.0);
@@ -118,7 +121,7 @@ constexpr double kMinTailHeight_m = 0.3;
 struct SweptBoxVolume {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;   ///< poses of the box in the full log
-    glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the box's centre, world frame
+    glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the box's centre at all poses, world frame
 };
 
 /// Returns the volume of each moving box: the space that it occupies at any of its poses.
@@ -137,10 +140,12 @@ std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
     return volumes;
 }
 
-/// Returns true if the box contains a point at any time, except near the ground.
+/// Returns true if the box contains a point at any of its poses. Its lowest
+/// kMinTailHeight_m are left out, because points there belong to the ground.
 bool is_in_volume(const SweptBoxVolume& volume, const glm::dvec3& world_point_m) {
     const glm::dvec3 half = 0.5 * volume.box->size_m;
-    // Bounds of the centres, enlarged by half the diagonal, reject most points.
+    // A fast test: the box reaches at most half its diagonal beyond the bounds of its
+    // centre.
     const double half_diagonal = glm::length(half);
     if (glm::any(glm::lessThan(world_point_m, volume.low - half_diagonal)) ||
         glm::any(glm::greaterThan(world_point_m, volume.high + half_diagonal)))
@@ -154,7 +159,7 @@ bool is_in_volume(const SweptBoxVolume& volume, const glm::dvec3& world_point_m)
 
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
-    std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
+    std::vector<std::size_t> n_of_box;  ///< [moving boxes] points in the tail of each box
 
     /// Fraction of all returned points that are in a tail.
     double share() const { return double(n_tail_points) / double(std::max<std::size_t>(n_points, 1)); }
@@ -168,8 +173,10 @@ struct CometTailPointCounts {
 };
 
 /// Returns the moving boxes whose tail contains a point: boxes that contain it at some
-/// time of the log. Returns none if a box contains the point at its own time.
+/// time of the log. Returns none if a moving box, enlarged by kLabelMargin_m, contains
+/// the point at its own time: then, the point can be a correct return from this box.
 /// @param t_s time of the point
+/// @return indices into `volumes`
 std::vector<std::size_t> find_tails(const std::vector<SweptBoxVolume>& volumes, const glm::dvec3& point_m,
                                     double t_s) {
     std::vector<std::size_t> tails;
@@ -182,26 +189,29 @@ std::vector<std::size_t> find_tails(const std::vector<SweptBoxVolume>& volumes, 
     return tails;
 }
 
-/// Counts returned points at positions that a moving box occupies only at other times of
-/// the log. Boxes at the time of the point are enlarged by 0.3 m. Points in the lowest
-/// 0.3 m of a box belong to the ground. The time of a point is when the LiDAR's head
-/// faces it. Tails of several boxes can contain the same point.
-/// @param point_ranges_m [n] ranges of the points of the image
+/// Counts the points of an image, and those in the comet tail of a moving box: places
+/// that the box covers only at other times of the log. The time of a point is when the
+/// LiDAR's head faces it. Points in the lowest 0.3 m of a box belong to the ground, so
+/// they are in no tail. One point can be in the tails of several boxes.
+/// @param point_ranges_m [n] range of the point on each ray of the image
+/// @param swept_volumes  space that each moving box covers during the log
 CometTailPointCounts count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
                                        const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
                                        const SweepTiming& sweep) {
     constexpr std::size_t kRaysPerBlock = 2048;  // per step of a thread
-    const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
+    const Pose& vehicle_from_sensor = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_sum(point_ranges_m.size(), kRaysPerBlock, [&](std::size_t begin, std::size_t end) {
         CometTailPointCounts counts;
         counts.n_of_box.resize(swept_volumes.size());
-        for (std::size_t i = begin; i < end; ++i) {
-            if (!is_ray_returned(image.drop_prob[i], point_ranges_m[i])) continue;
+        for (std::size_t ray = begin; ray < end; ++ray) {
+            if (!is_ray_returned(image.drop_prob[ray], point_ranges_m[ray])) continue;
             ++counts.n_points;
-            const glm::dvec3 sensor_point_m(image.origin[i] + point_ranges_m[i] * image.direction[i]);
+            const glm::dvec3 sensor_point_m(image.origin[ray] + point_ranges_m[ray] * image.direction[ray]);
             const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
+            // In the world. The vehicle moves during the sweep, so its pose is that at
+            // t_s.
             const glm::dvec3 point_m =
-                sequence.world_from_vehicle.mounted_pose_at(t_s, mounted) * sensor_point_m;
+                sequence.world_from_vehicle.mounted_pose_at(t_s, vehicle_from_sensor) * sensor_point_m;
             const std::vector<std::size_t> tails = find_tails(swept_volumes, point_m, t_s);
             if (!tails.empty()) ++counts.n_tail_points;
             for (const std::size_t box : tails) ++counts.n_of_box[box];
@@ -232,7 +242,8 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
             const double error_m = double(point_ranges_m[i]) - double(real.range_m[i]);
             if (is_simulated) result.range_error_m.push_back(error_m);
         }
-        // F1 counts the rays that hit the box, with a wider margin.
+        // F1 compares which rays hit the box. A wider margin also includes returns that
+        // miss the box a little.
         const bool in_real = in_scan.contains(real_m, kSilhouetteMargin_m);
         const bool in_simulated = in_scan.contains(simulated_m, kSilhouetteMargin_m);
         if (in_real && in_simulated) ++result.n_both;
@@ -279,8 +290,10 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct ActorSums {
         std::string category;
-        MetricValues counts;                      // numbers of points
-        MetricValues weighted_sums, weight_sums;  // of the other metrics
+        MetricValues counts;  // numbers of points
+        // Of the other metrics. Each has its own weights, because a frame can lack a
+        // metric.
+        MetricValues weighted_sums, weight_sums;
     };
     std::map<std::string, ActorSums> sums_by_track;
     for (const std::vector<ActorScore>& frame : scores_per_frame)

@@ -36,8 +36,9 @@ SimulatedSensor frame_sensor(const Config& config, const Log& sequence, const Fr
     return sensor;
 }
 
-/// Stores one flag per return as intensity, because measured_image() projects
-/// intensities.
+/// Projects a flag of each ray of a scan into the pixels of its measured image. Stores
+/// the flags as intensities, because measured_image() projects intensities.
+/// @param returned  [rays of the scan] for example: the return is in a moving box
 std::vector<bool> flags_to_pixels(const std::vector<bool>& returned, const Config& config,
                                   const Frame& frame) {
     Scan flags = frame.scan;
@@ -99,7 +100,8 @@ RangeImage project_neighbours(const Config& config, const Log& log, int position
                           config.sensor.grid == "native" ? assign_points(frame.scan.rays, points) : points);
 }
 
-/// Compares the next scan of a standing sensor with a frame, at depth edges.
+/// Compares the next scan of a standing sensor with a frame, at depth edges. The scene is
+/// the same, so the errors show how exactly the sensor itself repeats a scan.
 /// @return an empty row if the sensor moves, or if the rays have no image order
 MetricValues score_repeat(const Config& config, const Log& log, int position, const RangeImage& real) {
     const std::optional<int> next = find_repeat(log, position);
@@ -168,18 +170,22 @@ void add_actor_scores(ScoredFrame& frame, const Log& sequence, const Config& con
     frame.actors = std::move(scores.actors);
 }
 
-/// Counts the range errors of rays in a table of range bands and error bands. Rays
-/// without a rendered return count in the last error band.
+/// Counts rays with a real return in a table. Its rows are bands of the real range r, its
+/// columns are bands of the absolute range error e:
+///   row k:     range edge k < r <= range edge k + 1
+///   column k:  error edge k - 1 <= e < error edge k  (0 and infinity at the ends)
+/// The last column is for rays without a rendered return. Leaves out r = 0 and r beyond
+/// the last edge.
 RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
     constexpr auto& kRangeEdges = RangeErrorCounts::kRangeEdges_m;
     constexpr auto& kErrorEdges = RangeErrorCounts::kErrorEdges_m;
     RangeErrorCounts counts;
-    for (std::size_t i = 0; i < real.range_m.size(); ++i) {
-        const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
+    for (std::size_t ray = 0; ray < real.range_m.size(); ++ray) {
+        const double range_m = real.range_m[ray], error_m = std::abs(double(rendered.range_m[ray]) - range_m);
         if (!(range_m > kRangeEdges.front() && range_m <= kRangeEdges.back())) continue;
         const auto range_band = std::ranges::lower_bound(kRangeEdges, range_m) - kRangeEdges.begin() - 1;
         std::ptrdiff_t error_band = std::ptrdiff_t(RangeErrorCounts::kErrorBins) - 1;
-        if (is_ray_returned(rendered.drop_prob[i], rendered.range_m[i]))
+        if (is_ray_returned(rendered.drop_prob[ray], rendered.range_m[ray]))
             error_band = std::ranges::upper_bound(kErrorEdges, error_m) - kErrorEdges.begin();
         counts.rays[std::size_t(range_band)][std::size_t(error_band)] += 1.0;
     }
@@ -224,7 +230,7 @@ std::vector<ScoredFrame> score_frames(
             add_actor_scores(frame, all.log, all.config);
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (all.see) all.see(frame);
-            // Only the middle frame keeps its images.
+            // Only the middle one of the scored frames keeps its images.
             if (scored.size() != n / 2) release_images(frame);
             scored.push_back(std::move(frame));
         }

@@ -144,11 +144,12 @@ double CloudDistances::compute_f_score(double threshold_m) const {
 
 std::optional<CloudDistances> compare_clouds(const RangeImage& rendered, const PixelMask& rendered_mask,
                                              const RangeImage& real, const PixelMask& real_mask) {
-    const std::vector<glm::dvec3> a = masked_points(rendered, rendered_mask),
-                                  b = masked_points(real, real_mask);
-    if (a.empty() && b.empty()) return {};
-    if (a.empty() || b.empty()) return CloudDistances{};
-    return CloudDistances{nearest_distances_m(a, b), nearest_distances_m(b, a)};
+    const std::vector<glm::dvec3> rendered_points = masked_points(rendered, rendered_mask),
+                                  real_points = masked_points(real, real_mask);
+    if (rendered_points.empty() && real_points.empty()) return {};
+    if (rendered_points.empty() || real_points.empty()) return CloudDistances{};
+    return CloudDistances{.to_real = nearest_distances_m(rendered_points, real_points),
+                          .to_rendered = nearest_distances_m(real_points, rendered_points)};
 }
 
 void add_cloud_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,

@@ -25,7 +25,7 @@ constexpr int kColumnSearch = 4;
 /// Returns only one if the other does not exist.
 std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
     const auto lidar_of = [&](int position) { return sequence.frames[std::size_t(position)].lidar; };
-    std::set<int> others;  // sorted by time
+    std::set<int> others;  // in order of time, like the frames of the log
     for (const int position : train_frames)
         if (position != frame_index && lidar_of(position) == lidar_of(frame_index)) others.insert(position);
     const auto after = others.lower_bound(frame_index);
@@ -41,7 +41,8 @@ std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std
 }
 
 /// Converts a point from the world frame to the sensor frame at the time when the
-/// rotating LiDAR faces the point.
+/// rotating LiDAR faces the point. This time depends on the direction of the point, which
+/// is first computed with the sensor pose at the reference time of the sweep.
 glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference =
@@ -89,7 +90,8 @@ struct RayTableNeighbours {
     /// Returns the azimuth of a point in units of the columns of a row. Columns have even
     /// steps. Rows differ, because beams have azimuth offsets.
     double estimate_column(const glm::dvec3& point_m, int row) const {
-        // A quarter of the columns, because half a turn has no sign.
+        // Measures the azimuth step of a column over the middle quarter of the row: over
+        // half a turn, the sign of the difference would be ambiguous.
         const int first = 3 * rays.columns / 8, last = 5 * rays.columns / 8;
         const double step_rad = azimuth_rad_from(ray_direction({row, last}), {row, first}) / (last - first);
         return rays.columns / 2 + azimuth_rad_from(point_m, {row, rays.columns / 2}) / step_rad;
@@ -109,25 +111,27 @@ struct RayTableNeighbours {
     /// elevation first. Then compares a few rays around it, because beams have different
     /// azimuth offsets.
     RayPixel find_nearest(const glm::vec3& point_m) const {
+        // Rows are compared at the column that faces the point in the middle row.
         int column = int(std::lround(estimate_column(point_m, rays.rows / 2)));
         int row = 0;
-        double least = std::abs(elevation_above_rad({0, column}, point_m));
+        double least_difference_rad = std::abs(elevation_above_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double off = std::abs(elevation_above_rad({r, column}, point_m)); off < least) {
-                least = off;
+            if (const double difference_rad = std::abs(elevation_above_rad({r, column}, point_m));
+                difference_rad < least_difference_rad) {
+                least_difference_rad = difference_rad;
                 row = r;
             }
-        RayPixel best{row, column};
-        double most = cosine_to(best, point_m);
+        RayPixel best_ray{row, column};
+        double best_cosine = cosine_to(best_ray, point_m);
         for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r) {
             column = int(std::lround(estimate_column(point_m, r)));
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
-                if (const double cos = cosine_to({r, c}, point_m); cos > most) {
-                    most = cos;
-                    best = {r, c};
+                if (const double cosine = cosine_to({r, c}, point_m); cosine > best_cosine) {
+                    best_cosine = cosine;
+                    best_ray = {r, c};
                 }
         }
-        return best;
+        return best_ray;
     }
     /// Returns true if a point is outside the outer rows, or outside the outer columns of
     /// less than a full turn. The distance must be more than half their spacing.

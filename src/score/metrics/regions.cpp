@@ -30,8 +30,8 @@ PixelRegion range_band(const RangeImage& real_image, double min_range_m, double 
     return region;
 }
 
-/// Returns a mask of the returns of a frame that are in a moving box.
-/// @param offset moves the sensor
+/// Returns a mask of the rays of a frame whose return is in a moving box.
+/// @param offset  pose of the sensor that made the scan, in the frame of the log's sensor
 PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& frame, const Pose& offset) {
     const PoseTrack track = mount_track(log.lidar_track(frame.lidar), offset);
     // Evaluates is_moving() only once for each box, because it is slow.

@@ -35,12 +35,13 @@ struct SsimWindowSums {
 /// scikit-image.
 double window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
     constexpr double n = kWindowPixels * kWindowPixels;
-    constexpr double sample = n / (n - 1.0);
-    const double ma = window_sums.sum[0] / n, mb = window_sums.sum[1] / n;
-    const double va = sample * (window_sums.sum[2] / n - ma * ma);
-    const double vb = sample * (window_sums.sum[3] / n - mb * mb);
-    const double cov = sample * (window_sums.sum[4] / n - ma * mb);
-    return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
+    constexpr double bessel_factor = n / (n - 1.0);
+    const double mean_a = window_sums.sum[0] / n, mean_b = window_sums.sum[1] / n;
+    const double variance_a = bessel_factor * (window_sums.sum[2] / n - mean_a * mean_a);
+    const double variance_b = bessel_factor * (window_sums.sum[3] / n - mean_b * mean_b);
+    const double covariance = bessel_factor * (window_sums.sum[4] / n - mean_a * mean_b);
+    return (2.0 * mean_a * mean_b + c1) * (2.0 * covariance + c2) /
+           ((mean_a * mean_a + mean_b * mean_b + c1) * (variance_a + variance_b + c2));
 }
 
 /// Returns the sums over every 7 consecutive pixels of each row.
@@ -71,14 +72,16 @@ double compute_ssim(const std::vector<double>& first_image, const std::vector<do
             "cannot compute the structural similarity: found {} x {} pixels, images of {} and {} values and "
             "a data range of {}, expected at least 7 x 7 pixels, a value for each, and a positive range",
             rows, columns, first_image.size(), second_image.size(), data_range);
-    // C1 = (K1 L)^2 and C2 = (K2 L)^2 avoid a division by zero.
+    // Small numbers that avoid a division by 0: C1 = (K1 L)^2 and C2 = (K2 L)^2 with
+    // K1 = 0.01, K2 = 0.03 and L = data_range.
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
     const std::vector<SsimWindowSums> sums = row_window_sums(first_image, second_image, rows, columns);
     const int width = columns - kWindowPixels + 1, height = rows - kWindowPixels + 1;
     double total = 0.0;
     for (int row = 0; row < height; ++row)
         for (int column = 0; column < width; ++column) {
-            // The sums over 7 rows of sums over 7 columns.
+            // `sums` has the sums over 7 neighbouring columns of a row. Those of 7 rows
+            // are added to get the sums over the window.
             SsimWindowSums window;
             for (int k = 0; k < kWindowPixels; ++k)
                 window.add_moments(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
