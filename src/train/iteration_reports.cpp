@@ -23,9 +23,9 @@ IterationReports::IterationReports(Device& device)
 void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& counters,
                                    const std::optional<TrainLogLine>& line) {
     if (iterations_.empty()) return;  // nothing new since the last report
-    // Each slot is used again after kReadbackLag iterations.
+    // Host buffers. After kReadbackLag iterations, the host has read them: used again.
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
-    // The next report starts with zeros.
+    // Clears the device counters, so the next report starts with zeros.
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
         readback.record_copy(stream, source, n_bytes);
         stream.fill(source);

@@ -75,8 +75,9 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-/// Returns a frame and the actors that are near enough to have returns in it. An actor is
-/// near if its box is within the range of the farthest return.
+/// Returns a frame and the actors that are near enough to have returns in it: their box
+/// is within the range of the farthest return.
+/// @param tracks  [lidars] poses of each sensor in the world
 FrameWithSightings find_sightings(const Run& run, int index, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(index)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
@@ -124,30 +125,31 @@ std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<P
     return sections;
 }
 
-/// Returns the rays of a scan that pass near an actor, as a list without rows and
-/// columns. Leaves out rays that the sensor itself usually drops.
+/// Returns the rays of a scan that hit the box of an actor, enlarged by kBoxMargin_m, as
+/// a list without rows and columns. Leaves out rays that the sensor itself usually drops.
 Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                        const std::vector<ActorSighting>& visible_actors) {
     const Scan& all = frame.scan;
-    const auto is_near_actor = [&](std::size_t i) {
-        const WorldRay ray =
-            make_world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
-        const double offset_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
-        return std::ranges::any_of(visible_actors,
-                                   [&](const ActorSighting& actor) { return actor.hits_box(ray, offset_s); });
+    const auto is_near_actor = [&](std::size_t ray) {
+        const WorldRay world_ray =
+            make_world_ray(world_from_sensor, frame.time_s, all.rays, ray, run.sequence.rolling_shutter);
+        // Firing time relative to the sweep's reference time. The actor moves meanwhile.
+        const double offset_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[ray]) : 0.0;
+        return std::ranges::any_of(
+            visible_actors, [&](const ActorSighting& actor) { return actor.hits_box(world_ray, offset_s); });
     };
-    const auto is_usually_dropped = [&](std::size_t i) {
-        const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[i]);
+    const auto is_usually_dropped = [&](std::size_t ray) {
+        const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[ray]);
         return beam &&
-               run.scene.sensor_drop.probability_of(*beam, all.rays.direction[i]) > kMaxDropProbability;
+               run.scene.sensor_drop.probability_of(*beam, all.rays.direction[ray]) > kMaxDropProbability;
     };
     std::vector<std::size_t> selected_rays;
     Scan scan;
-    for (std::size_t i = 0; i < all.range_m.size(); ++i) {
-        if (!is_near_actor(i) || is_usually_dropped(i)) continue;
-        selected_rays.push_back(i);
-        scan.range_m.push_back(all.range_m[i]);
-        scan.intensity.push_back(all.intensity[i]);
+    for (std::size_t ray = 0; ray < all.range_m.size(); ++ray) {
+        if (!is_near_actor(ray) || is_usually_dropped(ray)) continue;
+        selected_rays.push_back(ray);
+        scan.range_m.push_back(all.range_m[ray]);
+        scan.intensity.push_back(all.intensity[ray]);
     }
     scan.rays = select_rays(all.rays, selected_rays);
     return scan;
@@ -180,7 +182,7 @@ Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWith
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
-        // A sphere around the surfel with its larger scale.
+        // A sphere around the surfel. Its scales are standard deviations in metres.
         const float log_scale = std::max(surfels.log_scale[index].x, surfels.log_scale[index].y);
         const double radius_m = kReach_sigmas * std::exp(double(log_scale));
         const auto can_affect = [&](const ActorSighting& actor) {

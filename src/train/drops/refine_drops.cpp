@@ -195,38 +195,36 @@ std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<
                                     std::size_t n_beams) {
     constexpr int kNewtonSteps = 40;
     constexpr double kMaxStep = 0.5;  // a longer step could overshoot where the curvature is small
-    constexpr double kPriorPrecision = 1.0 / (kActorLogitSigma * kActorLogitSigma);
-    const auto logit_channel =
-        std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
+    constexpr double kPrecision = 1.0 / (kActorLogitSigma * kActorLogitSigma);
+    const auto channel = std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
     const auto logit = [&](const ActorPixel& sample) -> float& {
         RayDropImage& image = training.images[sample.image];
-        return image.channels[logit_channel * image.dropped.size() + sample.pixel];
+        return image.channels[channel * image.dropped.size() + sample.pixel];
     };
-    double shared_error = 0.0;                  // s in the equation above
+    double shared = 0.0;                        // s in the equation above
     std::vector<double> offsets(n_beams, 0.0);  // b
     for (int step = 0; step < kNewtonSteps; ++step) {
         // First and negative second derivative of log P by the offset of each beam. Their
         // sums are the derivatives by the shared error.
         std::vector<double> slope(n_beams), curvature(n_beams);
         for (const ActorPixel& sample : training.actor_pixels) {
-            const double drop_probability =
-                1.0 / (1.0 + std::exp(-double(logit(sample)) - shared_error - offsets[sample.beam]));
-            slope[sample.beam] +=
-                double(training.images[sample.image].dropped[sample.pixel]) - drop_probability;
-            curvature[sample.beam] += drop_probability * (1.0 - drop_probability);
+            const double p_drop =
+                1.0 / (1.0 + std::exp(-double(logit(sample)) - shared - offsets[sample.beam]));
+            slope[sample.beam] += double(training.images[sample.image].dropped[sample.pixel]) - p_drop;
+            curvature[sample.beam] += p_drop * (1.0 - p_drop);
         }
         // Even steps move the shared error, odd steps the offsets: each changes the
         // slopes of the other. The 1e-9 avoids a division by 0.
         if (step % 2 == 0) {
             const double slope_sum = std::accumulate(slope.begin(), slope.end(), 0.0);
-            shared_error += std::clamp(slope_sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9),
-                                       -kMaxStep, kMaxStep);
+            shared += std::clamp(slope_sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9),
+                                 -kMaxStep, kMaxStep);
             continue;
         }
         for (std::size_t beam = 0; beam < n_beams; ++beam)
-            offsets[beam] += std::clamp(
-                (slope[beam] - kPriorPrecision * offsets[beam]) / (curvature[beam] + kPriorPrecision),
-                -kMaxStep, kMaxStep);
+            offsets[beam] +=
+                std::clamp((slope[beam] - kPrecision * offsets[beam]) / (curvature[beam] + kPrecision),
+                           -kMaxStep, kMaxStep);
     }
     const std::vector<float> result(offsets.begin(), offsets.end());
     for (const ActorPixel& sample : training.actor_pixels) logit(sample) += result[sample.beam];
@@ -277,9 +275,8 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     std::optional<RayDropTrainState> start_state;  // empty: training does not resume
     if (session.start) start_state = read_drop_state(*session.start);
     bool stopped = false;
-    // Called after each step: reports the progress, and saves a checkpoint after each
-    // epoch, at intervals of time, and if the user stops. Training stops if it returns
-    // false.
+    // Called after each step. Saves a checkpoint after each epoch, after some minutes,
+    // and if the user stops. Training stops if it returns false.
     const auto after_step = [&](const RayDropTrainProgress& progress,
                                 const std::function<RayDropTrainState()>& download_state) {
         if (session.step) session.step(progress);

@@ -31,7 +31,8 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// Returns n if a batch consists of every n-th ray of the frame.
+/// Returns n if every n-th ray of the frame gives a batch of about rays_per_iteration
+/// rays. A setting of 0 means all rays.
 std::uint32_t ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
@@ -51,6 +52,7 @@ StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig&
     if (contiguous) {
         const ImageShape image = image_shape(frame);
         const auto n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
+        // The number of full columns that is nearest to n_rays.
         const std::uint32_t rounded = (n_rays + image.rows / 2) / image.rows;
         const std::uint32_t n_columns = std::clamp(rounded, 1u, image.columns);
         return n_columns < image.columns ? StridedColumns{.stride = 1, .n = n_columns} : no_columns;
@@ -98,7 +100,8 @@ BatchSampler::~BatchSampler() = default;
 std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
     if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns;
-    // Neighbouring columns form a group. The stride is the distance between groups.
+    // RELIDAR_COLUMN_GROUP neighbouring columns form a group. Group k of the batch is
+    // group k * stride of the frame, counted from the column window.first.
     const std::uint32_t column_of_group = column % RELIDAR_COLUMN_GROUP;
     const std::uint32_t group_column = (column - column_of_group) * window.stride;
     return std::size_t(row) * window.columns +

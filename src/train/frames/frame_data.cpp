@@ -52,6 +52,7 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
         if (!passes_sphere(ray.origin_m, ray.direction, placed.world_from_model.translation, box.reach_m))
             return false;
         const Pose world_from_box = placed.motion.pose_at(placed.world_from_model, time_offset_s);
+        // Distances along the ray. If it misses the box, the first is larger.
         const glm::dvec2 enter_leave_m = PosedBox{inverse(world_from_box), box.half_size_m}.intersect_m(ray);
         const bool crosses_box = enter_leave_m.x <= enter_leave_m.y;
         const bool returns_from_box = range_m >= enter_leave_m.x && range_m <= enter_leave_m.y;
@@ -80,6 +81,7 @@ void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMea
         const WorldRay ray = make_world_ray(track, frame.time_s, scan.rays, index, sequence.rolling_shutter);
         const float time_offset_s = sequence.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
         rays[index] = {glm::vec3(ray.origin_m), glm::vec3(ray.direction), time_offset_s};
+        // A blind ray: its beam is nearly always dropped at this azimuth.
         const bool is_ignored = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
                                 is_ray_masked(boxes, ray, double(time_offset_s), scan.range_m[index]);
         const SurfaceReturn surface = surface_return(sequence, frame, index);

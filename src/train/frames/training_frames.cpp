@@ -221,7 +221,8 @@ constexpr double kMinLogitMotion = 50.0;
 // Maximum rate, so that a single ray does not decide if a surfel returns.
 constexpr double kMaxRate = 2.0;
 
-/// Returns how often training is expected to fire each ray at each actor, [models].
+/// Returns the expected number of training steps that use a ray at each actor, [models]:
+/// the steps of each frame that shows the actor, times the share of rays in a batch.
 std::vector<double> count_hitting_steps(const Scene& scene, std::span<const TrainingFrameData> frames,
                                         const TrainConfig& config) {
     std::vector<double> steps(scene.models.size(), 0.0);

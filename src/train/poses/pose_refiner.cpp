@@ -283,7 +283,8 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
     pending_iterations_.step.push_back(std::uint64_t(step));
     pending_iterations_.frame.push_back(frame_index);
     for (const RefinedActor& actor : actors_) {
-        // First and last time at which the sweep observes the actor.
+        // First and last time at which the sweep observes the actor, because the
+        // gradients of an actor are divided between its poses at these times.
         const InstancePose& placed = frame.placed[actor.instance];
         pending_iterations_.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
         pending_iterations_.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
