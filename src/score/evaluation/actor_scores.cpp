@@ -92,8 +92,7 @@ struct BoxGroupErrors {
         either += box_either;
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
-        // The chamfer distance of a box: the mean distance to the nearest point of the
-        // other scan, from simulated to real plus from real to simulated.
+        // Chamfer distance: mean distance to the nearest real point, plus the reverse.
         chamfer_m.push_back(compute_mean(to_real) +
                             compute_mean(nearest_distances_m(points.real_m, points.simulated_m)));
         for (const double d : to_real) inlier_flags.push_back(d <= kInlierDistance_m ? 1.0 : 0.0);
@@ -144,8 +143,7 @@ std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
 /// kMinTailHeight_m are left out, because points there belong to the ground.
 bool is_in_volume(const SweptBoxVolume& volume, const glm::dvec3& world_point_m) {
     const glm::dvec3 half = 0.5 * volume.box->size_m;
-    // A fast test: the box reaches at most half its diagonal beyond the bounds of its
-    // centre.
+    // A fast test: the box is within half its diagonal of the bounds of its centre.
     const double half_diagonal = glm::length(half);
     if (glm::any(glm::lessThan(world_point_m, volume.low - half_diagonal)) ||
         glm::any(glm::greaterThan(world_point_m, volume.high + half_diagonal)))
@@ -208,8 +206,7 @@ CometTailPointCounts count_tail_points(const RangeImage& image, const std::vecto
             ++counts.n_points;
             const glm::dvec3 sensor_point_m(image.origin[ray] + point_ranges_m[ray] * image.direction[ray]);
             const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
-            // In the world. The vehicle moves during the sweep, so its pose is that at
-            // t_s.
+            // In the world. The vehicle moves during the sweep.
             const glm::dvec3 point_m =
                 sequence.world_from_vehicle.mounted_pose_at(t_s, vehicle_from_sensor) * sensor_point_m;
             const std::vector<std::size_t> tails = find_tails(swept_volumes, point_m, t_s);
@@ -242,8 +239,7 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
             const double error_m = double(point_ranges_m[i]) - double(real.range_m[i]);
             if (is_simulated) result.range_error_m.push_back(error_m);
         }
-        // F1 compares which rays hit the box. A wider margin also includes returns that
-        // miss the box a little.
+        // F1 compares which rays hit the box, including those that miss it a little.
         const bool in_real = in_scan.contains(real_m, kSilhouetteMargin_m);
         const bool in_simulated = in_scan.contains(simulated_m, kSilhouetteMargin_m);
         if (in_real && in_simulated) ++result.n_both;
@@ -291,8 +287,7 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
     struct ActorSums {
         std::string category;
         MetricValues counts;  // numbers of points
-        // Of the other metrics. Each has its own weights, because a frame can lack a
-        // metric.
+        // Of the other metrics. A frame can lack some, so each has its own weights.
         MetricValues weighted_sums, weight_sums;
     };
     std::map<std::string, ActorSums> sums_by_track;

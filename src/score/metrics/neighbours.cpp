@@ -114,11 +114,11 @@ struct RayTableNeighbours {
         // Rows are compared at the column that faces the point in the middle row.
         int column = int(std::lround(estimate_column(point_m, rays.rows / 2)));
         int row = 0;
-        double least_difference_rad = std::abs(elevation_above_rad({0, column}, point_m));
+        double least_rad = std::abs(elevation_above_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double difference_rad = std::abs(elevation_above_rad({r, column}, point_m));
-                difference_rad < least_difference_rad) {
-                least_difference_rad = difference_rad;
+            if (const double off_rad = std::abs(elevation_above_rad({r, column}, point_m));
+                off_rad < least_rad) {
+                least_rad = off_rad;
                 row = r;
             }
         RayPixel best_ray{row, column};

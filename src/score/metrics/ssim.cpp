@@ -80,8 +80,7 @@ double compute_ssim(const std::vector<double>& first_image, const std::vector<do
     double total = 0.0;
     for (int row = 0; row < height; ++row)
         for (int column = 0; column < width; ++column) {
-            // `sums` has the sums over 7 neighbouring columns of a row. Those of 7 rows
-            // are added to get the sums over the window.
+            // Adds 7 rows of `sums`, each of which is over 7 columns.
             SsimWindowSums window;
             for (int k = 0; k < kWindowPixels; ++k)
                 window.add_moments(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
