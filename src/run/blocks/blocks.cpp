@@ -98,19 +98,19 @@ void keep_block_surfels(Scene& scene, const Log& log, const std::vector<Trajecto
     const NearestPointFinder<double> frame_finder(list_positions(log));
     const std::uint32_t n_background = scene.models.front().count;
     std::vector<glm::vec3> kept_means;
-    std::vector<std::uint32_t> kept_surfels, order;
+    std::vector<std::uint32_t> kept_surfels, new_order;
     for (std::uint32_t i = 0; i < n_background; ++i) {
         const glm::vec3& mean = scene.surfels.mean[i];
         if (!is_block_frame[frame_finder.nearest_index(glm::dvec3(mean))]) continue;
         kept_surfels.push_back(i);
         kept_means.push_back(mean);
     }
-    for (const std::uint32_t i : kd_tree_order(kept_means)) order.push_back(kept_surfels[i]);
-    for (std::uint32_t i = n_background; i < scene.surfels.size(); ++i) order.push_back(i);
-    scene.surfels = scene.surfels.reorder(order);
+    for (const std::uint32_t i : kd_tree_order(kept_means)) new_order.push_back(kept_surfels[i]);
+    for (std::uint32_t i = n_background; i < scene.surfels.size(); ++i) new_order.push_back(i);
+    scene.surfels = scene.surfels.reorder(new_order);
     const auto n_removed = static_cast<std::uint32_t>(n_background - kept_surfels.size());
     scene.models.front().count -= n_removed;
-    for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= n_removed;
+    for (std::size_t model = 1; model < scene.models.size(); ++model) scene.models[model].first -= n_removed;
 }
 
 namespace {
@@ -155,7 +155,7 @@ BlockTrainingLog cut_log(const Log& sequence, const Split& split, const Trajecto
     for (const int frame : block.recorded_frames)
         if (std::ranges::find(split.test, frame) != split.test.end()) frames.push_back(frame);
     std::ranges::sort(frames);
-    BlockTrainingLog log{strip_frames(sequence), {}, config};
+    BlockTrainingLog log{.sequence = strip_frames(sequence), .split = {}, .config = config};
     Log& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
     part.world_from_vehicle = cut_track(sequence, frames);

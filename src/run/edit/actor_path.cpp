@@ -81,19 +81,19 @@ std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& c
                                           const FieldColumnIndices& column_of,
                                           const std::string& error_location) {
     std::array<double, kFieldCount> row{};
-    for (std::size_t f = 0; f < row.size(); ++f) {
+    for (std::size_t field = 0; field < row.size(); ++field) {
         // Pitch and roll may be missing at the end of a line.
-        if (column_of[f] < 0 || std::size_t(column_of[f]) >= cells.size()) continue;
-        const std::string_view cell = cells[std::size_t(column_of[f])];
-        if (f == kZ && cell == kGroundWord) {
-            row[f] = std::numeric_limits<double>::quiet_NaN();
+        if (column_of[field] < 0 || std::size_t(column_of[field]) >= cells.size()) continue;
+        const std::string_view cell = cells[std::size_t(column_of[field])];
+        if (field == kZ && cell == kGroundWord) {
+            row[field] = std::numeric_limits<double>::quiet_NaN();
             continue;
         }
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kMaxNumber))
             fail("{}: {}: found \"{}\", expected a finite number of at most {:.0e}", error_location,
-                 kColumnNames[f], quote(cell), kMaxNumber);
-        row[f] = *value;
+                 kColumnNames[field], quote(cell), kMaxNumber);
+        row[field] = *value;
     }
     return row;
 }
@@ -114,37 +114,37 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices column_of;
-    std::optional<GeoConverter> earth;
+    std::optional<GeoConverter> geo_converter;
     // maximum number of cells in a line, and minimum number because of the lines before
-    std::size_t n_cells = 0, n_needed = 0;
+    std::size_t max_cells = 0, min_cells = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         if (trim(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (column_of.empty() && !parse_number(cells[0])) {
             column_of = parse_header(cells, where);
-            n_cells = n_needed = cells.size();
+            max_cells = min_cells = cells.size();
             if (column_of[kLatitude] < 0) continue;
             if (!georeference)
                 fail<UsageError>("{}: found latitudes, but the run has no georeference; expected x,y,z",
                                  path.string());
-            earth.emplace(*georeference);
+            geo_converter.emplace(*georeference);
             continue;
         }
         if (column_of.empty()) {
             // Without a header, column i contains the field kColumnNames[i].
             column_of.resize(kFieldCount, -1);
             std::iota(column_of.begin(), column_of.begin() + kMaxUnnamedColumns, 0);
-            n_cells = kMaxUnnamedColumns;
-            n_needed = kMinColumns;
+            max_cells = kMaxUnnamedColumns;
+            min_cells = kMinColumns;
         }
-        if (cells.size() < n_needed || cells.size() > n_cells)
+        if (cells.size() < min_cells || cells.size() > max_cells)
             fail(
                 "{}: found {} columns, expected {} to {}, in the order "
                 "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg or that of a header",
-                where, cells.size(), n_needed, n_cells);
+                where, cells.size(), min_cells, max_cells);
         const auto row = parse_row(cells, column_of, where);
-        n_needed = cells.size();
+        min_cells = cells.size();
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,
                  row[kTime], track.time_s.back());
@@ -155,12 +155,12 @@ PoseTrack read_actor_path(const std::filesystem::path& path,
         const double pitch_rad = row[kPitch] * kPi / 180.0 + row[kPitchRad];
         const double roll_rad = row[kRoll] * kPi / 180.0 + row[kRollRad];
         Pose pose{make_rotation(yaw_rad, pitch_rad, roll_rad), {row[kX], row[kY], row[kZ]}};
-        if (earth) {
+        if (geo_converter) {
             if (!(std::abs(row[kLatitude]) <= 90.0 && std::abs(row[kLongitude]) <= 360.0))
                 fail("{}: found the latitude {} and the longitude {}, expected degrees", where,
                      row[kLatitude], row[kLongitude]);
             const GeodeticPosition place{row[kLatitude], row[kLongitude], row[kHeight]};
-            pose = {earth->dataset_from_enu(place) * pose.rotation, earth->to_dataset(place)};
+            pose = {geo_converter->dataset_from_enu(place) * pose.rotation, geo_converter->to_dataset(place)};
         }
         track.append(row[kTime], pose);
     }

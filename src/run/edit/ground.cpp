@@ -180,15 +180,15 @@ private:
         });
     }
 
-    /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
-    /// through three random points. The score depends on the distances of all points.
+    /// Returns the best of many planes through three random points (RANSAC). Its score is
+    /// the sum over all points of max(0, 1 - (distance / kMaxPlaneDistance_m)^2).
     static GroundPlane ransac_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
-        GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
-        double most = 0.0;
+        GroundPlane best_plane{points.front(), {0.0, 0.0, 1.0}};
+        double best_score = 0.0;
         for (int draw = 0; draw < kRansacDraws; ++draw) {
-            const auto any = [&] { return points[random.next_uint64() % points.size()]; };
-            const glm::dvec3 a = any(), b = any(), c = any();
+            const auto random_point = [&] { return points[random.next_uint64() % points.size()]; };
+            const glm::dvec3 a = random_point(), b = random_point(), c = random_point();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
             // Rejects steep planes. Also rejects three points on a line, because they
@@ -198,15 +198,15 @@ private:
             const GroundPlane plane{a, normal};
             double score = 0.0;
             for (const glm::dvec3& p : points) {
-                const double off = plane.height_above(p) / kMaxPlaneDistance_m;
-                score += std::max(0.0, 1.0 - off * off);
+                const double relative_distance = plane.height_above(p) / kMaxPlaneDistance_m;
+                score += std::max(0.0, 1.0 - relative_distance * relative_distance);
             }
-            if (score > most) {
-                best = plane;
-                most = score;
+            if (score > best_score) {
+                best_plane = plane;
+                best_score = score;
             }
         }
-        return best;
+        return best_plane;
     }
 
     /// Refines the RANSAC plane by three least-squares fits. Each fit uses the points
@@ -216,20 +216,20 @@ private:
         if (points.size() < kMinSurfelsOnPlane) return {};
         GroundPlane plane = ransac_plane(points);
         for (int round = 0; round < 3; ++round) {
-            std::vector<glm::dvec3> on;
+            std::vector<glm::dvec3> near_points;
             for (const glm::dvec3& p : points)
-                if (std::abs(plane.height_above(p)) < kMaxFitDistance_m) on.push_back(p);
-            if (on.size() < kMinSurfelsOnPlane) return {};
+                if (std::abs(plane.height_above(p)) < kMaxFitDistance_m) near_points.push_back(p);
+            if (near_points.size() < kMinSurfelsOnPlane) return {};
             PointMomentSums sums;
-            for (const glm::dvec3& p : on) sums.add_point(p - points.front());
+            for (const glm::dvec3& p : near_points) sums.add_point(p - points.front());
             const PlaneFit fit = sums.fit_plane();
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
-            const glm::dvec2 beside = glm::abs(footprint.to_footprint(plane.origin_m));
+            const glm::dvec2 distance_m = glm::abs(footprint.to_footprint(plane.origin_m));
             if (fit.variance[1] < kMinSpread_m * kMinSpread_m || plane.normal.z < kMinPlaneNormalZ) return {};
             // Rejects the plane if the centre of its surfels is far from the centre of
             // the area. The surfels then cover only one side of the area.
-            const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
-            if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
+            const glm::dvec2 max_distance_m = 0.5 * (footprint.half_m + footprint_margin_m);
+            if (distance_m.x > max_distance_m.x || distance_m.y > max_distance_m.y) return {};
         }
         return plane;
     }
@@ -374,10 +374,10 @@ public:
         const auto [points, index] =
             subdivide_path({glm::dvec2(vehicle.translation), heading_rad(vehicle)}, path);
         std::vector<PathGround> ground;
-        // Where the ground was not observed, the mean direction is used, because a single
-        // normal is noisy.
+        // Hidden ground continues with the mean direction of the normals observed so far,
+        // because a single normal is noisy.
         glm::dvec3 normal_sum(0.0);
-        double hidden_m = 0.0;
+        double hidden_m = 0.0;  // length of path since the last observed ground
         for (std::size_t i = 0; i < points.size(); ++i) {
             const glm::dvec2& position_m = points[i].position_m;
             PathGround here;
@@ -441,10 +441,10 @@ private:
     /// higher surface is an object on the ground, unless the ground is hidden for long.
     std::optional<GroundPlane> restart(const Footprint& footprint, const GroundPlane& expected,
                                        double hidden_m) const {
-        const std::optional<GroundPlane> any = surfels_.fit_below(footprint);
-        if (!any || hidden_m > kMaxHidden_m) return any;
+        const std::optional<GroundPlane> fit = surfels_.fit_below(footprint);
+        if (!fit || hidden_m > kMaxHidden_m) return fit;
         const double z = expected.height_at(footprint.centre_m);
-        return any->height_at(footprint.centre_m) < z ? *any
+        return fit->height_at(footprint.centre_m) < z ? *fit
                                                       : GroundPlane{{footprint.centre_m, z}, expected.normal};
     }
 };

@@ -51,7 +51,7 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
     const auto is_floating = [](const std::optional<double>& gap_m) { return gap_m > kMaxGap_m; };
     const auto n_floating = std::ranges::count_if(gaps_m, is_floating);
     if (n_floating == 0) return;
-    // A missing height compares below every number, so `largest` has a value.
+    // A missing height (nothing) compares below every number, so `largest` has a value.
     const auto largest = std::ranges::max_element(gaps_m);
     const double largest_gap_m = largest->value(),
                  time_s = path.time_s[std::size_t(largest - gaps_m.begin())];
@@ -64,21 +64,21 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
 /// Adds a note if the boxes of two actors overlap by more than kMinOverlap_m in a frame.
 void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const BoxTrack& other) {
     std::optional<double> first_s, last_s;
-    double most_m = 0.0;
+    double largest_m = 0.0;
     for (const double time_s : frame_times_s(log)) {
         if (!box.is_observed(time_s) || !other.is_observed(time_s)) continue;
-        const double shared_m = overlap_m(box.world_from_box.pose_at(time_s), box.size_m,
-                                          other.world_from_box.pose_at(time_s), other.size_m);
-        if (shared_m <= kMinOverlap_m) continue;
+        const double depth_m = overlap_m(box.world_from_box.pose_at(time_s), box.size_m,
+                                         other.world_from_box.pose_at(time_s), other.size_m);
+        if (depth_m <= kMinOverlap_m) continue;
         if (!first_s) first_s = time_s;
         last_s = time_s;
-        most_m = std::max(most_m, shared_m);
+        largest_m = std::max(largest_m, depth_m);
     }
     if (first_s)
         notes.emplace_back(
             "overlap", kNoLidar,
             fmt::format("the boxes of {} and {} overlap by up to {:.2f} m between {:.2f} and {:.2f} s",
-                        box.id, other.id, most_m, *first_s, *last_s));
+                        box.id, other.id, largest_m, *first_s, *last_s));
 }
 
 }  // namespace

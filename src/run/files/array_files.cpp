@@ -92,33 +92,33 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
         return file.find_numbers(fmt::format("{}.{}", lidar, member), dtype, n_numbers);
     };
     const std::vector<double> feature = read("feature", "i4"), values = read("values", "f4");
-    const std::size_t n = feature.size();
-    const std::vector<double> child = read("child", "i4", n), first = read("first", "i4", n),
-                              count = read("count", "i4", n), at = read("at", "f4", n);
+    const std::size_t n_nodes = feature.size();
+    const std::vector<double> child = read("child", "i4", n_nodes), first = read("first", "i4", n_nodes),
+                              count = read("count", "i4", n_nodes), at = read("at", "f4", n_nodes);
     IntensityScatterModel result;
     result.values.assign(values.begin(), values.end());
-    for (std::size_t i = 0; i < n; ++i) {
-        const bool is_leaf = feature[i] == -1.0;
-        const bool has_feature = feature[i] >= 0.0 && feature[i] < double(count_features());
+    for (std::size_t node = 0; node < n_nodes; ++node) {
+        const bool is_leaf = feature[node] == -1.0;
+        const bool has_feature = feature[node] >= 0.0 && feature[node] < double(count_features());
         // Both children (child and child + 1) are stored behind their parent. This makes
         // cycles impossible.
-        const bool has_children = child[i] > double(i) && child[i] + 1.0 < double(n);
+        const bool has_children = child[node] > double(node) && child[node] + 1.0 < double(n_nodes);
         const bool has_values =
-            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
+            first[node] >= 0.0 && count[node] > 0.0 && first[node] + count[node] <= double(values.size());
         const bool is_valid_branch = has_feature && has_children;
         if (!has_values || (!is_leaf && !is_valid_branch))
             fail(
                 "{0}: node {2} of the decision tree for the intensities of LiDAR {1} is invalid (feature "
                 "{3}, first child {4}, first value {5}, {6} values); expected a file that relidar has "
                 "written",
-                file.path, lidar, i, feature[i], child[i], first[i], count[i]);
-        result.nodes.push_back({.feature = std::int32_t(feature[i]),
-                                .at = float(at[i]),
-                                .child = std::int32_t(child[i]),
-                                .first = std::uint32_t(first[i]),
-                                .count = std::uint32_t(count[i])});
+                file.path, lidar, node, feature[node], child[node], first[node], count[node]);
+        result.nodes.push_back({.feature = std::int32_t(feature[node]),
+                                .at = float(at[node]),
+                                .child = std::int32_t(child[node]),
+                                .first = std::uint32_t(first[node]),
+                                .count = std::uint32_t(count[node])});
     }
-    result.step = read("step", "f8", 1)[0];
+    result.step = read("step", "f8", 1)[0];  // quantisation of intensities; 0: none
     if (result.step < 0.0)
         fail("{}: the array {}.step contains {}, expected 0 or a positive number", file.path, lidar,
              result.step);

@@ -88,7 +88,7 @@ SurfelModel read_model(const JsonField& field) {
 /// must cover all surfels in order, without gaps.
 void read_models(const JsonField& layout, Scene& scene) {
     const JsonField models = layout.at("models"), instances = layout.at("instances");
-    std::size_t n_surfels = 0;  // of the models before
+    std::size_t n_surfels = 0;  // of the models before model i
     for (std::size_t i = 0; i < models.size(); ++i) {
         const SurfelModel& model = scene.models.emplace_back(read_model(models.at(i)));
         if (model.first != n_surfels)
@@ -214,15 +214,15 @@ Scene load_model(const std::filesystem::path& path) {
     if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
              file.path);
-    const std::size_t n = file.find("mean", "f4", {files::kAnyLength, 3}).shape[0];
+    const std::size_t n_surfels = file.find("mean", "f4", {files::kAnyLength, 3}).shape[0];
     const SurfelParameterSet parameters =
         read_parameter_set(file.path, file.metadata, kPrimitiveKey,
                            [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
     for (const SurfelParameterGroup& group : list_groups(parameters))
-        file.find(group.name, "f4", group.array_shape(n));
+        file.find(group.name, "f4", group.array_shape(n_surfels));
 
     Scene scene;
-    scene.surfels.resize(n, parameters);
+    scene.surfels.resize(n_surfels, parameters);
     for (const SurfelParameterGroup& group : list_groups(parameters)) {
         std::ranges::copy(find_array(file.arrays, group.name)->to_floats(),
                           group.mutable_values(scene.surfels).begin());

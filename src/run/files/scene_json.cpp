@@ -300,23 +300,23 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
     const JsonField root(json, file_name, "");
     check_format(root);
     SceneJsonContents scene;
-    Log& s = scene.sequence;
-    s.name = root.at("name").text();
-    s.source = root.at("source").text();
-    s.conventions = root.at("source_conventions").text();
+    Log& log = scene.sequence;
+    log.name = root.at("name").text();
+    log.source = root.at("source").text();
+    log.conventions = root.at("source_conventions").text();
     if (root.has_member("start_unix_ns"))
-        s.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
+        log.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
     for (std::size_t i = 0; i < root.at("notes").size(); ++i)
-        s.notes.push_back(root.at("notes").at(i).text());
-    s.world_offset_m = read_vector(root.at("world_offset_m"), kMaxWorldOffset_m);
-    if (root.has_member("georeference")) s.georeference = read_georeference(root.at("georeference"));
-    s.rolling_shutter = root.at("rolling_shutter").boolean();
-    s.lidars = read_lidars(root);
+        log.notes.push_back(root.at("notes").at(i).text());
+    log.world_offset_m = read_vector(root.at("world_offset_m"), kMaxWorldOffset_m);
+    if (root.has_member("georeference")) log.georeference = read_georeference(root.at("georeference"));
+    log.rolling_shutter = root.at("rolling_shutter").boolean();
+    log.lidars = read_lidars(root);
     parse_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
-    for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box_track(boxes.at(i)));
+    for (std::size_t i = 0; i < boxes.size(); ++i) log.boxes.push_back(read_box_track(boxes.at(i)));
     if (root.has_member("intensity_response"))
-        s.intensity_response = parse_response(root.at("intensity_response"));
+        log.intensity_response = parse_response(root.at("intensity_response"));
     if (root.has_member("edits")) {
         const JsonField edits = root.at("edits");
         for (std::size_t i = 0; i < edits.size(); ++i)
