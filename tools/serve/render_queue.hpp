@@ -56,8 +56,8 @@ public:
     ~RenderQueue();
 
     enum class RequestOutcome { done, cancelled };
-    /// Only a caller that holds a slot can run requests. The destructor releases the
-    /// slot.
+    /// The right to run requests, which a call holds until it ends. The number of slots
+    /// limits the number of calls. The destructor releases the slot.
     class QueueSlot {
     public:
         QueueSlot(QueueSlot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }

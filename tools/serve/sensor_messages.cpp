@@ -33,8 +33,9 @@ void check_row_count(const std::string& field, std::uint64_t n_rows) {
                      fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
 }
 
+/// Returns a number of a message, or rejects it if it is outside its limits or NaN.
 struct NumberReader {
-    std::string field;
+    std::string field;  ///< path of the message in the request, for errors
 
     double operator()(const char* member, double value, double min_value, double max_value) const {
         if (!(value >= min_value && value <= max_value))
@@ -44,14 +45,13 @@ struct NumberReader {
     }
 };
 
-/// Reads an array from the bytes of a message. The array may be empty, but otherwise must
-/// have one value for each of the `n` rays.
+/// Reads an array from the bytes of a message. It must be empty or have one value per ray.
 template <class T>
-std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
-    if (!bytes.empty() && bytes.size() != n * sizeof(T))
-        reject_field(
-            field, fmt::format("{} bytes", bytes.size()),
-            fmt::format("{} bytes, which are {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
+std::vector<T> read_array(const std::string& bytes, std::size_t n_rays, const std::string& field) {
+    if (!bytes.empty() && bytes.size() != n_rays * sizeof(T))
+        reject_field(field, fmt::format("{} bytes", bytes.size()),
+                     fmt::format("{} bytes, which are {} bytes for each of {} rays", n_rays * sizeof(T),
+                                 sizeof(T), n_rays));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -78,33 +78,35 @@ void check_rays(const RayTable& rays, const std::string& field) {
     }
 }
 
-/// Reads a sensor that is a list of rays. Only the directions are required. By default,
-/// rays start at the sensor's origin at time 0, and the ring is the row.
+/// Reads a sensor that is a list of rays, row by row. Only the directions are required. By
+/// default, all rays are in one row and start at the sensor's origin at time 0. The ring
+/// of a ray, the number of its beam, is then its row.
 RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
         reject_field(field + ".direction", fmt::format("{} bytes", message.direction().size()),
                      "a multiple of 12 bytes (three floats for each ray)");
-    const std::size_t n = message.direction().size() / sizeof(glm::vec3);
-    check_ray_count(field + ".direction", n);
-    const bool has_order = message.rows() != 0 || message.columns() != 0;
-    if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
+    const std::size_t n_rays = message.direction().size() / sizeof(glm::vec3);
+    check_ray_count(field + ".direction", n_rays);
+    const bool has_image_size = message.rows() != 0 || message.columns() != 0;
+    if (has_image_size && std::uint64_t(message.rows()) * message.columns() != n_rays)
         reject_field(
-            field, fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
+            field,
+            fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n_rays),
             "rows * columns directions");
     check_row_count(field, message.rows());
     RayTable rays;
-    rays.rows = has_order ? int(message.rows()) : 1;
-    rays.columns = has_order ? int(message.columns()) : int(n);
-    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n, field + ".direction"));
-    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m"));
-    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field + ".time_s"));
-    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field + ".ring"));
+    rays.rows = has_image_size ? int(message.rows()) : 1;
+    rays.columns = has_image_size ? int(message.columns()) : int(n_rays);
+    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n_rays, field + ".direction"));
+    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n_rays, field + ".origin_m"));
+    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n_rays, field + ".time_s"));
+    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n_rays, field + ".ring"));
     rays.ray_divergence_rad =
-        to_scan_array(read_array<float>(message.divergence_rad(), n, field + ".divergence_rad"));
-    rays.origin.resize(n, glm::vec3(0.0f));
-    rays.time_offset_s.resize(n, 0.0f);
-    for (std::size_t i = rays.channel.size(); i < n; ++i)
+        to_scan_array(read_array<float>(message.divergence_rad(), n_rays, field + ".divergence_rad"));
+    rays.origin.resize(n_rays, glm::vec3(0.0f));
+    rays.time_offset_s.resize(n_rays, 0.0f);
+    for (std::size_t i = rays.channel.size(); i < n_rays; ++i)
         rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
     check_rays(rays, field);
     for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
@@ -135,7 +137,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // Half a turn away from azimuth 0, which is then in the middle of the image.
+    // The image begins behind the sensor (azimuth pi), so azimuth 0 is in its middle. The
+    // centre of its first column is half the width of a column (2 pi / columns) from there.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
@@ -215,11 +218,12 @@ SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int l
     if (name.empty()) return make_sensor(run.config, run.sequence, lidar);
     if (find_name(name, {"native", kitti360_grid().name}))
         return choose_sensor(name, run.config, run.sequence, lidar);
-    // The name may end with a resolution and a rate, for example "VLP-16:900x20".
+    // The name may end with columns and scans per second, for example "VLP-16:900x20".
+    // find_sensor() would also read a file, so only known names without this end reach it.
     const std::size_t colon = name.rfind(':');
-    const bool has_size =
+    const bool has_resolution =
         colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
-    const std::string base_name = has_size ? name.substr(0, colon) : name;
+    const std::string base_name = has_resolution ? name.substr(0, colon) : name;
     std::vector<std::string> known_names = list_sensors();
     if (!find_name(base_name, known_names)) {
         known_names.push_back("native");

@@ -24,9 +24,14 @@ inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& name);
 
-/// Returns the sensor that a client has named. "native" and "" mean the sensor of the
-/// log, and other names are built-in sensors. File names are rejected, because clients
-/// must not read files of the server.
+/// Returns the sensor that a client has named, in upper or lower case:
+///   ""              what the setting sensor.grid of the run selects
+///   "native"        the LiDAR of the log
+///   "kitti360"      the range grid of this name
+///   a built-in sensor of list_sensors(), also with columns and rate: "VLP-16:900x20"
+/// Rejects all other names, also of files, because clients must not read files of the
+/// server.
+/// @param lidar  index of the LiDAR of the log that the sensor replaces
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
 SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int lidar);
 
