@@ -55,29 +55,34 @@ std::vector<int> parse_counts(const std::string& list) {
     return counts;
 }
 
-/// Measures actors, scans or training steps. Returns the results as text.
+/// Measures what --actors, --steps or --scans requests, instead of single kernels, and
+/// returns the results as text. --actors has priority, and check_bench_options() rejects
+/// --steps together with --scans. Each number of actors is measured twice: with one model
+/// that all actors share, and with a copy of it for each actor.
 std::string run_other_benchmark(const BenchOptions& options, Device& device) {
     if (!options.actors.empty()) {
-        std::vector<ActorBenchTimes> times;
+        std::vector<ActorBenchTimes> times_per_scene;
         for (const int n_actors : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
-                times.push_back(measure_actors(device, n_actors, copy_shared_models, options.settings));
+                times_per_scene.push_back(
+                    measure_actors(device, n_actors, copy_shared_models, options.settings));
         end_progress();
-        return format_actors(times);
+        return format_actors(times_per_scene);
     }
     if (options.n_steps != 0)
         return format_steps(
             measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet), device);
-    ScanBenchOptions bench = options.scans;
-    bench.run = options.choice.run;
-    bench.sensor = options.service.sensor;
-    return format_scans(measure_scans(device, bench));
+    // --run and --sensor are stored with the options of other benchmarks.
+    ScanBenchOptions scan_options = options.scans;
+    scan_options.run = options.choice.run;
+    scan_options.sensor = options.service.sensor;
+    return format_scans(measure_scans(device, scan_options));
 }
 
 /// Rejects options that contradict each other or are out of range.
 void check_bench_options(const BenchOptions& options) {
     const bool has_scans = options.scans.n_scans != 0, has_steps = options.n_steps != 0;
-    const bool prints_only = !options.actors.empty() || has_scans || has_steps;
+    const bool has_only_printed_results = !options.actors.empty() || has_scans || has_steps;
     const int n_repeats = options.settings.repeat;
     check_options(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
@@ -85,7 +90,7 @@ void check_bench_options(const BenchOptions& options) {
             "--run: found --scene, --surfels or --rays in the same command; expected only --run");
     if (n_repeats < 1 || n_repeats > kMaxRepeat)
         fail<UsageError>("--repeat: found {}, expected a number from 1 to {}", n_repeats, kMaxRepeat);
-    if (prints_only && !options.json.empty())
+    if (has_only_printed_results && !options.json.empty())
         throw UsageError("--json: found --actors, --scans or --steps, whose results are only printed");
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         fail("--json {}: found a folder, expected the name of a file", options.json);

@@ -24,8 +24,9 @@ constexpr int kMostInOneGo = 1'000'000;
 // device can render the next group while a finished group is read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// Makes scan requests at evenly spaced times along the recorded path of the log's LiDAR.
-/// If a rig has several sensors, consecutive requests use one sensor after the other.
+/// Makes scan requests at evenly spaced times ("moments") along the recorded path of the
+/// log's LiDAR. Request k is the scan of sensor k % n_sensors() at moment k / n_sensors().
+/// Moments are the middles of n_moments_ equal parts of the time of the log.
 class LogPathRequests {
 public:
     LogPathRequests(const Run& run, const ScanBenchOptions& bench)
@@ -100,7 +101,7 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
                           .together = together,
                           .side_by_side = std::min(together, renderer.max_parallel())};
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
-    std::vector<double> scan_ms;
+    std::vector<double> scan_ms;  // mean time of a scan, for each group
     const auto start = Clock::now();
     const double cpu_before_ms = thread_cpu_ms();
     RenderedPoints scan;
