@@ -41,6 +41,7 @@ constexpr int kMaxChunk = 64, kMaxPasses = 4096;
 // AccelOptions).
 constexpr float kQuadScale = 1.002f, kPad_m = 1e-4f;
 
+/// The axes are divided by the scales, so (u, v) of a point counts standard deviations.
 struct SurfelGeometry {
     glm::vec3 mean;
     float opacity;
@@ -75,14 +76,17 @@ struct RayQueryState {
 
     /// Tests a surfel and inserts its hit into the list of the nearest `chunk` hits,
     /// sorted by distance. Ignores hits up to `after`, the last hit of the previous pass.
+    /// At (u, v) in the plane of the surfel, alpha = opacity exp(-(u^2 + v^2) / 2).
     void test_surfel(unsigned surfel_index) {
-        const SurfelGeometry& s = world->records[surfel_index];
-        const glm::vec3 to_mean = s.mean - origin;
-        const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
+        const SurfelGeometry& surfel_geometry = world->records[surfel_index];
+        const glm::vec3 to_mean = surfel_geometry.mean - origin;
+        const float t =
+            glm::dot(surfel_geometry.normal, to_mean) / glm::dot(surfel_geometry.normal, direction);
         if (n == chunk && t > hits[n - 1].t) return;
-        const glm::vec3 p = t * direction - to_mean;
-        const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
-        const EmbreeHit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
+        const glm::vec3 hit_from_mean = t * direction - to_mean;
+        const float u = glm::dot(surfel_geometry.axis_u, hit_from_mean),
+                    v = glm::dot(surfel_geometry.axis_v, hit_from_mean);
+        const EmbreeHit hit{t, surfel_geometry.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
         if (!(hit.alpha >= world->model.alpha_min) || !is_nearer(after, hit)) return;
         int slot = n;
         while (slot > 0 && is_nearer(hit, hits[slot - 1])) --slot;
@@ -195,23 +199,27 @@ private:
     EmbreeSceneData world_;
 
     /// Adds a surfel and stores the corners of its quad. The quad contains all points
-    /// with an opacity of at least alpha_min.
+    /// with an opacity of at least alpha_min. They are at most k standard deviations from
+    /// the centre: opacity exp(-k^2 / 2) = alpha_min.
     void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
         const glm::vec4 q = surfels.rotation[surfel_index];
-        const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
+        const glm::mat3 world_from_surfel = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
         const glm::vec2 scale = glm::exp(surfels.log_scale[surfel_index]);
         const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index]));
-        world_.records.push_back({surfels.mean[surfel_index], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
+        world_.records.push_back({surfels.mean[surfel_index], opacity, world_from_surfel[0] / scale.x,
+                                  world_from_surfel[1] / scale.y, world_from_surfel[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
-        const glm::vec3 u = (k * scale.x * kQuadScale + kPad_m) * r[0],
-                        v = (k * scale.y * kQuadScale + kPad_m) * r[1];
-        const glm::vec3 m = surfels.mean[surfel_index];
-        output_corners[0] = m - u - v;
-        output_corners[1] = m + u - v;
-        output_corners[2] = m + u + v;
-        output_corners[3] = m - u + v;
+        const glm::vec3 half_edge_u = (k * scale.x * kQuadScale + kPad_m) * world_from_surfel[0],
+                        half_edge_v = (k * scale.y * kQuadScale + kPad_m) * world_from_surfel[1];
+        const glm::vec3 mean = surfels.mean[surfel_index];
+        output_corners[0] = mean - half_edge_u - half_edge_v;
+        output_corners[1] = mean + half_edge_u - half_edge_v;
+        output_corners[2] = mean + half_edge_u + half_edge_v;
+        output_corners[3] = mean - half_edge_u + half_edge_v;
     }
 
+    /// Searches the next hits behind `after`. Starts a little before it, because distances
+    /// of Embree have rounding errors.
     void find_next_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
@@ -242,19 +250,21 @@ private:
     /// @return false if the ray is already opaque, so that the hit is invisible
     bool blend_hit(const EmbreeHit& hit, const float* sh_basis_values, RenderedPixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
-                    next = pixel.transmittance * (1.0f - alpha);
-        if (next < world_.model.transmittance_min) return false;
-        const float w = alpha * pixel.transmittance;
-        const float* sh = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
+                    next_transmittance = pixel.transmittance * (1.0f - alpha);
+        if (next_transmittance < world_.model.transmittance_min) return false;
+        const float weight = alpha * pixel.transmittance;
+        const float* coefficients = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
+        // Each of the channels intensity, hit logit and drop logit has 16 coefficients. They
+        // describe the difference from 0.5.
         float channel[3] = {0.5f, 0.5f, 0.5f};
         for (int c = 0; c < 3; ++c)
-            for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * sh[16 * c + k];
-        pixel.depth += w * hit.t;
-        pixel.weight += w;
-        pixel.intensity += w * std::max(channel[0], 0.0f);
-        pixel.hit_logit += w * channel[1];
-        pixel.drop_logit += w * channel[2];
-        pixel.transmittance = next;
+            for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * coefficients[16 * c + k];
+        pixel.depth += weight * hit.t;
+        pixel.weight += weight;
+        pixel.intensity += weight * std::max(channel[0], 0.0f);
+        pixel.hit_logit += weight * channel[1];
+        pixel.drop_logit += weight * channel[2];
+        pixel.transmittance = next_transmittance;
         ++pixel.n_hits;
         return true;
     }

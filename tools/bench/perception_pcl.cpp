@@ -95,6 +95,7 @@ void label_points(const std::string& path) {
     pcl::Indices ground;
     filter.extract(ground);
     std::vector<std::int32_t> labels(cloud->size(), kNoLabel);
+    // The corner is the last point of its cloud and gets no label.
     for (const int i : ground)
         if (i < static_cast<int>(near->size())) labels[(*near)[i]] = kGround;
 

@@ -35,6 +35,8 @@ struct RigScanScore {
     /// scan of the synthetic street.
     std::vector<double> errors_m;
     double squares = 0.0;
+    /// Rays; rays that return or drop like the exact ray; second returns of the exact scan
+    /// and how many of them are rendered; rendered second returns and how many are wrong.
     std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 };
 
@@ -126,6 +128,9 @@ ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays, const P
     return return_ranges(scan);
 }
 
+/// Prints a row of scores for each LiDAR of the rig, over its held-out scans.
+/// @param lateral_offset_m if above 0, another row scores exact scans from this far to the
+/// left and above, as if they were rendered
 void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
     Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
@@ -137,7 +142,7 @@ void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
                         run_folder));
     Device device(apply_environment({}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
+    std::vector<RigScanScore> scores(run.sequence.lidars.size()), shifted_scores(scores.size());
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         const Lidar& lidar = run.sequence.lidar_of(frame);
@@ -150,7 +155,7 @@ void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
         add_comparison(scores[std::size_t(frame.lidar)], return_ranges(renderer.render(sensor, frame.time_s)),
                        truth);
         if (lateral_offset_m > 0.0f)
-            add_comparison(beside[std::size_t(frame.lidar)],
+            add_comparison(shifted_scores[std::size_t(frame.lidar)],
                            cast_exact_ranges(street, rays, track, frame.time_s, sensor, lateral_offset_m),
                            truth);
     }
@@ -158,13 +163,13 @@ void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
         "| LiDAR | rays | median range error | RMSE | correct drops | second returns | reported correctly | "
         "reported but wrong |\n"
         "|---|--:|--:|--:|--:|--:|--:|--:|\n");
-    for (std::size_t l = 0; l < scores.size(); ++l) {
-        const std::string& name = run.sequence.lidars[l].name;
-        fmt::print("{}", format_row(name, scores[l]));
-        const std::string from =
+    for (std::size_t lidar_index = 0; lidar_index < scores.size(); ++lidar_index) {
+        const std::string& name = run.sequence.lidars[lidar_index].name;
+        fmt::print("{}", format_row(name, scores[lidar_index]));
+        const std::string shifted_name =
             fmt::format("{}, exact scan of the street from {:g} cm to the left and above", name,
                         100.0f * lateral_offset_m);
-        if (lateral_offset_m > 0.0f) fmt::print("{}", format_row(from, beside[l]));
+        if (lateral_offset_m > 0.0f) fmt::print("{}", format_row(shifted_name, shifted_scores[lidar_index]));
     }
 }
 
