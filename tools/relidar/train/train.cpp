@@ -52,18 +52,22 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which argument is the log and which is the output folder. The parser assigns a
-/// path after --resume to this option, although it may be the log or the folder.
+/// Completes the paths of the log and of the run folder. The parser takes a path after
+/// --resume as its value, but it can be either of them:
+///   --resume RUN            --out is missing, so the path is the run folder
+///   --out RUN --resume LOG  --out names the run folder, so the path is the log
+/// Without --resume the path is empty. DATASET may be missing only if a resumed run has
+/// its settings, which name the log.
 TrainOptions resolve_paths(TrainOptions options) {
-    const std::string& path = options.resume_folder;
-    if (options.out.empty()) options.out = path;
-    else if (options.dataset.empty() && path != options.out) options.dataset = path;
+    const std::string& path_after_resume = options.resume_folder;
+    if (options.out.empty()) options.out = path_after_resume;
+    else if (options.dataset.empty() && path_after_resume != options.out) options.dataset = path_after_resume;
     if (!options.resume && options.dataset.empty())
         throw UsageError("DATASET is required (see `relidar train --help`)");
     if (options.out.empty())
         throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
-    const bool has_stored_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
-    if (options.dataset.empty() && !has_stored_log)
+    const bool run_names_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
+    if (options.dataset.empty() && !run_names_log)
         fail<UsageError>(
             "DATASET is required, because {} has no config.toml that names the log (see `relidar train "
             "--help`)",
@@ -108,11 +112,14 @@ bool is_finished(const fs::path& run_folder, const Config& config) {
            last_iteration(run_folder) >= config.train.iterations;
 }
 
-/// Compares the settings whose names begin with a text, for example "refine.".
+/// Returns true if all settings whose names begin with a text, for example "refine.", are
+/// equal. Both lists have the same settings in the same order.
 bool is_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
-    const std::vector<ConfigKey> keys = list_config_keys(first), other_keys = list_config_keys(second);
-    for (std::size_t i = 0; i < keys.size(); ++i)
-        if (keys[i].key.starts_with(setting_name_prefix) && keys[i].value != other_keys[i].value)
+    const std::vector<ConfigKey> first_settings = list_config_keys(first),
+                                 second_settings = list_config_keys(second);
+    for (std::size_t i = 0; i < first_settings.size(); ++i)
+        if (first_settings[i].key.starts_with(setting_name_prefix) &&
+            first_settings[i].value != second_settings[i].value)
             return false;
     return true;
 }
