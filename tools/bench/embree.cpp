@@ -218,8 +218,8 @@ private:
         output_corners[3] = mean - half_edge_u + half_edge_v;
     }
 
-    /// Searches the next hits behind `after`. Starts a little before it, because distances
-    /// of Embree have rounding errors.
+    /// Searches the next hits behind `after`. Starts a little before it, because the
+    /// distances of Embree have rounding errors.
     void find_next_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
@@ -254,8 +254,8 @@ private:
         if (next_transmittance < world_.model.transmittance_min) return false;
         const float weight = alpha * pixel.transmittance;
         const float* coefficients = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
-        // Each of the channels intensity, hit logit and drop logit has 16 coefficients. They
-        // describe the difference from 0.5.
+        // The channels are intensity, hit logit and drop logit. Their 16 coefficients
+        // each describe the difference from 0.5.
         float channel[3] = {0.5f, 0.5f, 0.5f};
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * coefficients[16 * c + k];

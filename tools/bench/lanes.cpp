@@ -67,7 +67,7 @@ public:
         }
     }
     /// Marks the rays that end in a moving box or near a training return. A return in a
-    /// box is compared with training returns in the frame of this box, as it may have moved.
+    /// box is compared with training returns in the frame of this box, because it moves.
     /// @param frame  has a scan of the sensor, shifted by `offset`
     LaneScan classify_rays(Frame frame, const Pose& offset) const {
         const PoseTrack track = mount_track(log_.lidar_track(frame.lidar), offset);
@@ -98,8 +98,8 @@ public:
     }
 
 private:
-    /// Adds a point to the cloud of the moving box around it, in the frame of this box, or
-    /// to the cloud "" of the world. Returns the key of the cloud.
+    /// Adds a point to the cloud of the moving box around it, in the frame of this box,
+    /// or to the cloud "" of the world. Returns the key of the cloud.
     std::string add_to(std::map<std::string, std::vector<glm::dvec3>>& clouds, const WorldReturn& end) const {
         for (const BoxTrack& box : moving_)
             if (box.is_observed(end.time_s) && box.contains_point(end.point_m, end.time_s, 0.0)) {
@@ -120,7 +120,8 @@ struct LaneScore {
     std::vector<double> errors_m, to_exact_m, to_simulated_m;
     std::size_t n_rays = 0, n_right = 0;  ///< right: returns or drops like the exact ray
 
-    /// Adds the range errors of the rays, and the distance of each point from the other scan.
+    /// Adds the range errors of the rays, and the distance of each point from the other
+    /// scan.
     /// @param only_seen  only points at surfaces of the training scans are compared, with
     /// all points of the other scan
     void add_scans(const LaneScan& exact, const LaneScan& simulated, bool of_actors, bool only_seen) {

@@ -35,8 +35,8 @@ struct RigScanScore {
     /// scan of the synthetic street.
     std::vector<double> errors_m;
     double squares = 0.0;
-    /// Rays; rays that return or drop like the exact ray; second returns of the exact scan
-    /// and how many of them are rendered; rendered second returns and how many are wrong.
+    /// Numbers of rays, of rays that return or drop like the exact ray, of exact second
+    /// returns, of those that are found, of rendered second returns, and of wrong ones.
     std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 };
 
@@ -129,8 +129,8 @@ ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays, const P
 }
 
 /// Prints a row of scores for each LiDAR of the rig, over its held-out scans.
-/// @param lateral_offset_m if above 0, another row scores exact scans from this far to the
-/// left and above, as if they were rendered
+/// @param lateral_offset_m if above 0, another row scores exact scans from this far to
+/// the left and above, as if they were rendered
 void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
     Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
