@@ -49,7 +49,8 @@ std::string row_name(const std::string& kernel_name, const std::string& phase_na
     if (kernel_name == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel_name.starts_with("diff/accel/bvh_"))
         return phase_name == "rebuild" ? "accel/build" : "accel/refit";
-    // Kernels in gpu/, such as the sort, serve the build of the tree or the backward pass.
+    // Kernels in gpu/, such as the sort, serve the build of the tree or the backward
+    // pass.
     if (kernel_name.starts_with("gpu/")) return phase_name == "rebuild" ? "accel/build" : "backward/sort";
     return kernel_name;
 }
@@ -112,8 +113,8 @@ public:
         const RenderedRayValues rendering = to_ray_values(image_->last_batch().rendered->download());
         const std::uint32_t stored_per_ray = includes_training ? predict_hits(case_, rendering.hits) : 0,
                             hits_per_chunk = std::uint32_t(case_.config.trace.chunk);
-        // If a ray has more hits than are stored, the backward pass reads only full chunks
-        // of them and searches the other hits again.
+        // If a ray has more hits than are stored, the backward pass reads only full
+        // chunks of them and searches the other hits again.
         for (const std::uint32_t hits_of_ray : rendering.hits) {
             sizes_.n_hits += hits_of_ray;
             sizes_.n_hits_written += std::min(hits_of_ray, stored_per_ray);

@@ -25,8 +25,8 @@ constexpr int kMostInOneGo = 1'000'000;
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
 /// Makes scan requests at evenly spaced times ("moments") along the recorded path of the
-/// log's LiDAR. Request k is the scan of sensor k % n_sensors() at moment k / n_sensors().
-/// Moments are the middles of n_moments_ equal parts of the time of the log.
+/// log's LiDAR. Moments are the middles of n_moments_ equal parts of the time of the log.
+/// Request k is the scan of sensor k % n_sensors() at moment k / n_sensors().
 class LogPathRequests {
 public:
     LogPathRequests(const Run& run, const ScanBenchOptions& bench)
