@@ -28,7 +28,7 @@ struct VisibleActor {
 };
 
 struct RequestedActor {
-    std::string field;
+    std::string field;  ///< path of the name in the message, for errors
     std::string name;
     PoseTrack dataset_from_actor;
 };
@@ -37,10 +37,11 @@ struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     SensorPtr sensor;
     ScanRequest request;
-    std::vector<VisibleActor> placed;
-    std::optional<std::uint64_t> sample;
-    std::optional<Weather> weather;
-    double points_at_s = 0.0;
+    std::vector<VisibleActor> placed;     ///< actors at poses of the request
+    std::optional<std::uint64_t> sample;  ///< seed of random noise; no value: expected values
+    std::optional<Weather> weather;       ///< no value: the weather of the server
+    double points_at_s = 0.0;             ///< points are in the sensor frame at this time
+    /// parts of a scan that the client wants
     bool points = true, range_image = false, drop_probability = false, boxes = false;
 };
 

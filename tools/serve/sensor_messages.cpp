@@ -45,7 +45,7 @@ struct NumberReader {
     }
 };
 
-/// Reads an array from the bytes of a message. It must be empty or have one value per ray.
+/// Reads an array from the bytes of a message. It must be empty or have a value per ray.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n_rays, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n_rays * sizeof(T))
@@ -78,9 +78,9 @@ void check_rays(const RayTable& rays, const std::string& field) {
     }
 }
 
-/// Reads a sensor that is a list of rays, row by row. Only the directions are required. By
-/// default, all rays are in one row and start at the sensor's origin at time 0. The ring
-/// of a ray, the number of its beam, is then its row.
+/// Reads a sensor that is a list of rays, row by row. Only the directions are required.
+/// By default, all rays are in one row and start at the sensor's origin at time 0. The
+/// ring of a ray, the number of its beam, is its row by default.
 RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
@@ -137,8 +137,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // The image begins behind the sensor (azimuth pi), so azimuth 0 is in its middle. The
-    // centre of its first column is half the width of a column (2 pi / columns) from there.
+    // The image begins behind the sensor (azimuth pi), so azimuth 0 is in its middle.
+    // The centre of the first column is half a column (pi / columns) from there.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
@@ -219,7 +219,7 @@ SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int l
     if (find_name(name, {"native", kitti360_grid().name}))
         return choose_sensor(name, run.config, run.sequence, lidar);
     // The name may end with columns and scans per second, for example "VLP-16:900x20".
-    // find_sensor() would also read a file, so only known names without this end reach it.
+    // find_sensor() would also read a file, so it is called only for known names.
     const std::size_t colon = name.rfind(':');
     const bool has_resolution =
         colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;

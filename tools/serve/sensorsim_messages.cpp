@@ -69,6 +69,7 @@ SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderReque
     const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
     const std::string name = is_of_log ? "native" : sensor_of_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
+    // A built-in sensor is the same in all scenes, a LiDAR of the log is not.
     const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find_cached(key)) return sensor;
     SimulatedSensor sensor = find_known_sensor(name, outlines_[scene], lidar);
