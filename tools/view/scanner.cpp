@@ -319,9 +319,10 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     const EditedTraffic& traffic = *tab_cache.traffic;
 
     // The simulated scan can be compared ray by ray if the sensor, its pose and its time
-    // are those of the measured scan. It then uses the measured rays.
-    const Frame* real = measured_frame(request);
-    const bool is_at_frame_time = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
+    // are those of the measured scan. It then uses the measured rays. A unit quaternion
+    // with |w| = 1 is no rotation.
+    const Frame* real_frame = measured_frame(request);
+    const bool is_at_frame_time = real_frame && std::abs(real_frame->time_s - request.time_s) < kSameTime_s;
     const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&
                                 std::abs(request.sensor_offset.rotation.w) == 1.0;
     const bool is_matched =
@@ -329,13 +330,13 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     Json header = scan_header(traffic, request, sensor);
     header["matched"] = is_matched;
     std::optional<ScanColumns> simulated, measured;
-    if (real) {
-        header["real_frame"] = real->index;
-        measured = measured_columns(*real_.sequence(), *real);
+    if (real_frame) {
+        header["real_frame"] = real_frame->index;
+        measured = measured_columns(*real_.sequence(), *real_frame);
     }
     if (request.simulate) {
         if (is_matched) {
-            sensor.rays = real->scan.rays;
+            sensor.rays = real_frame->scan.rays;
             sensor.follows_sweeps = false;
         }
         const RenderedScan scan = render_scan(traffic, request, sensor);

@@ -99,6 +99,7 @@ struct WebServer::Impl {
         });
     }
 
+    /// A binary message is a scan, which replaces older scans that are still queued.
     void post_message(ClientId client_id, std::string bytes, bool is_text) {
         post_session(client_id, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
             session.send_message(std::move(bytes), is_text, !is_text);

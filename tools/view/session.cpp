@@ -80,9 +80,10 @@ ViewerSession::ViewerJob ViewerSession::text_job(TabId tab_id, const char* name,
     return {tab_id, name, [this, tab_id, make_answer] { answers_.text(tab_id, dump_utf8(make_answer())); }};
 }
 
-/// Returns the most urgent job of a tab and removes it from the state of the tab, or no
-/// value if there is none. Scans come last, so that a moving view does not delay other
-/// requests. The caller must hold the mutex. The jobs run later, without the mutex, and
+/// Removes the most urgent job from the state of a tab and returns it, or no value if
+/// there is none. The order is: first message, news of the log, reason of a rejection,
+/// other requests, newest scan. Scans come last, so that a moving view does not delay
+/// the others. The caller must hold the mutex. Jobs run later, without the mutex, and
 /// share the state of the tab, because the tab may close before.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
