@@ -18,7 +18,7 @@
 namespace relidar::cli {
 namespace {
 
-/// MPI_Wait would keep a processor core busy.
+/// Tests every 20 ms whether a request is done. MPI_Wait would keep a core busy.
 void wait_for_mpi(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);

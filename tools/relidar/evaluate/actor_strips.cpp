@@ -34,6 +34,7 @@ Scan rays_near_box(const Run& run, const Frame& frame, const BoxTrack& box) {
     // A sensor inside the sphere needs the rays in all directions.
     const double cone_cosine = distance_m > radius_m ? std::cos(std::asin(radius_m / distance_m)) : -1.0;
     std::vector<std::size_t> ray_indices;
+    // For a unit vector, direction . centre = distance cos(angle).
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), centre_m) > cone_cosine * distance_m)
             ray_indices.push_back(i);
@@ -123,7 +124,8 @@ Image draw_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel
 }
 
 /// Projects the points of an actor into a side view along `direction`. The value of a dot
-/// is its depth along this direction, relative to the centre of the box.
+/// is its depth along this direction, relative to the centre of the box. The right side
+/// of a viewer who looks along (x, y) is (y, -x).
 std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m, const glm::dvec2& direction) {
     std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)

@@ -88,6 +88,7 @@ std::string protocol_warning(const std::vector<ScoredRun>& runs) {
                      keys);
 }
 
+/// Returns a table row. A | in a cell, which would end the cell, becomes \|.
 std::string markdown_row(const TextCells& cells) {
     std::string line = "|";
     for (std::string cell : cells) {

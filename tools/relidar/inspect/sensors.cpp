@@ -94,7 +94,7 @@ Image draw_ray_pattern(const RayTable& rays) {
     constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
     const std::vector<glm::dvec2> angles = ray_angles(rays);
-    glm::dvec2 low = angles.front(), high = angles.front();
+    glm::dvec2 low = angles.front(), high = angles.front();  // x: azimuth, y: elevation
     for (const glm::dvec2& angle : angles) {
         low = glm::min(low, angle);
         high = glm::max(high, angle);

@@ -277,20 +277,21 @@ public:
           targets_(targets),
           offset_(offset),
           track_(track) {
-        for (const RenderedSensor& w : targets) mountings_.push_back(w.mounting);
+        for (const RenderedSensor& target : targets) mountings_.push_back(target.mounting);
     }
 
     /// Renders and writes the scans of all sensors at one time.
     void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;
-        for (const RenderedSensor& w : targets_) {
+        for (const RenderedSensor& target : targets_) {
             check_interrupt();
-            scans.push_back(
-                has_user_trajectory
-                    ? renderer_.render(w.sensor, {sweep.time_s, mount_track(track_, w.mounting)},
-                                       options_.sample)
-                    : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
+            scans.push_back(has_user_trajectory
+                                ? renderer_.render(target.sensor,
+                                                   {sweep.time_s, mount_track(track_, target.mounting)},
+                                                   options_.sample)
+                                : renderer_.render(target.sensor, sweep.time_s, offset_ * target.mounting,
+                                                   options_.sample));
             RenderedScan& scan = scans.back();
             trace_ms_ += scan.trace_ms;
             n_rays_ += double(scan.image.range_m.size());
@@ -309,11 +310,11 @@ public:
     }
     std::string format_summary(std::size_t n_local, std::size_t n_total, int n_processes) const {
         // All means are over the scans of this process. 1000 rays/ms are 1 Mrays/s.
-        const double n = double(n_local);
+        const double n_scans = double(n_local);
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
             "per scan, {:.3f} Mrays/s{}\n",
-            n_total, n_rays_ / n, options_.out,
+            n_total, n_rays_ / n_scans, options_.out,
             options_.layout.empty() ? fmt::format("{}", fmt::join(parse_formats(options_.formats), ", "))
                                     : options_.layout,
             100.0 * n_returns_ / n_rays_,
@@ -321,7 +322,7 @@ public:
                 ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
                               100.0 * n_unseen_ / n_rays_)
                 : "",
-            trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
+            trace_ms_ / n_scans, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
 

@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 /// Returns true if a setting may differ between the separately trained blocks of a scene,
 /// because it does not change the result, or only a later step.
 bool may_differ(const std::string& setting_key) {
-    // Each block lists only the actors in its part of the log.
+    // The last two list actors, and a block has only those in its part of the log.
     constexpr std::array kFreeSettings{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                        "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
@@ -91,12 +91,13 @@ public:
     TrainResult average(int n_iterations) {
         for (std::size_t i = 0; i < sum_.log.size(); ++i) {
             TrainProgress& line = sum_.log[i];
-            const double n = n_blocks_[i];
+            const double n_blocks_with_line = n_blocks_[i];
             line.n_iterations = n_iterations;
-            line.loss /= n;
-            for (double& term : line.terms) term /= n;
+            line.loss /= n_blocks_with_line;
+            for (double& term : line.terms) term /= n_blocks_with_line;
             // Each block has run this number of iterations.
-            line.iterations_per_second = double(line.iteration) * n / std::max(line.seconds, 1e-9);
+            line.iterations_per_second =
+                double(line.iteration) * n_blocks_with_line / std::max(line.seconds, 1e-9);
         }
         sum_.train_s = seconds_;
         sum_.iterations = n_iterations;

@@ -41,8 +41,8 @@ std::string format_log(const std::vector<TrainProgress>& entries) {
     return text;
 }
 
-/// If the disk is full, prints a note only once. At the end,
-/// repair() tries to write the complete file again.
+/// The file log.jsonl, which gets a line per progress report. If the disk is full, prints
+/// a note only once. At the end, repair() tries to write the complete file again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& earlier_entries) : path_(std::move(path)) {
@@ -148,21 +148,23 @@ TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, Stag
     return TrainingEndReason::finished;
 }
 
-TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet, RayDropTrainingSession use) {
+TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
+                                         RayDropTrainingSession session) {
     TerminalProgress progress(quiet);
-    use.progress = progress_callback(progress);
-    use.stop = is_interrupted;
-    use.note = print_warning;
-    use.step = [&](const RayDropTrainProgress& p) {
-        const double remaining_s = p.seconds / p.step * (p.n_steps - p.step);
-        const bool is_last = p.step == p.n_steps;
+    session.progress = progress_callback(progress);
+    session.stop = is_interrupted;
+    session.note = print_warning;
+    session.step = [&](const RayDropTrainProgress& report) {
+        const double remaining_s = report.seconds / report.step * (report.n_steps - report.step);
+        const bool is_last = report.step == report.n_steps;
         progress.show_text(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining "
                                        "{}  loss (cross-entropy) {}  accuracy {:.4f}",
-                                       p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds,
-                                       format_duration(remaining_s), format_number(p.entropy), p.accuracy),
+                                       report.epoch, report.n_epochs, report.step, report.n_steps,
+                                       report.step / report.seconds, format_duration(remaining_s),
+                                       format_number(report.entropy), report.accuracy),
                            is_last);
     };
-    RayDropNetwork network = train_drops(device, run, use);
+    RayDropNetwork network = train_drops(device, run, session);
     end_progress();
     // An interrupted training returns no network.
     if (network.empty()) return TrainingEndReason::stopped;
