@@ -102,6 +102,8 @@ std::vector<float> street_distances(const StreetScanSetup& setup, const Simulate
     return nearest_m;
 }
 
+/// Numbers of points: all, more than 5 cm from any surface, more than 30 cm from any
+/// surface, and with a range error above 5 cm.
 struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 

@@ -117,6 +117,8 @@ private:
 
 /// Scores of the moving objects or of everything else, over several scans.
 struct LaneScore {
+    /// Range errors, distances from simulated points to the nearest exact point, and from
+    /// exact points to the nearest simulated point.
     std::vector<double> errors_m, to_exact_m, to_simulated_m;
     std::size_t n_rays = 0, n_right = 0;  ///< right: returns or drops like the exact ray
 
