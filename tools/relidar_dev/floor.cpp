@@ -100,6 +100,7 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/loss/image_loss", When::training,
      [](Sizes s) { return s.n_rays * (kRenderedBytes + kTargetBytes + kUpstreamBytes); }},
     {"fill", When::training,
+     // 192: gradients of 48 coefficients of spherical harmonics
      [](Sizes s) { return s.n_surfels * (kSurfelRecordBytes + (s.sh_per_surfel ? 0.0 : 192.0)); }},
     {"diff/backward/trace", When::training, backward_bytes},
     {"backward/sort", When::gather,

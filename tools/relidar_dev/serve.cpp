@@ -56,8 +56,9 @@ Answer checked_answer(const ServeBenchOptions& options, const serve::Reply<Answe
     return reply.answer;
 }
 
-/// Returns call `number` of a client: a scan while the sensor moves from a pose of the
-/// log to the next pose. After the last pose, starts again with the first pose.
+/// Returns a call: a scan while the sensor moves from a pose of the log to the next pose.
+/// After the last pose, starts again with the first pose.
+/// @param call_number from 0, over all clients
 v1::RenderLidarRequest sweep_request(const ServeBenchOptions& options, const std::string& scene_name,
                                      const v1::GetTracksResponse& tracks, int call_number) {
     v1::RenderLidarRequest request;
