@@ -56,7 +56,7 @@ private:
     struct SceneInMemory {
         std::unique_ptr<ScanRenderer> renderer;
         std::uint64_t bytes = 0;
-        std::uint64_t used = 0;
+        std::uint64_t used = 0;   ///< Value of clock_ at the last use.
         SceneLoadNumber load{};   ///< Number of the most recent load of the scene.
         std::size_t n_slots = 0;  ///< Number of slots for added actors in the loaded scene.
     };
