@@ -20,6 +20,7 @@ namespace {
 // A picture shows one actor in up to kStripFrames frames, side by side. Actors with fewer
 // than kMinPointsPerFrame points per frame on average are not drawn.
 constexpr std::size_t kStripFrames = 8, kMinPointsPerFrame = 20;
+// Margin around the box in a picture, and around the sphere in which rays are selected.
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDotSize_px = 3;
 constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of the error shows

@@ -209,7 +209,8 @@ Error resume_error(const char* interrupted_step, const Run& run, const TrainOpti
                     run.folder.string(), resume_command("train", options.out, options.device)));
 }
 
-/// The steps between the training of the scene and of the network.
+/// Aligns the held-out scans to the trained scene, and learns the noise of intensities.
+/// The training of the ray-drop network comes after these steps.
 void finish_scene(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
     if (align_and_fit_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
         throw resume_error("held-out scans were being aligned or intensity noise was being learned", run,
@@ -294,8 +295,9 @@ std::optional<Checkpoint> load_network_state(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a saved scene and saves it. Only prints a note if the
-/// log has no suitable training data, or if the device cannot run the network.
+/// Trains the ray-drop network of a saved scene, which corrects the probability that a
+/// ray has no return, and saves it. Only prints a note if the log has no suitable
+/// training data, or if the device cannot run the network.
 void train_drop(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
     const std::optional<Checkpoint> start = load_network_state(run);
     if (!start) remove_network_state(run.folder);

@@ -28,10 +28,10 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
 TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, StageTimes& stage_times);
 
 /// Trains the ray-drop network of a run. The scans of the log must be loaded.
-/// @param use this function sets its members `progress`, `step`, `stop` and `note`
+/// @param session this function sets its members `progress`, `step`, `stop` and `note`
 /// @return `stopped` if the user interrupted the training
 TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
-                                         RayDropTrainingSession use = {});
+                                         RayDropTrainingSession session = {});
 
 /// The state of a training as one line: iterations, speed, remaining time and losses.
 std::string progress_line(const TrainProgress& progress);
