@@ -78,15 +78,13 @@ struct RayQueryState {
     /// sorted by distance. Ignores hits up to `after`, the last hit of the previous pass.
     /// At (u, v) in the plane of the surfel, alpha = opacity exp(-(u^2 + v^2) / 2).
     void test_surfel(unsigned surfel_index) {
-        const SurfelGeometry& surfel_geometry = world->records[surfel_index];
-        const glm::vec3 to_mean = surfel_geometry.mean - origin;
-        const float t =
-            glm::dot(surfel_geometry.normal, to_mean) / glm::dot(surfel_geometry.normal, direction);
+        const SurfelGeometry& shape = world->records[surfel_index];
+        const glm::vec3 to_mean = shape.mean - origin;
+        const float t = glm::dot(shape.normal, to_mean) / glm::dot(shape.normal, direction);
         if (n == chunk && t > hits[n - 1].t) return;
         const glm::vec3 hit_from_mean = t * direction - to_mean;
-        const float u = glm::dot(surfel_geometry.axis_u, hit_from_mean),
-                    v = glm::dot(surfel_geometry.axis_v, hit_from_mean);
-        const EmbreeHit hit{t, surfel_geometry.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
+        const float u = glm::dot(shape.axis_u, hit_from_mean), v = glm::dot(shape.axis_v, hit_from_mean);
+        const EmbreeHit hit{t, shape.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
         if (!(hit.alpha >= world->model.alpha_min) || !is_nearer(after, hit)) return;
         int slot = n;
         while (slot > 0 && is_nearer(hit, hits[slot - 1])) --slot;
@@ -203,14 +201,14 @@ private:
     /// the centre: opacity exp(-k^2 / 2) = alpha_min.
     void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
         const glm::vec4 q = surfels.rotation[surfel_index];
-        const glm::mat3 world_from_surfel = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
+        const glm::mat3 axes = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
         const glm::vec2 scale = glm::exp(surfels.log_scale[surfel_index]);
         const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index]));
-        world_.records.push_back({surfels.mean[surfel_index], opacity, world_from_surfel[0] / scale.x,
-                                  world_from_surfel[1] / scale.y, world_from_surfel[2]});
+        world_.records.push_back(
+            {surfels.mean[surfel_index], opacity, axes[0] / scale.x, axes[1] / scale.y, axes[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
-        const glm::vec3 half_edge_u = (k * scale.x * kQuadScale + kPad_m) * world_from_surfel[0],
-                        half_edge_v = (k * scale.y * kQuadScale + kPad_m) * world_from_surfel[1];
+        const glm::vec3 half_edge_u = (k * scale.x * kQuadScale + kPad_m) * axes[0],
+                        half_edge_v = (k * scale.y * kQuadScale + kPad_m) * axes[1];
         const glm::vec3 mean = surfels.mean[surfel_index];
         output_corners[0] = mean - half_edge_u - half_edge_v;
         output_corners[1] = mean + half_edge_u - half_edge_v;
@@ -218,8 +216,7 @@ private:
         output_corners[3] = mean - half_edge_u + half_edge_v;
     }
 
-    /// Searches the next hits behind `after`. Starts a little before it, because the
-    /// distances of Embree have rounding errors.
+    /// Searches the next hits behind `after`, with a margin for rounding by Embree.
     void find_next_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
@@ -254,8 +251,7 @@ private:
         if (next_transmittance < world_.model.transmittance_min) return false;
         const float weight = alpha * pixel.transmittance;
         const float* coefficients = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
-        // The channels are intensity, hit logit and drop logit. Their 16 coefficients
-        // each describe the difference from 0.5.
+        // Intensity, hit logit and drop logit: 0.5 plus a sum over 16 coefficients.
         float channel[3] = {0.5f, 0.5f, 0.5f};
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * coefficients[16 * c + k];

@@ -73,26 +73,24 @@ public:
         const PoseTrack track = mount_track(log_.lidar_track(frame.lidar), offset);
         const std::size_t n_rays = frame.scan.range_m.size();
         LaneScan lane{std::move(frame), std::vector<bool>(n_rays), std::vector<bool>(n_rays)};
-        std::map<std::string, std::vector<glm::dvec3>> ends_by_box;
-        std::map<std::string, std::vector<std::size_t>> rays_by_box;
+        // Ends of the rays and indices of these rays, by the key of their cloud.
+        std::map<std::string, std::vector<glm::dvec3>> ends;
+        std::map<std::string, std::vector<std::size_t>> rays;
         for (std::size_t ray = 0; ray < n_rays; ++ray) {
             const Scan& scan = lane.frame.scan;
             if (!(scan.range_m[ray] > 0.0f)) continue;
-            const WorldRay world_ray =
-                make_world_ray(track, lane.frame.time_s, scan.rays, ray, log_.rolling_shutter);
-            const double firing_time_s =
+            const WorldRay w = make_world_ray(track, lane.frame.time_s, scan.rays, ray, log_.rolling_shutter);
+            const double t_s =
                 lane.frame.time_s + (log_.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
             const std::string box =
-                add_to(ends_by_box, {world_ray.origin_m + double(scan.range_m[ray]) * world_ray.direction,
-                                     world_ray.direction, firing_time_s, 0.0f});
-            rays_by_box[box].push_back(ray);
+                add_to(ends, {w.origin_m + double(scan.range_m[ray]) * w.direction, w.direction, t_s, 0.0f});
+            rays[box].push_back(ray);
             lane.actors[ray] = !box.empty();
         }
-        for (const auto& [box, queries] : ends_by_box) {
+        for (const auto& [box, queries] : ends) {
             if (!points_.contains(box)) continue;
             const std::vector<double> distances = nearest_distances_m(queries, points_.at(box));
-            for (std::size_t i = 0; i < queries.size(); ++i)
-                lane.seen[rays_by_box[box][i]] = distances[i] < kSeen_m;
+            for (std::size_t i = 0; i < queries.size(); ++i) lane.seen[rays[box][i]] = distances[i] < kSeen_m;
         }
         return lane;
     }
@@ -122,8 +120,6 @@ struct LaneScore {
     std::vector<double> errors_m, to_exact_m, to_simulated_m;
     std::size_t n_rays = 0, n_right = 0;  ///< right: returns or drops like the exact ray
 
-    /// Adds the range errors of the rays, and the distance of each point from the other
-    /// scan.
     /// @param only_seen  only points at surfaces of the training scans are compared, with
     /// all points of the other scan
     void add_scans(const LaneScan& exact, const LaneScan& simulated, bool of_actors, bool only_seen) {

@@ -128,9 +128,7 @@ ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays, const P
     return return_ranges(scan);
 }
 
-/// Prints a row of scores for each LiDAR of the rig, over its held-out scans.
-/// @param lateral_offset_m if above 0, another row scores exact scans from this far to
-/// the left and above, as if they were rendered
+/// Prints the scores of each LiDAR, and of exact scans shifted by an offset above 0.
 void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
     Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
