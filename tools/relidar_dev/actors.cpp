@@ -41,7 +41,6 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};  // the background
     for (int i = 0; i < n_actors; ++i) {
-        // A sunflower spiral around the sensor, with no actor nearer than 8 m.
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
         placed.push_back({Pose{{1.0, 0.0, 0.0, 0.0},
                                {radius_m * std::cos(azimuth_rad) + 0.01 * n_centimetres_moved,

@@ -61,18 +61,16 @@ std::vector<int> parse_counts(const std::string& list) {
 /// that all actors share, and with a copy of it for each actor.
 std::string run_other_benchmark(const BenchOptions& options, Device& device) {
     if (!options.actors.empty()) {
-        std::vector<ActorBenchTimes> times_per_scene;
+        std::vector<ActorBenchTimes> results;
         for (const int n_actors : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
-                times_per_scene.push_back(
-                    measure_actors(device, n_actors, copy_shared_models, options.settings));
+                results.push_back(measure_actors(device, n_actors, copy_shared_models, options.settings));
         end_progress();
-        return format_actors(times_per_scene);
+        return format_actors(results);
     }
     if (options.n_steps != 0)
         return format_steps(
             measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet), device);
-    // --run and --sensor are stored with the options of other benchmarks.
     ScanBenchOptions scan_options = options.scans;
     scan_options.run = options.choice.run;
     scan_options.sensor = options.service.sensor;

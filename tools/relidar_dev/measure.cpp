@@ -49,8 +49,7 @@ std::string row_name(const std::string& kernel_name, const std::string& phase_na
     if (kernel_name == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel_name.starts_with("diff/accel/bvh_"))
         return phase_name == "rebuild" ? "accel/build" : "accel/refit";
-    // Kernels in gpu/, such as the sort, serve the build of the tree or the backward
-    // pass.
+    // Kernels in gpu/, such as the sort, serve the build or the backward pass.
     if (kernel_name.starts_with("gpu/")) return phase_name == "rebuild" ? "accel/build" : "backward/sort";
     return kernel_name;
 }
@@ -111,16 +110,14 @@ public:
         image_->record_forward(make_ray_batch());
         image_->stream().submit_and_wait();
         const RenderedRayValues rendering = to_ray_values(image_->last_batch().rendered->download());
-        const std::uint32_t stored_per_ray = includes_training ? predict_hits(case_, rendering.hits) : 0,
-                            hits_per_chunk = std::uint32_t(case_.config.trace.chunk);
+        const std::uint32_t n_stored = includes_training ? predict_hits(case_, rendering.hits) : 0,
+                            chunk = std::uint32_t(case_.config.trace.chunk);
         // If a ray has more hits than are stored, the backward pass reads only full
         // chunks of them and searches the other hits again.
-        for (const std::uint32_t hits_of_ray : rendering.hits) {
-            sizes_.n_hits += hits_of_ray;
-            sizes_.n_hits_written += std::min(hits_of_ray, stored_per_ray);
-            sizes_.n_stored_hits_read += hits_of_ray <= stored_per_ray
-                                             ? hits_of_ray
-                                             : stored_per_ray / hits_per_chunk * hits_per_chunk;
+        for (const std::uint32_t n_hits : rendering.hits) {
+            sizes_.n_hits += n_hits;
+            sizes_.n_hits_written += std::min(n_hits, n_stored);
+            sizes_.n_stored_hits_read += n_hits <= n_stored ? n_hits : n_stored / chunk * chunk;
         }
         if (!includes_training) return;
         image_.reset();
@@ -128,7 +125,7 @@ public:
         options.trace = training_options(case_.config);
         options.trace.traversal_mode = case_.traversal_mode;
         options.trace.order = case_.order;
-        options.keep_hits = stored_per_ray;
+        options.keep_hits = n_stored;
         training_ = std::make_unique<TrainingStep>(
             device_, case_, options, noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
@@ -152,15 +149,14 @@ public:
         stream.submit_and_wait();
         phases_["iteration_wall"].push_back(ms_since(start));
         append_times("iteration", kernels_);
-        const std::vector<InstancePose> original_poses = renderer.scene().poses();
-        std::vector<InstancePose> moved_poses = original_poses;
+        const std::vector<InstancePose> old_poses = renderer.scene().poses();
+        std::vector<InstancePose> moved_poses = old_poses;
         moved_poses.back().world_from_model.translation.x += 1.0;
         renderer.scene().stage_poses(stream, moved_poses);
         renderer.accel().record_top_level(stream, renderer.scene());
         stream.submit_and_wait();
         append_times("move", rebuild_kernels_);
-        renderer.scene().stage_poses(stream,
-                                     original_poses);  // The new pose takes effect in the next iteration.
+        renderer.scene().stage_poses(stream, old_poses);  // takes effect in the next iteration
     }
 
     void clear_samples() {

@@ -56,17 +56,15 @@ Answer checked_answer(const ServeBenchOptions& options, const serve::Reply<Answe
     return reply.answer;
 }
 
-/// Returns a call: a scan while the sensor moves from a pose of the log to the next pose.
-/// After the last pose, starts again with the first pose.
-/// @param call_number from 0, over all clients
+/// Returns call `number` of all clients: a scan while the sensor moves from a pose of the
+/// log to the next pose. After the last pose, starts again with the first pose.
 v1::RenderLidarRequest sweep_request(const ServeBenchOptions& options, const std::string& scene_name,
-                                     const v1::GetTracksResponse& tracks, int call_number) {
+                                     const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
     request.set_scene(scene_name);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
-    const int n_poses = tracks.dataset_from_sensor_size(),
-              first_pose = n_poses > 1 ? call_number % (n_poses - 1) : 0;
-    for (int i = first_pose; i < std::min(first_pose + 2, n_poses); ++i)
+    const int n_poses = tracks.dataset_from_sensor_size(), first = n_poses > 1 ? number % (n_poses - 1) : 0;
+    for (int i = first; i < std::min(first + 2, n_poses); ++i)
         *request.add_path() = tracks.dataset_from_sensor(i);
     request.mutable_wanted()->set_points(true);
     return request;
