@@ -219,7 +219,6 @@ SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int l
     if (find_name(name, {"native", kitti360_grid().name}))
         return choose_sensor(name, run.config, run.sequence, lidar);
     // The name may end with columns and scans per second, for example "VLP-16:900x20".
-    // find_sensor() would also read a file, so it is called only for known names.
     const std::size_t colon = name.rfind(':');
     const bool has_resolution =
         colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;

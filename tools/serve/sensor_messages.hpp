@@ -29,8 +29,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& na
 ///   "native"        the LiDAR of the log
 ///   "kitti360"      the range grid of this name
 ///   a built-in sensor of list_sensors(), also with columns and rate: "VLP-16:900x20"
-/// Rejects all other names, also of files, because clients must not read files of the
-/// server.
+/// Rejects all other names, because clients must not read files of the server.
 /// @param lidar  index of the LiDAR of the log that the sensor replaces
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
 SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int lidar);

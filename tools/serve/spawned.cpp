@@ -19,11 +19,9 @@ auto find_slot(SpawnedActorSlots& slots, const std::string& actor_name) {
 
 /// Returns the index of a free slot for the same model. Adds a slot if there is none.
 std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
-    const auto is_free = [&](const ActorToSpawn& slot) {
-        return slot.name.empty() && slot.source == actor.source;
-    };
-    const auto free_slot_entry = std::ranges::find_if(slots, is_free);
-    if (free_slot_entry != slots.end()) return std::size_t(free_slot_entry - slots.begin());
+    const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
+    const auto found = std::ranges::find_if(slots, is_free);
+    if (found != slots.end()) return std::size_t(found - slots.begin());
     if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
         refuse(Code::RESOURCE_EXHAUSTED,
                "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
