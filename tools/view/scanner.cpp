@@ -319,8 +319,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     const EditedTraffic& traffic = *tab_cache.traffic;
 
     // The simulated scan can be compared ray by ray if the sensor, its pose and its time
-    // are those of the measured scan. It then uses the measured rays. A unit quaternion
-    // with |w| = 1 is no rotation.
+    // are those of the measured scan. It then uses the measured rays. |w| = 1: no turn.
     const Frame* real_frame = measured_frame(request);
     const bool is_at_frame_time = real_frame && std::abs(real_frame->time_s - request.time_s) < kSameTime_s;
     const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&

@@ -22,11 +22,10 @@ constexpr double kRadPerDegree = kPi / 180.0;
 /// Converts the start of a copy, which is x, y, z, yaw, pitch, roll and speed (see
 /// ActorEdits), from relidar's world frame to the dataset's.
 NewActorMotion copy_motion(const ActorEdits::ActorCopy& copy, const glm::dvec3& world_offset_m) {
-    const auto& start_values = copy.at;
-    NewActorMotion start{{make_rotation(start_values[3] * kRadPerDegree, start_values[4] * kRadPerDegree,
-                                        start_values[5] * kRadPerDegree),
-                          {start_values[0], start_values[1], start_values[2]}},
-                         start_values[6]};
+    const auto& at = copy.at;
+    NewActorMotion start{{make_rotation(at[3] * kRadPerDegree, at[4] * kRadPerDegree, at[5] * kRadPerDegree),
+                          {at[0], at[1], at[2]}},
+                         at[6]};
     start.dataset_from_box.translation += world_offset_m;
     return start;
 }
