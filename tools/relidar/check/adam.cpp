@@ -20,8 +20,7 @@ CheckResult check_adam(CheckedDevice& tested) {
     std::vector<float> start(kAdamValues), gradient(kAdamValues);
     for (float& x : start) x = normal(random);
     // The values and both moments of Adam (Kingma and Ba 2015) on the CPU.
-    std::vector<double> expected(start.begin(), start.end()), first_moments(kAdamValues, 0.0),
-        second_moments(kAdamValues, 0.0);
+    std::vector<double> expected(start.begin(), start.end()), m(kAdamValues, 0.0), v(kAdamValues, 0.0);
     Device& device = tested.default_device();
     ArrayAdam adam(device, kAdamValues, options);
     const Array<float> values(device, std::span<const float>(start), "values");
@@ -34,10 +33,10 @@ CheckResult check_adam(CheckedDevice& tested) {
         stream.submit_and_wait();
         for (std::size_t i = 0; i < kAdamValues; ++i) {
             const double g = gradient[i];
-            first_moments[i] = options.beta1 * first_moments[i] + (1.0 - options.beta1) * g;
-            second_moments[i] = options.beta2 * second_moments[i] + (1.0 - options.beta2) * g * g;
-            const double m_hat = first_moments[i] / (1.0 - std::pow(options.beta1, step)),
-                         v_hat = second_moments[i] / (1.0 - std::pow(options.beta2, step));
+            m[i] = options.beta1 * m[i] + (1.0 - options.beta1) * g;
+            v[i] = options.beta2 * v[i] + (1.0 - options.beta2) * g * g;
+            const double m_hat = m[i] / (1.0 - std::pow(options.beta1, step)),
+                         v_hat = v[i] / (1.0 - std::pow(options.beta2, step));
             expected[i] -= kLearningRate * m_hat / (std::sqrt(v_hat) + options.epsilon);
         }
     }

@@ -27,8 +27,7 @@ const EditOption& option_of(const EditArgument& edit) {
 
 const char* value_syntax(const EditArgument& edit) { return option_of(edit).form; }
 
-/// Splits a text at the index `at` of its separator, which is in neither part. Throws an
-/// error if there is no separator or a part is empty.
+/// Splits a text at its separator with index `at`. Throws an error if a part is empty.
 std::pair<std::string, std::string> split_text(const EditArgument& edit, const std::string& text,
                                                std::size_t at) {
     if (at == std::string::npos || at == 0 || at + 1 == text.size()) fail_edit(edit, value_syntax(edit));

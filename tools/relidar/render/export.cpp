@@ -74,8 +74,7 @@ struct MapCell {
 /// Means of the points of each cell of a grid.
 class PointMap {
 public:
-    /// @param origin_m  origin of the points, in the dataset's world; the cells of the
-    /// grid are aligned to the origin of this world
+    /// @param origin_m  of the points in the dataset's world, to which cells are aligned
     PointMap(const glm::dvec3& origin_m, double spacing_m) : origin_m_(origin_m), spacing_m_(spacing_m) {}
 
     void add_points(const LidarPoints& points) {

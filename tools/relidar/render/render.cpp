@@ -338,8 +338,7 @@ private:
     bool has_unseen_share_ = false;
 };
 
-/// Returns the time shift with which no sensor has a stamp before 1970, because many
-/// formats cannot store such stamps.
+/// Returns the time shift with which no sensor has a stamp before 1970.
 std::int64_t largest_time_shift_ns(const Run& run, const std::vector<RenderedSensor>& sensors,
                                    const std::vector<NumberedScanTime>& sweeps) {
     const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
@@ -396,7 +395,6 @@ void run_render(const RenderOptions& command_options) {
     const std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
     if (options.vehicle) {
-        // Measures the height of base_link, the reference point of the vehicle.
         const PoseTrack log_path = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
         const PoseTrack path = has_user_path ? user_path : mount_track(log_path, offset);
         options.base_link_height_m =

@@ -56,12 +56,11 @@ bool is_file(const fs::path& path) {
 /// --resume as its value, but it can be either of them:
 ///   --resume RUN            --out is missing, so the path is the run folder
 ///   --out RUN --resume LOG  --out names the run folder, so the path is the log
-/// Without --resume the path is empty. DATASET may be missing only if a resumed run has
-/// its settings, which name the log.
+/// Without --resume the path is empty. The settings of a resumed run name its log.
 TrainOptions resolve_paths(TrainOptions options) {
-    const std::string& path_after_resume = options.resume_folder;
-    if (options.out.empty()) options.out = path_after_resume;
-    else if (options.dataset.empty() && path_after_resume != options.out) options.dataset = path_after_resume;
+    const std::string& resume_path = options.resume_folder;
+    if (options.out.empty()) options.out = resume_path;
+    else if (options.dataset.empty() && resume_path != options.out) options.dataset = resume_path;
     if (!options.resume && options.dataset.empty())
         throw UsageError("DATASET is required (see `relidar train --help`)");
     if (options.out.empty())
@@ -115,11 +114,9 @@ bool is_finished(const fs::path& run_folder, const Config& config) {
 /// Returns true if all settings whose names begin with a text, for example "refine.", are
 /// equal. Both lists have the same settings in the same order.
 bool is_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
-    const std::vector<ConfigKey> first_settings = list_config_keys(first),
-                                 second_settings = list_config_keys(second);
-    for (std::size_t i = 0; i < first_settings.size(); ++i)
-        if (first_settings[i].key.starts_with(setting_name_prefix) &&
-            first_settings[i].value != second_settings[i].value)
+    const std::vector<ConfigKey> keys = list_config_keys(first), other_keys = list_config_keys(second);
+    for (std::size_t i = 0; i < keys.size(); ++i)
+        if (keys[i].key.starts_with(setting_name_prefix) && keys[i].value != other_keys[i].value)
             return false;
     return true;
 }
@@ -210,7 +207,6 @@ Error resume_error(const char* interrupted_step, const Run& run, const TrainOpti
 }
 
 /// Aligns the held-out scans to the trained scene, and learns the noise of intensities.
-/// The training of the ray-drop network comes after these steps.
 void finish_scene(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
     if (align_and_fit_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
         throw resume_error("held-out scans were being aligned or intensity noise was being learned", run,
@@ -295,9 +291,8 @@ std::optional<Checkpoint> load_network_state(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a saved scene, which corrects the probability that a
-/// ray has no return, and saves it. Only prints a note if the log has no suitable
-/// training data, or if the device cannot run the network.
+/// Trains and saves the network that corrects which rays of a scene drop. Only prints a
+/// note if the log has no suitable training data, or the device cannot run the network.
 void train_drop(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
     const std::optional<Checkpoint> start = load_network_state(run);
     if (!start) remove_network_state(run.folder);

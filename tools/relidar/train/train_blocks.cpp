@@ -91,13 +91,12 @@ public:
     TrainResult average(int n_iterations) {
         for (std::size_t i = 0; i < sum_.log.size(); ++i) {
             TrainProgress& line = sum_.log[i];
-            const double n_blocks_with_line = n_blocks_[i];
+            const double n_blocks = n_blocks_[i];
             line.n_iterations = n_iterations;
-            line.loss /= n_blocks_with_line;
-            for (double& term : line.terms) term /= n_blocks_with_line;
+            line.loss /= n_blocks;
+            for (double& term : line.terms) term /= n_blocks;
             // Each block has run this number of iterations.
-            line.iterations_per_second =
-                double(line.iteration) * n_blocks_with_line / std::max(line.seconds, 1e-9);
+            line.iterations_per_second = double(line.iteration) * n_blocks / std::max(line.seconds, 1e-9);
         }
         sum_.train_s = seconds_;
         sum_.iterations = n_iterations;

@@ -154,14 +154,13 @@ TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
     session.progress = progress_callback(progress);
     session.stop = is_interrupted;
     session.note = print_warning;
-    session.step = [&](const RayDropTrainProgress& report) {
-        const double remaining_s = report.seconds / report.step * (report.n_steps - report.step);
-        const bool is_last = report.step == report.n_steps;
+    session.step = [&](const RayDropTrainProgress& p) {
+        const double remaining_s = p.seconds / p.step * (p.n_steps - p.step);
+        const bool is_last = p.step == p.n_steps;
         progress.show_text(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining "
                                        "{}  loss (cross-entropy) {}  accuracy {:.4f}",
-                                       report.epoch, report.n_epochs, report.step, report.n_steps,
-                                       report.step / report.seconds, format_duration(remaining_s),
-                                       format_number(report.entropy), report.accuracy),
+                                       p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds,
+                                       format_duration(remaining_s), format_number(p.entropy), p.accuracy),
                            is_last);
     };
     RayDropNetwork network = train_drops(device, run, session);
