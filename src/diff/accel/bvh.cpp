@@ -455,8 +455,7 @@ HostBvhCopy Bvh::download_bvh() const {
 /// Records a kernel that computes the cost of all trees in m^2, and the copy of its sums
 /// to the host. The cost is half the area of each node's box, plus the same of each leaf
 /// times the cost of testing its surfels. Each workgroup writes one sum. Nodes of
-/// appended trees are left out, because append_tree() increases `bound` but not
-/// `cost_sums`.
+/// appended trees have no sum, because append_tree() does not enlarge `cost_sums`.
 void Bvh::measure_cost(Stream& stream) {
     Impl& bvh = *impl_;
     const auto n_nodes =
