@@ -230,8 +230,8 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
-    // If `marks_touched` is true, `trace` marks the surfels with a gradient. The kernels
-    // after it skip all other surfels.
+    // If `marks_touched` is true, `trace` marks the surfels with a gradient, and
+    // activate_vjp() skips all other surfels.
     const bool has_pose_gradients = gradients.poses.size() > 0,
                marks_touched = scene.can_skip_surfels() && !gradients.zero_untouched;
     shared::BackwardParams params{};
