@@ -92,7 +92,7 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
         const glm::dvec3 half_size_m = 0.5 * box->size_m;
         const double distance_m = glm::distance(sensor_m, placed[i].world_from_model.translation);
         if (distance_m < result.reach_m + 0.5 * glm::length(box->size_m))
-            result.sights.push_back({sensor_m, placed[i], half_size_m});
+            result.sights.push_back({.sensor_m = sensor_m, .placed = placed[i], .half_size_m = half_size_m});
     }
     return result;
 }

@@ -95,8 +95,8 @@ struct TreeRefitSchedule {
 /// refit updates the surfel records, so every iteration refits.
 TreeRefitSchedule choose_refit(const Config& config, std::uint32_t n_fixed_surfels) {
     if (config.image.sh_direction == ShDirection::ray) return {};
-    if (n_fixed_surfels > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
-    return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
+    if (n_fixed_surfels > 0) return {.every = 4, .accel = {.margin_scale = 1.1f, .margin_m = 0.01f}};
+    return {.every = 2, .accel = {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
 /// Returns true if the tree must be refitted in this step. It is refitted in every step
@@ -389,16 +389,16 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     RayDropCounts counts(sequence);
     const std::size_t rays_per_frame = kRaysPerBin * counts.n_bins() / std::max<std::size_t>(1, n_frames);
     renderer_.set_sh_degree(active_sh_degree(config_.train, config_.train.iterations));
-    for (std::size_t k = 0; k < n_frames; ++k) {
+    for (std::size_t frame_index = 0; frame_index < n_frames; ++frame_index) {
         // The last iteration moved the surfels, so the first frame refits the tree.
-        const bool surfels_changed = k == 0;
-        const TrainingFrameData& frame = upload_frame(k, surfels_changed);
-        if (k + 1 < n_frames) frames_.prefetch_frame(k + 1);
-        const std::uint32_t first = batches.draw_column(frame, sampler_.generator());
+        const bool surfels_changed = frame_index == 0;
+        const TrainingFrameData& frame = upload_frame(frame_index, surfels_changed);
+        if (frame_index + 1 < n_frames) frames_.prefetch_frame(frame_index + 1);
+        const std::uint32_t first_column = batches.draw_column(frame, sampler_.generator());
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
-            count_drops(counts, sequence, frame, batches.gather(stream_, frame, first, batch));
+            count_drops(counts, sequence, frame, batches.gather(stream_, frame, first_column, batch));
     }
     RayDropTable drops = counts.smoothed_rates();
     drop_unobserved(drops, frames_.mask_rules().observed_drops, sequence);

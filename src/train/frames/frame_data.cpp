@@ -85,7 +85,8 @@ void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMea
         const bool is_ignored = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
                                 is_ray_masked(boxes, ray, double(time_offset_s), scan.range_m[index]);
         const SurfaceReturn surface = surface_return(sequence, frame, index);
-        targets[index] = {surface.range_m, surface.intensity, is_ignored ? 0.0f : 1.0f};
+        targets[index] = {
+            .range_m = surface.range_m, .intensity = surface.intensity, .weight = is_ignored ? 0.0f : 1.0f};
     });
 }
 
