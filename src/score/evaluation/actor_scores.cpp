@@ -272,7 +272,7 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
         if (either > 0.0) row["f1"] = both / either;
         row["tail"] = double(tails.n_of_box[k]);
         row["tail_real"] = double(real_tails.n_of_box[k]);
-        scores.actors.push_back({box.id, box.category, row});
+        scores.actors.push_back({.track = box.id, .category = box.category, .metrics = row});
         // The groups contain only labelled boxes with enough real points.
         if (points.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
         BoxGroupErrors& group = is_person_or_cyclist(box.category) ? people : vehicles;

@@ -160,15 +160,15 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
             "x "
             "31 pixels, and 3 values for each",
             rows, columns, first_image.size(), second_image.size());
-    FeatureMap fa = normalise(first_image, rows, columns), fb = normalise(second_image, rows, columns);
+    FeatureMap first = normalise(first_image, rows, columns), second = normalise(second_image, rows, columns);
     std::array<double, 5> distance{};
-    for (std::size_t l = 0; l < distance.size(); ++l) {
+    for (std::size_t stage = 0; stage < distance.size(); ++stage) {
         // Both images pass the same layers. Each layer gives one distance.
-        const ConvLayerShape& layer = kAlexNet[l];
-        for (FeatureMap* f : {&fa, &fb})
-            *f = convolve_relu(layer.pooled ? max_pool(*f) : *f, layer, impl_->weights.weight[l],
-                               impl_->weights.bias[l]);
-        distance[l] = feature_distance(fa, fb, impl_->weights.linear[l]);
+        const ConvLayerShape& layer = kAlexNet[stage];
+        for (FeatureMap* features : {&first, &second})
+            *features = convolve_relu(layer.pooled ? max_pool(*features) : *features, layer,
+                                      impl_->weights.weight[stage], impl_->weights.bias[stage]);
+        distance[stage] = feature_distance(first, second, impl_->weights.linear[stage]);
     }
     return distance;
 }

@@ -53,13 +53,13 @@ glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m,
 
 /// Adds a return at a point. The ray starts at the origin, with time and row 0.
 void append_point(Scan& scan, const glm::dvec3& sensor_point_m, float intensity) {
-    const double range = glm::length(sensor_point_m);
-    if (!(range > 0.0)) return;
+    const double range_m = glm::length(sensor_point_m);
+    if (!(range_m > 0.0)) return;
     scan.rays.origin.emplace_back(0.0f);
-    scan.rays.direction.emplace_back(sensor_point_m / range);
+    scan.rays.direction.emplace_back(sensor_point_m / range_m);
     scan.rays.time_offset_s.push_back(0.0f);
     scan.rays.channel.push_back(0);
-    scan.range_m.push_back(float(range));
+    scan.range_m.push_back(float(range_m));
     scan.intensity.push_back(intensity);
 }
 

@@ -137,8 +137,8 @@ std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<
     if (real.rows > 1) {
         PixelMask edges = mask_edges(real), smooth = edges;
         smooth.flip();
-        regions.push_back({"edges", std::move(edges), true});
-        regions.push_back({"smooth", std::move(smooth), true});
+        regions.push_back({.name = "edges", .pixels = std::move(edges), .scores_clouds = true});
+        regions.push_back({.name = "smooth", .pixels = std::move(smooth), .scores_clouds = true});
     }
     return regions;
 }

@@ -20,8 +20,8 @@ constexpr std::size_t kMaxSmoothPoints = 250;
 constexpr std::size_t kMaxIntervals = 500;
 
 struct ChartAxis {
-    double low = 0.0, high = 1.0;
-    double at_low = 0.0, at_high = 1.0;
+    double low = 0.0, high = 1.0;        ///< values at the ends
+    double at_low = 0.0, at_high = 1.0;  ///< positions of the ends on the page, SVG units
     bool logarithmic = false;
 
     double scaled(double value) const { return logarithmic ? std::log10(value) : value; }
@@ -87,7 +87,7 @@ std::string format_tick(double value) {
 /// Returns a linear axis from 0 to 1 if there is no value.
 ChartAxis make_axis(const ValueInterval& extent, double page_low, double page_high) {
     const auto [low, high] = extent.low > extent.high ? ValueInterval{0.0, 1.0} : extent;
-    return {low, high, page_low, page_high, false};
+    return {.low = low, .high = high, .at_low = page_low, .at_high = page_high, .logarithmic = false};
 }
 
 /// Returns the y axis with a margin. It is logarithmic if all values are positive and
