@@ -12,6 +12,7 @@
 
 #include "base/median.hpp"
 #include "base/parallel.hpp"
+#include "base/sigmoid.hpp"
 #include "scene/point_surfels.hpp"
 
 namespace relidar {
@@ -286,7 +287,7 @@ void fade_far_swings(Scene& scene, float alpha_min) {
                 const float swing_m = std::abs(gait.swing[axis]);
                 if (swing_m > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
             }
-            const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
+            const float opacity = sigmoid(surfels.opacity_logit[i]);
             if (sine >= 1.0f || opacity <= alpha_min) continue;  // stays inside, or never visible
             // At this angle, opacity exp(sharpness^2 (cosine - 1)) = alpha_min. Uses
             // 1 - cosine = sine^2 / (1 + cosine).

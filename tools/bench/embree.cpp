@@ -24,6 +24,7 @@
 
 #include <relidar/log/sensor.hpp>
 #include <relidar/scene/scene.hpp>
+#include "base/sigmoid.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace {
@@ -203,7 +204,7 @@ private:
         const glm::vec4 q = surfels.rotation[surfel_index];
         const glm::mat3 axes = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
         const glm::vec2 scale = glm::exp(surfels.log_scale[surfel_index]);
-        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index]));
+        const float opacity = sigmoid(surfels.opacity_logit[surfel_index]);
         world_.records.push_back(
             {surfels.mean[surfel_index], opacity, axes[0] / scale.x, axes[1] / scale.y, axes[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));

@@ -140,23 +140,26 @@ const BoxTrack* find_box(const Log& sequence, const std::string& box_id) {
 }
 
 Log strip_frames(const Log& sequence) {
-    // Copies the other members one by one. A copy of the whole log would first copy all
-    // scans, which can be gigabytes.
-    return {.name = sequence.name,
-            .source = sequence.source,
-            .lidars = sequence.lidars,
+    // Copies the other members one by one, because the scans can be gigabytes. The
+    // binding needs all members, so without a new member it does not compile.
+    const auto& [name, source, lidars, frames, world_from_vehicle, boxes, world_offset_m, georeference,
+                 intensity_response, conventions, start_unix_ns, notes, test_frames, has_poses,
+                 rolling_shutter] = sequence;
+    return {.name = name,
+            .source = source,
+            .lidars = lidars,
             .frames = {},
-            .world_from_vehicle = sequence.world_from_vehicle,
-            .boxes = sequence.boxes,
-            .world_offset_m = sequence.world_offset_m,
-            .georeference = sequence.georeference,
-            .intensity_response = sequence.intensity_response,
-            .conventions = sequence.conventions,
-            .start_unix_ns = sequence.start_unix_ns,
-            .notes = sequence.notes,
-            .test_frames = sequence.test_frames,
-            .has_poses = sequence.has_poses,
-            .rolling_shutter = sequence.rolling_shutter};
+            .world_from_vehicle = world_from_vehicle,
+            .boxes = boxes,
+            .world_offset_m = world_offset_m,
+            .georeference = georeference,
+            .intensity_response = intensity_response,
+            .conventions = conventions,
+            .start_unix_ns = start_unix_ns,
+            .notes = notes,
+            .test_frames = test_frames,
+            .has_poses = has_poses,
+            .rolling_shutter = rolling_shutter};
 }
 
 PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {

@@ -4,7 +4,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/files.hpp>
@@ -16,6 +15,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
+#include "base/sigmoid.hpp"
 
 namespace relidar {
 namespace {
@@ -38,7 +38,7 @@ bool is_useful(const Surfels& surfels, std::size_t i, const SurfelModel& model, 
     const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
+    return sigmoid(surfels.opacity_logit[i]) >= image.alpha_min;
 }
 
 /// Returns the frames of a log in which an actor is present, without their scans.

@@ -6,6 +6,7 @@
 
 #include "base/geometry/cell_key.hpp"
 #include "base/parallel.hpp"
+#include "base/sigmoid.hpp"
 #include "simulate/weather/air.hpp"
 
 namespace relidar {
@@ -177,7 +178,7 @@ constexpr double kRayLift_m = 0.1;
 constexpr double kMinMirroredHeight_m = 0.3;
 
 float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
-    return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray] - rendering.drop_logit[ray]));
+    return sigmoid(rendering.drop_logit[ray] - rendering.hit_logit[ray]);
 }
 
 /// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves

@@ -5,7 +5,6 @@
 #include <fmt/format.h>
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <functional>
 #include <map>
 #include <numeric>
@@ -17,6 +16,7 @@
 #include <relidar/train/train.hpp>
 
 #include "base/fail.hpp"
+#include "base/sigmoid.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
 #include "train/drops/stripes.hpp"
 #include "train/frames/frame_data.hpp"
@@ -208,8 +208,7 @@ std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<
         // sums are the derivatives by the shared error.
         std::vector<double> slope(n_beams), curvature(n_beams);
         for (const ActorPixel& sample : training.actor_pixels) {
-            const double p_drop =
-                1.0 / (1.0 + std::exp(-double(logit(sample)) - shared - offsets[sample.beam]));
+            const double p_drop = sigmoid(double(logit(sample)) + shared + offsets[sample.beam]);
             slope[sample.beam] += double(training.images[sample.image].dropped[sample.pixel]) - p_drop;
             curvature[sample.beam] += p_drop * (1.0 - p_drop);
         }
