@@ -69,7 +69,7 @@ public:
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
-        timing_.parts = int(layout.n_sequences());
+        timing_.n_sequences = int(layout.n_sequences());
         table_ = read_firings(layout.sensor);
         beams_ = list_beams(layout);
         // Measured elevations can change the order of the rings (highest first).
@@ -79,7 +79,7 @@ public:
         }
         ring_of_.assign(layout.n_sequences(), std::vector<int>(layout.n_lasers(), kNoRing));
         for (std::size_t ring = 0; ring < beams_.size(); ++ring) {
-            ring_of_[beams_[ring].part][beams_[ring].laser] = int(ring);
+            ring_of_[beams_[ring].sequence][beams_[ring].laser] = int(ring);
             timing_.offset_us.push_back(beams_[ring].offset_us);
         }
     }
@@ -130,8 +130,8 @@ public:
                 const std::size_t return_index = block % n_returns + echo_row % layout_.block_returns;
                 LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = read_sequence(packet_bytes, group, n_returns);
-                const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
+                firing.sequence = read_sequence(packet_bytes, group, n_returns);
+                const int* rings = &ring_of_[std::size_t(firing.sequence)][bank * layout_.block_lasers];
                 read_echoes(reader, unit_m, return_index, rings, &packet.echoes[slot * beams_.size()]);
             }
         }
@@ -187,9 +187,9 @@ private:
     /// Returns which of two alternating sets of lasers fires, 0 or 1.
     /// @param firing_index  index of the firing in the packet
     int read_sequence(std::string_view packet_bytes, std::size_t firing_index, std::size_t n_returns) const {
-        if (layout_.part_rule == FiringSequenceRule::none) return 0;
-        codecs::ByteReader reader(packet_bytes.substr(layout_.part_at));
-        if (layout_.part_rule == FiringSequenceRule::azimuth_state) {
+        if (layout_.sequence_rule == FiringSequenceRule::none) return 0;
+        codecs::ByteReader reader(packet_bytes.substr(layout_.sequence_at));
+        if (layout_.sequence_rule == FiringSequenceRule::azimuth_state) {
             // two bits for each block, starting with the highest
             const std::size_t shift = 14 - 2 * firing_index * n_returns;
             return reader.read_number<std::uint16_t>() >> shift & 1;
@@ -271,7 +271,7 @@ private:
 std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     // earliest firing time of all lasers in all firing sequences
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
-    for (const LaserFiringTimes& times : layout.loops)
+    for (const LaserFiringTimes& times : layout.sequences)
         for (const std::int32_t time_ns : times)
             if (time_ns >= 0) first_ns = std::min(first_ns, time_ns);
     const std::vector<BeamFiring> table = read_firings(layout.sensor);
@@ -281,12 +281,12 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
                         .line = line,
                         .offset_us = table[line].offset_us};
         // Without a list of firing sequences, each laser fires once, as in the table.
-        if (layout.loops.empty()) beams.push_back(beam);
-        for (std::size_t part = 0; part < layout.loops.size(); ++part) {
-            const std::int32_t time_ns = layout.loops[part][beam.laser];
+        if (layout.sequences.empty()) beams.push_back(beam);
+        for (std::size_t part = 0; part < layout.sequences.size(); ++part) {
+            const std::int32_t time_ns = layout.sequences[part][beam.laser];
             const bool fires_in_sequence = time_ns >= 0;
             if (!fires_in_sequence) continue;
-            beam.part = part;
+            beam.sequence = part;
             beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(part);
             beams.push_back(beam);
         }

@@ -83,7 +83,7 @@ public:
                              layout.sensor, options.returns);
         ring_of_.assign(layout.n_sequences(), std::vector<std::size_t>(layout.n_lasers(), kNoBeam));
         for (std::size_t ring = 0; ring < beams_.size(); ++ring)
-            ring_of_[beams_[ring].part][beams_[ring].laser] = ring;
+            ring_of_[beams_[ring].sequence][beams_[ring].laser] = ring;
         for (const PacketBeam& beam : fired) {
             laser_of_.push_back(beam.laser);
             offsets_us_.push_back(columns_per_firing_ > 1 ? mean_delay_us(beam.laser) : beam.offset_us);
@@ -111,10 +111,11 @@ public:
             const bool has_next = c + 1 < scan_columns.size() &&
                                   scan_columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
             const std::vector<std::array<DecodedReturn, 2>> none(firing.returns.size());
-            const std::vector<std::array<DecodedReturn, 2>> of_part[] = {
+            const std::vector<std::array<DecodedReturn, 2>> of_sequence[] = {
                 firing.returns, has_next ? scan_columns[c + 1].returns : none};
             firing.returns.clear();
-            for (const PacketBeam& beam : beams_) firing.returns.push_back(of_part[beam.part][beam.line]);
+            for (const PacketBeam& beam : beams_)
+                firing.returns.push_back(of_sequence[beam.sequence][beam.line]);
             if (!has_next) continue;
             if (scan_columns[c + 1].has_returns) firing.has_returns = true;
             ++c;
@@ -148,7 +149,7 @@ protected:
             // The flag names the group of lasers: FF EE, FF DD, FF CC or FF BB.
             if (layout_.flagged) append_raw(bytes, std::uint16_t(0xEEFF - 0x1100 * block_index.bank));
             const double azimuth_deg =
-                block_firings.front().azimuth_deg + double(block_index.part) * sequence_deg_;
+                block_firings.front().azimuth_deg + double(block_index.sequence) * sequence_deg_;
             append_raw(bytes,
                        std::uint16_t(std::lround(100.0 * (azimuth_deg + layout_.forward_deg)) % 36000));
             for (const FiringColumn& firing : block_firings)
@@ -170,7 +171,7 @@ protected:
 private:
     /// Indices of the firing sequence, of the group of lasers, and of the return.
     struct BlockIndex {
-        std::size_t part, bank, number;
+        std::size_t sequence, bank, number;
     };
 
     const PacketLayout& layout_;
@@ -192,7 +193,7 @@ private:
         double sum_us = 0.0, n = 0.0;
         for (const PacketBeam& beam : beams_) {
             if (beam.laser != laser) continue;
-            sum_us += beam.offset_us - layout_.cycle_us * double(beam.part);
+            sum_us += beam.offset_us - layout_.cycle_us * double(beam.sequence);
             n += 1.0;
         }
         return sum_us / n;
@@ -206,7 +207,7 @@ private:
                         double range_unit_m) const {
         for (std::size_t k = 0; k < layout_.block_lasers; ++k) {
             const std::size_t ring =
-                ring_of_[block_position.part][block_position.bank * layout_.block_lasers + k];
+                ring_of_[block_position.sequence][block_position.bank * layout_.block_lasers + k];
             DecodedReturn echo;
             if (!firing.returns.empty() && ring != kNoBeam) {
                 const auto& [first, second] = firing.returns[ring];
@@ -327,11 +328,11 @@ private:
     void write_mode(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = this->layout();
         bytes.back() = char(product_.operation_mode);
-        if (layout.part_rule == FiringSequenceRule::mode_flag)
-            bytes[layout.part_at] = char(1 - sequence_of_block(0, packet_number));
-        if (layout.part_rule != FiringSequenceRule::azimuth_state) return;
+        if (layout.sequence_rule == FiringSequenceRule::mode_flag)
+            bytes[layout.sequence_at] = char(1 - sequence_of_block(0, packet_number));
+        if (layout.sequence_rule != FiringSequenceRule::azimuth_state) return;
         for (std::size_t block = 0; block < layout.n_blocks; ++block)
-            bytes[layout.part_at + 1] |= char(sequence_of_block(block, packet_number) << (6 - 2 * block));
+            bytes[layout.sequence_at + 1] |= char(sequence_of_block(block, packet_number) << (6 - 2 * block));
     }
 
     /// Appends year, month, day, hour, minute and second in UTC, with one byte each.

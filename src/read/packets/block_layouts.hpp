@@ -122,19 +122,19 @@ struct PacketLayout {
     std::uint16_t last_marker = 0;
     /// [firing sequences] firing times of the lasers. Empty if the table of built-in
     /// sensors contains them.
-    std::span<const LaserFiringTimes> loops = {};
-    FiringSequenceRule part_rule = FiringSequenceRule::none;
-    std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
+    std::span<const LaserFiringTimes> sequences = {};
+    FiringSequenceRule sequence_rule = FiringSequenceRule::none;
+    std::size_t sequence_at = 0;  ///< byte offset of the field that contains the firing sequence
 
     std::size_t n_lasers() const { return block_lasers * banks; }
-    std::size_t n_sequences() const { return loops.empty() ? 1 : loops.size(); }
+    std::size_t n_sequences() const { return sequences.empty() ? 1 : sequences.size(); }
 };
 
 /// One laser in one firing sequence. It measures one row of a scan.
 struct PacketBeam {
-    std::size_t laser = 0;  ///< index of the laser in a firing, from 0
-    std::size_t part = 0;   ///< index of the firing sequence
-    std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
+    std::size_t laser = 0;     ///< index of the laser in a firing, from 0
+    std::size_t sequence = 0;  ///< index of the firing sequence
+    std::size_t line = 0;      ///< row of the laser in the beam table of the built-in sensor
     /// elevation from the sensor's angle correction file; 0 if the file is missing
     double elevation_deg = 0.0;
     /// time between the start of the first firing sequence and the firing of the laser
@@ -220,9 +220,9 @@ constexpr PacketLayout qt64_layout() {
 
 constexpr PacketLayout qt128_layout() {
     PacketLayout layout = hesai_layout("QT128", 12, 2, 128, 4, 1082, 1073, 1000.0 / 9.0, 9.0 + 0.6);
-    layout.loops = kQt128Loops;
-    layout.part_rule = FiringSequenceRule::mode_flag;
-    layout.part_at = 1066;
+    layout.sequences = kQt128Loops;
+    layout.sequence_rule = FiringSequenceRule::mode_flag;
+    layout.sequence_at = 1066;
     return layout;
 }
 
@@ -234,13 +234,13 @@ constexpr PacketLayout ot128_layout(bool is_fine) {
     layout.last_marker = 3;
     if (is_fine) {
         layout.name = "OT128 in high resolution";
-        layout.loops = kOt128States;
-        layout.part_rule = FiringSequenceRule::azimuth_state;
-        layout.part_at = 814;
+        layout.sequences = kOt128States;
+        layout.sequence_rule = FiringSequenceRule::azimuth_state;
+        layout.sequence_at = 814;
     } else {
         // In this mode, the first laser fires 2.378 us after the start of its block.
         layout.shift_us = 43.346 + 2.378;
-        layout.loops = kOt128Standard;
+        layout.sequences = kOt128Standard;
     }
     return layout;
 }

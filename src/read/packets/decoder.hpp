@@ -34,7 +34,7 @@ struct LaserFiring {
     /// Azimuth of the head at the start of the firing, clockwise from the sensor's x
     /// axis, in [0, 360).
     double azimuth_deg = 0.0;
-    int part = 0;  ///< index of the firing sequence
+    int sequence = 0;  ///< index of the firing sequence
 };
 
 struct DecodedPacket {
@@ -52,7 +52,7 @@ struct FiringTiming {
     double cycle_us = 0.0;  ///< time between firings
     /// Number of firing sequences, above 1 if the sensor alternates between several sets
     /// of lasers. A column of a scan contains one firing of each sequence.
-    int parts = 1;
+    int n_sequences = 1;
     /// time after which the sensor's clock restarts at 0; 0 if it never restarts
     double wrap_us = 0.0;
     /// [rings] time between the first firing of a column and the firing of each beam

@@ -208,13 +208,14 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
             if (f + 1 < end) step_deg = rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // Time since the first firing of the column. It is subtracted, because
             // `timing.offset_us` counts from the first firing.
-            const double late_us = timing.cycle_us * double(firing.part);
+            const double late_us = timing.cycle_us * double(firing.sequence);
             const double column_deg = azimuth_deg - late_us * mean_deg_us;
             const int slot = int(n_before) + firing.slot - entry.first_slot;
             // Number of the column. Its first firing has the slot `slot - part`, which is
             // negative if the first column lacks firings; + parts makes it positive.
-            const int number = has_columns ? column_of(revolution, azimuth_deg)
-                                           : (slot - firing.part + timing.parts) / timing.parts;
+            const int number = has_columns
+                                   ? column_of(revolution, azimuth_deg)
+                                   : (slot - firing.sequence + timing.n_sequences) / timing.n_sequences;
             // Tests only the first firing of a column, because all its firings belong to
             // the same revolution.
             if (number != previous_number) is_firing_inside = is_inside(revolution, number, column_deg);

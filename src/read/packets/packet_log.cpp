@@ -277,7 +277,8 @@ PacketRevolution PacketIndex::make_revolution(double begin_deg) const {
                                 .last = packet_behind(begin_deg + 360.0) - 1,
                                 .begin_deg = begin_deg};
     // The second firing sequence of the last column can be in the next packet.
-    if (decoder_->timing().parts > 1) revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
+    if (decoder_->timing().n_sequences > 1)
+        revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
     return revolution;
 }
 
@@ -416,7 +417,7 @@ SpinningSensor PacketIndex::make_sensor() const {
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketRevolution& revolution : revolutions_)
         most = std::max(most, 360.0 / mean_step_deg(revolution));
-    most /= double(timing.parts);
+    most /= double(timing.n_sequences);
     return decoder_->make_sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 

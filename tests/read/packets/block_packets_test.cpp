@@ -261,8 +261,8 @@ TEST(BlockPackets, Ot128) {
     // 29 lasers do not fire in state 0, and 31 different lasers do not fire in state 1
     EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
     const packets::DecodedPacket half = states->decode_packet(fine);
-    EXPECT_EQ(half.firings[0].part, 0);
-    EXPECT_EQ(half.firings[1].part, 1);
+    EXPECT_EQ(half.firings[0].sequence, 0);
+    EXPECT_EQ(half.firings[1].sequence, 1);
 }
 
 TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
