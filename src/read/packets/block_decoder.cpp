@@ -53,11 +53,14 @@ void keep_brightest(std::array<DecodedReturn, 2>& returns, std::size_t index, co
         returns[index] = added;
         return;
     }
-    if (added.range_m == returns[0].range_m || added.range_m == returns[1].range_m) return;
-    const bool is_first_empty = returns[0].range_m == 0.0f, is_second_empty = returns[1].range_m == 0.0f;
-    const bool is_first_darker = !is_second_empty && returns[0].intensity < returns[1].intensity;
-    DecodedReturn& replaced = is_first_empty || is_first_darker ? returns[0] : returns[1];
-    if (replaced.range_m == 0.0f || replaced.intensity < added.intensity) replaced = added;
+    // an empty return is darker than any other
+    const auto brightness = [](const DecodedReturn& echo) {
+        return echo.range_m == 0.0f ? -1.0f : echo.intensity;
+    };
+    auto& [first, second] = returns;
+    if (added.range_m == first.range_m || added.range_m == second.range_m) return;
+    DecodedReturn& darker = brightness(first) < brightness(second) ? first : second;
+    if (brightness(darker) < added.intensity) darker = added;
 }
 
 /// Decodes the packets of a product in the table kLayouts.
@@ -269,7 +272,7 @@ private:
 }  // namespace
 
 std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
-    // earliest firing time of all lasers in all firing sequences
+    // Times count from the first laser of all firing sequences.
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
     for (const LaserFiringTimes& times : layout.sequences)
         for (const std::int32_t time_ns : times)
@@ -277,18 +280,15 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     const std::vector<BeamFiring> table = read_firings(layout.sensor);
     std::vector<PacketBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
-        PacketBeam beam{.laser = std::size_t(table[line].channel - layout.first_channel),
-                        .line = line,
-                        .offset_us = table[line].offset_us};
-        // Without a list of firing sequences, each laser fires once, as in the table.
-        if (layout.sequences.empty()) beams.push_back(beam);
-        for (std::size_t part = 0; part < layout.sequences.size(); ++part) {
-            const std::int32_t time_ns = layout.sequences[part][beam.laser];
-            const bool fires_in_sequence = time_ns >= 0;
-            if (!fires_in_sequence) continue;
-            beam.sequence = part;
-            beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(part);
-            beams.push_back(beam);
+        const auto laser = std::size_t(table[line].channel - layout.first_channel);
+        for (std::size_t sequence = 0; sequence < layout.n_sequences(); ++sequence) {
+            double offset_us = table[line].offset_us;
+            if (!layout.sequences.empty()) {
+                const std::int32_t time_ns = layout.sequences[sequence][laser];
+                if (time_ns < 0) continue;  // the laser does not fire in this sequence
+                offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(sequence);
+            }
+            beams.push_back({laser, sequence, line, 0.0, offset_us});
         }
     }
     return beams;

@@ -380,26 +380,22 @@ std::vector<std::string> hesai_names() {
 }
 
 /// Several products can have the same sensor, for example in two modes. Chooses the one
-/// with the nearest time between two scan columns.
+/// whose number of beams and time between two scan columns match best.
 std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options) {
-    const HesaiProduct* best = nullptr;
-    double least_error = 0.0;
-    for (const HesaiProduct& product : kHesaiProducts) {
+    // relative error of the time between columns, plus 1 if the number of beams differs
+    const auto mismatch = [&](const HesaiProduct& product) -> double {
         const PacketLayout& layout = find_layout(product.layout);
-        if (sensor.name != layout.sensor) continue;
-        // The error is relative, plus 1 if the numbers of beams differ.
+        if (sensor.name != layout.sensor) return INFINITY;
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us =
             layout.cycle_us * double(layout.n_sequences()) / count_columns(layout, sensor);
-        const bool fits =
+        const bool has_its_beams =
             sensor.beams.size() == layout.n_lasers() || sensor.beams.size() == list_beams(layout).size();
-        const double error = std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
-        if (!best || error < least_error) {
-            best = &product;
-            least_error = error;
-        }
-    }
-    return best ? std::make_unique<HesaiFormat>(*best, sensor, options) : nullptr;
+        return std::abs(step_us / expected_us - 1.0) + (has_its_beams ? 0.0 : 1.0);
+    };
+    const HesaiProduct& best = *std::ranges::min_element(kHesaiProducts, {}, mismatch);
+    if (sensor.name != find_layout(best.layout).sensor) return nullptr;
+    return std::make_unique<HesaiFormat>(best, sensor, options);
 }
 
 }  // namespace relidar::packets
