@@ -60,13 +60,21 @@ struct FiringTiming {
     /// True if the head azimuth of each beam is interpolated between consecutive firings.
     /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
-    /// [columns per revolution] True if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Empty if a sensor has no fixed firing azimuths; times are then from
-    /// the packets' time stamps, otherwise from the sensor's clock.
+    /// [columns per revolution] For a sensor that fires at fixed azimuths (columns): true
+    /// if it fires at this column. Column 0 is at 180 degrees. Empty for a sensor that can
+    /// fire at any azimuth.
     std::vector<bool> fires = {};
     /// True if intensities can exceed 1. If they do, they are divided by the 99.5th
     /// percentile of the intensities of the topic.
     bool is_wide = false;
+
+    bool has_fixed_columns() const { return !fires.empty(); }
+    /// Returns true if the sensor fires at a column of any revolution. Columns count on
+    /// from one revolution to the next.
+    bool fires_at(std::int64_t column) const {
+        const auto n = std::int64_t(fires.size());
+        return fires[std::size_t((column % n + n) % n)];
+    }
 };
 
 class PacketDecoder {

@@ -41,6 +41,7 @@ struct PacketIndexEntry {
     std::uint32_t hash;       ///< hash of the packet's bytes
     /// number of packets without a firing that directly precede this packet
     std::uint16_t n_empty_before = 0;
+    std::uint32_t n_lost_before = 0;  ///< number of packets that were lost since the previous entry
 };
 
 /// Returns the angle by which the head turns from one azimuth to the next, below 360
@@ -150,27 +151,27 @@ private:
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
     /// sector in which the sensor never fires, although it could fire at any azimuth
     SkippedSector skipped_;
-    /// Number of returns by intensity in units of 1/255. Used only for sensors whose
-    /// intensities can exceed 1.
+    /// Number of returns by intensity in units of 1/255, up to the highest intensity of
+    /// all packets. Used only for sensors whose intensities can exceed 1.
     std::vector<std::uint32_t> n_returns_of_bin_;
-    double highest_bin_ = 0.0;  ///< highest intensity of all packets, in units of 1/255
 
-    void set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
+    void set_product(const std::vector<ReceivedPacket>& packets, DecoderCalibration calibration);
     void index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
     void unwrap_clock(Entry& entry) const;
     void count_intensities(const DecodedPacket& packet);
-    double column_step_deg() const;
+    double cycle_deg() const;
+    std::int64_t column_at(double azimuth_deg) const;
+    std::int64_t first_column(const Entry& packet) const;
+    int column_in(const PacketRevolution& revolution, double azimuth_deg) const;
     std::pair<double, double> azimuth_range_deg() const;
     std::vector<bool> find_lost_columns(const PacketRevolution& revolution) const;
-    bool is_inside(const PacketRevolution& revolution, int number, double azimuth_deg) const;
     Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& fired,
                    const SpinningSensor& sensor) const;
-    int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
     std::size_t packet_behind(double azimuth_deg) const;
     PacketRevolution make_revolution(double begin_deg) const;
     void find_revolutions();
-    std::size_t count_lost_packets(std::size_t packet_index) const;
-    std::size_t count_lost_columns(const Entry& before, const Entry& entry) const;
+    std::uint32_t count_lost_by_time(const Entry& before, const Entry& entry) const;
+    std::uint32_t count_lost_by_column(const Entry& before, const Entry& entry) const;
     void store_lost_packets(PacketRevolution& revolution) const;
     bool has_steady_clock(const PacketRevolution& revolution) const;
     void set_times(PacketRevolution& revolution) const;

@@ -23,6 +23,7 @@ constexpr double kLeastSector_deg = 10.0;
 
 /// Returns the mean rotation rate of the head in degrees per microsecond; 0 if unknown.
 /// Ignores packets next to a skipped sector, pauses, and clocks that were set back.
+/// @param packets  with continuous azimuths
 double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
@@ -36,12 +37,11 @@ double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     return passed_us > 0.0 ? turned_deg / passed_us : 0.0;
 }
 
-/// Returns true if one of the packets before index `end` has the same time and the same
-/// bytes (the same hash).
+/// Returns true if one of the packets before index `end` is the same part of the same
+/// packet: it has the same time, bytes (hash) and first slot.
 bool is_repeated(const std::vector<PacketIndexEntry>& packets, std::size_t end,
                  const PacketIndexEntry& entry) {
-    // Limits the comparison, because many packets have the same time if the sensor's
-    // clock stands still.
+    // If the sensor's clock stands still, many packets have the same time.
     constexpr std::size_t kMostCompared = 64;
     const std::size_t begin = end - std::min(end, kMostCompared);
     for (std::size_t k = end; k > begin && packets[k - 1].clock_ns == entry.clock_ns; --k)
@@ -123,13 +123,13 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
 
 double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
     // rotation rate in degrees per microsecond: fixed, or that of the current packet
-    double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
+    double deg_us = timing.has_fixed_columns() ? 360.0 / double(timing.fires.size()) / timing.cycle_us : 0.0;
     // Time in which the head passes the sectors of PacketIndexEntry::skipped_deg.
     const auto skipped_us = [&](const PacketIndexEntry& entry) {
         return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
     };
     for (std::size_t p = 0; p < packets.size(); ++p) {
-        if (timing.fires.empty() && packets[p].n_slots > 3)
+        if (!timing.has_fixed_columns() && packets[p].n_slots > 3)
             deg_us = double(packets[p].turned_deg) / (timing.cycle_us * double(packets[p].n_slots - 1));
         if (p == 0) continue;
         PacketIndexEntry& entry = packets[p];
