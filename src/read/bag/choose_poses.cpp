@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cmath>
+#include <complex>
+#include <numeric>
+#include <ranges>
 
 #include <fmt/ranges.h>
 
@@ -75,12 +78,10 @@ PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tre
 }
 
 /// Returns the source that the user requests: a parent frame of the sensor, or a pose
-/// topic. Returns nothing if the user requests none.
-std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& index,
-                                      const std::vector<std::string>& frame_path_to_root,
-                                      const std::string& requested_frame_or_topic,
-                                      std::vector<std::string>& notes) {
-    if (requested_frame_or_topic.empty()) return std::nullopt;
+/// topic.
+PoseSource find_source(const BagRecording& bag, const BagIndex& index,
+                       const std::vector<std::string>& frame_path_to_root,
+                       const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
     std::vector<std::string> available(frame_path_to_root.begin() + 1, frame_path_to_root.end());
     if (std::ranges::find(available, requested_frame_or_topic) != available.end())
         return make_tf_source(index.frames, frame_path_to_root, requested_frame_or_topic);
@@ -117,22 +118,20 @@ std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex&
     return std::nullopt;
 }
 
-/// Returns the poses of a source on a clock.
-/// @param time_origin_ns  time on this clock that is 0 s in the log
-TransformChain make_pose_chain(const BagIndex& index, const PoseSource& pose_source, LogClock log_clock,
-                               std::int64_t time_origin_ns) {
-    if (!pose_source.topic)
-        return index.frames.make_chain(pose_source.world, pose_source.vehicle, log_clock, time_origin_ns);
-    TransformChain path;
-    path.append_samples(pose_source.topic->samples, log_clock, time_origin_ns);
-    return path;
+/// Sets the poses of a source on the clock of the log.
+/// @param poses_zero_ns  time of the poses at which the time of the log is 0 s
+void set_path(ChosenPoses& choice, const BagIndex& index, const PoseSource& source,
+              std::int64_t poses_zero_ns) {
+    choice.poses_zero_ns = poses_zero_ns;
+    if (source.topic)
+        choice.path.emplace().append_samples(source.topic->samples, choice.clock, poses_zero_ns);
+    else choice.path = index.frames.make_chain(source.world, source.vehicle, choice.clock, poses_zero_ns);
 }
 
 /// Returns the number of clouds at whose times the pose of the vehicle is known.
-std::size_t count_posed(const CloudTopic& clouds, const TransformChain& vehicle_pose_function, LogClock clock,
-                        std::int64_t time_origin_ns) {
+std::size_t count_posed(const CloudTopic& clouds, const ChosenPoses& choice) {
     return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
-        return vehicle_pose_function.covers_time(1e-9 * double(cloud.time_ns(clock) - time_origin_ns));
+        return choice.path->covers_time(1e-9 * double(cloud.time_ns(choice.clock) - choice.zero_ns));
     }));
 }
 
@@ -141,115 +140,106 @@ const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSo
     return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.world, source.vehicle);
 }
 
-/// Sets the pose path of a source. The time of the first cloud becomes 0 s. If the clocks
-/// of clouds and poses differ, the poses get another zero, but only if the offset is
-/// certain, and if more clouds then have a pose. Otherwise adds a warning.
-void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
-               const PoseSource& source) {
-    choice.poses_zero_ns = choice.zero_ns;
-    choice.path = make_pose_chain(index, source, choice.clock, choice.zero_ns);
+/// Shifts the poses in time if their stamps come from another clock than those of the
+/// clouds. The offset must be certain, and more clouds must then have a pose. Otherwise
+/// only warns of the offset.
+void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
+                        const PoseSource& source) {
     const std::vector<StampedPose>* poses = find_samples(index, source);
     if (choice.clock == LogClock::recorder || !poses) return;
     const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
     if (offset.offset_ns == 0) return;
-
-    const std::int64_t corrected_zero_ns = choice.zero_ns - offset.offset_ns;
-    TransformChain corrected_path = make_pose_chain(index, source, choice.clock, corrected_zero_ns);
-    const std::size_t n = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns);
-    const std::size_t n_corrected = count_posed(clouds, corrected_path, choice.clock, choice.zero_ns);
+    ChosenPoses corrected = choice;
+    set_path(corrected, index, source, choice.zero_ns - offset.offset_ns);
+    const std::size_t n = count_posed(clouds, choice), n_corrected = count_posed(clouds, corrected);
     // If poses are only late, the correction cannot give a pose to more clouds.
     constexpr std::size_t kMinExtraClouds = 2;
     const bool is_better = n_corrected > n + kMinExtraClouds || n_corrected == clouds.clouds.size();
-    const std::string text = "compared with the recording times, the time stamps of the clouds are " +
-                             offset.describe("the time stamps of the poses");
-    if (offset.is_clear && is_better) {
-        choice.clock_note = text + ", so their clocks differ; the poses are shifted by this time";
-        choice.path = std::move(corrected_path);
-        choice.poses_zero_ns = corrected_zero_ns;
-    } else {
-        choice.clock_note =
-            text + "; the clocks differ or messages are late; nothing is corrected, so check the poses";
-    }
+    const bool is_corrected = offset.is_clear && is_better;
+    if (is_corrected) choice = std::move(corrected);
+    choice.clock_note =
+        fmt::format("compared with the recording times, the time stamps of the clouds are {}{}",
+                    offset.describe("the time stamps of the poses"),
+                    is_corrected ? ", so their clocks differ; the poses are shifted by this time"
+                                 : "; the clocks differ or messages are late; nothing is corrected, so "
+                                   "check the poses");
 }
 
 std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
-    std::int64_t first = clouds.clouds.front().time_ns(clock);
-    for (const CloudEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
-    return first;
+    const auto time_ns = [&](const CloudEntry& cloud) { return cloud.time_ns(clock); };
+    return std::ranges::min(clouds.clouds | std::views::transform(time_ns));
 }
 
 /// Changes to the recording times if fewer than half of the clouds have a pose at their
 /// stamp, and if more clouds then have one.
 void try_recorder_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
                         const PoseSource& source) {
-    if (choice.clock == LogClock::recorder) return;
-    const std::size_t n_posed = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns);
-    if (2 * n_posed >= clouds.clouds.size()) return;
-    const std::int64_t zero_ns = first_cloud_ns(clouds, LogClock::recorder);
-    TransformChain path = make_pose_chain(index, source, LogClock::recorder, zero_ns);
-    if (count_posed(clouds, path, LogClock::recorder, zero_ns) <= n_posed) return;
-    choice.notes.push_back(
+    const std::size_t n_posed = count_posed(clouds, choice);
+    if (choice.clock == LogClock::recorder || 2 * n_posed >= clouds.clouds.size()) return;
+    ChosenPoses recorded = choice;
+    recorded.clock = LogClock::recorder;
+    recorded.zero_ns = first_cloud_ns(clouds, LogClock::recorder);
+    set_path(recorded, index, source, recorded.zero_ns);
+    if (count_posed(clouds, recorded) <= n_posed) return;
+    recorded.notes.push_back(
         fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "
                     "pose at their stamp), so the recording times of messages are used",
                     n_posed, clouds.clouds.size()));
-    choice.clock = LogClock::recorder;
-    choice.zero_ns = choice.poses_zero_ns = zero_ns;
-    choice.path = std::move(path);
+    choice = std::move(recorded);
 }
 
-/// The same places in the world frame of the log and in a plane that touches the earth.
+/// Positions of the antenna on the earth, by the poses of the vehicle and by its fixes.
 struct PlacePairs {
-    std::vector<glm::dvec3> world_m, plane_m;  // of the same length
-    glm::dvec3 world_mean_m{0.0}, plane_mean_m{0.0};
+    std::vector<glm::dvec3> world_m;  ///< in the world frame of the log
+    std::vector<glm::dvec3> plane_m;  ///< the same places in a plane that touches the earth
 };
 
-/// Pairs the positions of the antenna by the vehicle's poses with its fixes. Leaves out
-/// fixes outside the time of the poses.
-/// @param earth  converts to the plane
+/// Pairs the fixes at times at which the pose of the vehicle is known with these poses.
+/// @param plane  converts from positions on the earth to the plane
 PlacePairs pair_places(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames,
-                       const GeoConverter& earth) {
+                       const GeoConverter& plane) {
     const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
     PlacePairs pairs;
     for (const FixTopic::Sample& fix : fixes.samples) {
         const double time_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
         if (!poses.path->covers_time(time_s)) continue;
         pairs.world_m.push_back(poses.path->compute_pose_at(time_s) * antenna.translation);
-        pairs.plane_m.push_back(earth.to_dataset(fix.position));
-        pairs.world_mean_m += pairs.world_m.back();
-        pairs.plane_mean_m += pairs.plane_m.back();
+        pairs.plane_m.push_back(plane.to_dataset(fix.position));
     }
-    pairs.world_mean_m /= std::max(1.0, double(pairs.world_m.size()));
-    pairs.plane_mean_m /= std::max(1.0, double(pairs.world_m.size()));
     return pairs;
+}
+
+glm::dvec3 mean_position(const std::vector<glm::dvec3>& positions_m) {
+    const glm::dvec3 sum_m = std::accumulate(positions_m.begin(), positions_m.end(), glm::dvec3(0.0));
+    return sum_m / std::max(1.0, double(positions_m.size()));
 }
 
 /// Rotation about the vertical axis from the world to the plane.
 struct FittedHeading {
-    glm::dquat plane_from_world;
+    double heading_rad;
     double spread_m;    ///< horizontal standard deviation of the places
     double residual_m;  ///< root of the mean square of the horizontal error
 };
 
-/// Fits the heading, the angle h that minimises the sum of |p - exp(i h) w|^2. p in the
-/// plane and w in the world are horizontal positions minus their mean, as complex
-/// numbers. h is the angle of the sum of p * conj(w), whose parts are `dot` and `cross`.
+/// Fits the heading h that minimises the sum of |p - exp(i h) w|^2. w and p are horizontal
+/// positions in world and plane minus their means, as complex numbers. h is the angle of
+/// the sum of p * conj(w).
 FittedHeading fit_heading(const PlacePairs& pairs) {
-    const std::size_t n = pairs.world_m.size();
-    double cross = 0.0, dot = 0.0, spread = 0.0, residual = 0.0;
-    for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec2 w(pairs.world_m[i] - pairs.world_mean_m), p(pairs.plane_m[i] - pairs.plane_mean_m);
-        cross += w.x * p.y - w.y * p.x;
-        dot += glm::dot(w, p);
-        spread += glm::dot(w, w);
+    const glm::dvec3 world_mean_m = mean_position(pairs.world_m), plane_mean_m = mean_position(pairs.plane_m);
+    const auto horizontal = [](const glm::dvec3& v) { return std::complex<double>(v.x, v.y); };
+    std::vector<std::complex<double>> w, p;
+    for (const glm::dvec3& world_m : pairs.world_m) w.push_back(horizontal(world_m - world_mean_m));
+    for (const glm::dvec3& plane_m : pairs.plane_m) p.push_back(horizontal(plane_m - plane_mean_m));
+    std::complex<double> sum = 0.0;
+    for (std::size_t i = 0; i < w.size(); ++i) sum += p[i] * std::conj(w[i]);
+    const double heading_rad = std::arg(sum);
+    double spread = 0.0, residual = 0.0;
+    for (std::size_t i = 0; i < w.size(); ++i) {
+        spread += std::norm(w[i]);
+        residual += std::norm(p[i] - std::polar(1.0, heading_rad) * w[i]);
     }
-    const glm::dquat rotation = glm::angleAxis(std::atan2(cross, dot), glm::dvec3(0.0, 0.0, 1.0));
-    for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec2 error(pairs.plane_m[i] - pairs.plane_mean_m -
-                               rotation * (pairs.world_m[i] - pairs.world_mean_m));
-        residual += glm::dot(error, error);
-    }
-    const double divisor = std::max(1.0, double(n));
-    return {rotation, std::sqrt(spread / divisor), std::sqrt(residual / divisor)};
+    const double n = std::max(1.0, double(w.size()));
+    return {heading_rad, std::sqrt(spread / n), std::sqrt(residual / n)};
 }
 
 }  // namespace
@@ -258,10 +248,11 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
                          const std::string& requested_frame_or_topic) {
     ChosenPoses choice;
     const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
-    std::optional<PoseSource> source =
-        find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
-    if (!source) source = select_source(bag, index, frame_chain, choice.notes);
+    std::optional<PoseSource> source;
+    if (requested_frame_or_topic.empty()) source = select_source(bag, index, frame_chain, choice.notes);
+    else source = find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
 
+    // Messages without time stamps can only be compared by their recording times.
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
     const std::vector<MessageTimes> pose_times = poses ? list_times(*poses) : std::vector<MessageTimes>{};
     const bool has_stamps = !list_times(main_lidar_clouds.clouds).empty();
@@ -273,13 +264,15 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     }
     const std::string jumps_note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock, pose_times);
     if (!jumps_note.empty()) choice.notes.push_back(jumps_note);
+
     choice.zero_ns = choice.poses_zero_ns = first_cloud_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
-    set_poses(choice, index, main_lidar_clouds, *source);
     choice.world = source->world;
     choice.vehicle = source->vehicle;
     choice.description = source->description;
+    set_path(choice, index, *source, choice.zero_ns);
+    correct_pose_clock(choice, index, main_lidar_clouds, *source);
     try_recorder_clock(choice, index, main_lidar_clouds, *source);
     return choice;
 }
@@ -287,22 +280,23 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
 FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames) {
     if (!has_proj())
         return {{}, "positions on the earth are not read, because relidar was built without PROJ"};
-    const Georeference plane{
-        fixes.samples.front().position, {}, local_tangent_crs(fixes.samples.front().position)};
-    const GeoConverter earth(plane);
-    const PlacePairs pairs = pair_places(fixes, poses, frames, earth);
-    const FittedHeading heading = fit_heading(pairs);
-    const bool is_clear =
-        heading.spread_m >= kMinSpread_m && heading.residual_m <= kMaxResidualShare * heading.spread_m;
+    const GeodeticPosition first = fixes.samples.front().position;
+    const std::string crs = local_tangent_crs(first);
+    const GeoConverter plane(Georeference{.position = first, .crs = crs});
+    const PlacePairs pairs = pair_places(fixes, poses, frames, plane);
+    const FittedHeading fit = fit_heading(pairs);
+    const bool is_clear = fit.spread_m >= kMinSpread_m && fit.residual_m <= kMaxResidualShare * fit.spread_m;
     if (!is_clear)
         return {{},
                 fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
                             "{:.2f} m from the path",
-                            pairs.world_m.size(), heading.spread_m, heading.residual_m)};
-    return {Georeference{earth.to_geodetic(pairs.plane_mean_m), pairs.world_mean_m, plane.crs,
-                         heading.plane_from_world},
+                            pairs.world_m.size(), fit.spread_m, fit.residual_m)};
+    return {Georeference{.position = plane.to_geodetic(mean_position(pairs.plane_m)),
+                         .point_m = mean_position(pairs.world_m),
+                         .crs = crs,
+                         .rotation = glm::angleAxis(fit.heading_rad, glm::dvec3(0.0, 0.0, 1.0))},
             fmt::format("the place on the earth is that of {} positions, which are {:.2f} m from the path",
-                        pairs.world_m.size(), heading.residual_m)};
+                        pairs.world_m.size(), fit.residual_m)};
 }
 
 }  // namespace relidar::bag
