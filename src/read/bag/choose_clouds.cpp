@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <tuple>
 
 #include <fmt/ranges.h>
 
@@ -91,20 +92,13 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
     return text;
 }
 
-// Score of clouds with times. All other fields together give less.
-constexpr double kScoreOfTimes = 100.0;
-
-/// Returns a score that is higher if a topic has raw measurements. Packets have the
-/// highest score, then clouds with times, rings and return numbers, then clouds with many
-/// points.
-double score_raw_data(const CloudTopic& cloud_topic) {
-    if (!cloud_topic.packets.empty()) return 2.0 * kScoreOfTimes;
-    const bool has_times = cloud_topic.has_field(read::PointAttribute::time);
-    const bool has_rings = cloud_topic.has_field(read::PointAttribute::ring);
-    const bool has_returns = cloud_topic.has_field(read::PointAttribute::return_number) ||
-                             cloud_topic.has_field(read::PointAttribute::return_type);
-    return kScoreOfTimes * has_times + 50.0 * has_rings + 20.0 * has_returns +
-           std::log10(1.0 + double(cloud_topic.median_points()));
+/// Returns a key that is greater for data with more information of the sensor: packets,
+/// then clouds with times, with rings, with return numbers, then with many points.
+auto rate_content(const CloudTopic& clouds) {
+    const bool has_returns = clouds.has_field(read::PointAttribute::return_number) ||
+                             clouds.has_field(read::PointAttribute::return_type);
+    return std::tuple(!clouds.packets.empty(), clouds.has_field(read::PointAttribute::time),
+                      clouds.has_field(read::PointAttribute::ring), has_returns, clouds.median_points());
 }
 
 /// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
@@ -119,14 +113,15 @@ bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
 
 /// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
 /// frame.
-void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds, ChosenClouds& selected) {
+void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds,
+                       std::vector<std::string>& notes) {
     if (is_world_frame(clouds.frame))
         fail(
             "{}: the clouds are in the world-fixed frame '{}', expected the frame of the LiDAR (select "
             "another topic with dataset.lidars)",
             topic_name, clouds.frame);
     if (is_vehicle_frame(clouds.frame))
-        selected.notes.push_back(fmt::format(
+        notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
             topic_name, clouds.frame));
@@ -142,10 +137,10 @@ double sweep_rate_hz(const BagIndex& index, const CloudTopic& cloud_topic) {
 
 /// Returns the indices of the requested clouds in `index.clouds`, ascending. If several
 /// LiDARs share a topic, the name of the topic selects all of them.
-std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& index,
-                                     const std::vector<std::string>& topic_names) {
+std::vector<std::size_t> find_requested(const BagRecording& bag, const BagIndex& index,
+                                        const std::vector<std::string>& requested_names) {
     std::vector<std::size_t> lidars;
-    for (const std::string& name : topic_names) {
+    for (const std::string& name : requested_names) {
         const auto is_requested = [&](const CloudTopic& clouds) {
             const bool has_name = bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name;
             return has_name && !clouds.clouds.empty();
@@ -158,7 +153,7 @@ std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& in
             if (is_requested(index.clouds[c])) lidars.push_back(c);
     }
     std::ranges::sort(lidars);
-    lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());  // a topic can be named twice
+    lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());  // a name can occur twice
     return lidars;
 }
 
@@ -191,40 +186,39 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
     const bool has_sensor_frame = std::ranges::any_of(index.clouds, [&](const CloudTopic& clouds) {
         return !clouds.clouds.empty() && is_in_sensor_frame(clouds);
     });
-    std::map<std::string, std::vector<std::size_t>> topics_of_frame;
+    std::map<std::string, std::vector<std::size_t>> clouds_of_frame;  // indices in index.clouds
     for (std::size_t c = 0; c < index.clouds.size(); ++c) {
         const CloudTopic& clouds = index.clouds[c];
         if (clouds.clouds.empty() || (has_sensor_frame && !is_in_sensor_frame(clouds))) continue;
-        topics_of_frame[lidar_frame(index, clouds)].push_back(c);
+        clouds_of_frame[lidar_frame(index, clouds)].push_back(c);
     }
-    std::vector<std::size_t> lidars;  // indices in index.clouds, like `candidates`
-    for (const auto& [frame, candidates] : topics_of_frame) {
-        const std::size_t best_index = *std::ranges::max_element(
-            candidates, {}, [&](std::size_t c) { return score_raw_data(index.clouds[c]); });
-        const CloudTopic& best = index.clouds[best_index];
+    std::vector<std::size_t> lidars;
+    for (const auto& [frame, candidates] : clouds_of_frame) {
+        const auto rating = [&](std::size_t c) { return rate_content(index.clouds[c]); };
+        const CloudTopic& best = index.clouds[*std::ranges::max_element(candidates, {}, rating)];
         std::vector<std::string> copies;
         for (const std::size_t c : candidates) {
-            const CloudTopic& clouds = index.clouds[c];
-            // Several LiDARs of one topic are no copies. Other clouds beside packets are
-            // usual, because drivers make them from packets, so they need no note.
-            if (clouds.topic == best.topic) lidars.push_back(c);
-            else if (best.packets.empty()) copies.push_back(clouds.make_name(bag));
+            // Several LiDARs of one topic are no copies.
+            if (index.clouds[c].topic == best.topic) lidars.push_back(c);
+            else copies.push_back(index.clouds[c].make_name(bag));
         }
-        if (!copies.empty()) notes.push_back(describe_copies(copies, frame, bag.topics()[best.topic].name));
+        // Copies of packets are usual, because drivers make clouds from packets.
+        if (!copies.empty() && best.packets.empty())
+            notes.push_back(describe_copies(copies, frame, bag.topics()[best.topic].name));
     }
     std::ranges::sort(lidars);
     return lidars;
 }
 
-/// Returns the main LiDAR, whose clouds define the frames of the log, as an index in
-/// `cloud_topic_indices`. Prefers packets and clouds with times, then the most points.
-std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& cloud_topic_indices) {
-    const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
+/// Returns the main LiDAR, whose clouds define the frames of the log. Prefers packets and
+/// clouds with times, then the most points.
+/// @param lidars  indices in `index.clouds`, like the result
+std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& lidars) {
+    return *std::ranges::max_element(lidars, {}, [&](std::size_t c) {
         const CloudTopic& clouds = index.clouds[c];
-        return std::pair(score_raw_data(clouds) >= kScoreOfTimes,
-                         double(clouds.median_points()) * double(clouds.clouds.size()));
+        const bool has_times = !clouds.packets.empty() || clouds.has_field(read::PointAttribute::time);
+        return std::pair(has_times, double(clouds.median_points()) * double(clouds.clouds.size()));
     });
-    return std::size_t(most - cloud_topic_indices.begin());
 }
 
 /// Returns why a LiDAR cannot be read together with the main LiDAR, or an empty text. Its
@@ -246,24 +240,23 @@ std::string find_obstacle(const BagRecording& bag, const BagIndex& index, const 
 ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                            const std::vector<std::string>& requested_topics) {
     ChosenClouds choice;
-    choice.lidars = requested_topics.empty() ? select_raw_topics(bag, index, choice.notes)
-                                             : find_topics(bag, index, requested_topics);
-    if (choice.lidars.empty())
+    const std::vector<std::size_t> candidates = requested_topics.empty()
+                                                    ? select_raw_topics(bag, index, choice.notes)
+                                                    : find_requested(bag, index, requested_topics);
+    if (candidates.empty())
         fail(
             "{}: the recording has no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
             "livox_ros_driver2/CustomMsg; it contains {}",
             bag.file_paths().front().string(), explain_no_clouds(bag, index), format_topics(bag));
-    // choice.main is an index in choice.lidars, which contains indices in index.clouds.
-    choice.main = choose_main(index, choice.lidars);
-    const std::size_t main_cloud_index = choice.lidars[choice.main];
-    std::vector<std::size_t> accepted;
-    for (const std::size_t c : choice.lidars) {
+    const std::size_t main = choose_main(index, candidates);
+    for (const std::size_t c : candidates) {
         const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
-        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main_cloud_index]);
+        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main]);
         if (obstacle.empty()) {
-            check_cloud_frame(name, clouds, choice);
-            accepted.push_back(c);
+            check_cloud_frame(name, clouds, choice.notes);
+            if (c == main) choice.main = choice.lidars.size();
+            choice.lidars.push_back(c);
         } else if (requested_topics.empty()) {
             choice.notes.push_back(
                 fmt::format("topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name,
@@ -273,8 +266,6 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                  obstacle);
         }
     }
-    choice.main = std::size_t(std::ranges::find(accepted, main_cloud_index) - accepted.begin());
-    choice.lidars = std::move(accepted);
     return choice;
 }
 
