@@ -4,6 +4,7 @@
 // - offset_columns(beam).
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <optional>
 
 #include <relidar/base/math.hpp>
@@ -90,29 +91,29 @@ FiringColumn copy_returns(const Scan& scan, const FiringRays& firing_rays, int f
     return column;
 }
 
-/// Joins the rays of a firing. Its time and azimuth are the mean over its rays. Uses only
-/// rays with a return, because their directions are measured. Uses all rays if none has a
-/// return.
+/// Joins the rays of a firing. Its time is the mean time of the rays without the delays of
+/// their beams. Its azimuth is the mean azimuth of the head at which the beams have the
+/// directions of the rays. Uses only rays with a return, because their directions are
+/// measured. Uses all rays if none has a return.
 FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
                        const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
     FiringColumn column = copy_returns(scan, firing_rays, firing_index);
-    // The mean azimuth is the direction of the sum of unit vectors.
-    double sum_x = 0.0, sum_y = 0.0;
+    std::complex<double> sum_of_heads = 0.0;  // unit vectors
     std::size_t n_used = 0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
         const std::optional<std::size_t> ray = firing_rays.ray_at(ring, firing_index);
         if (!ray) continue;
         const double range_m = column.has_returns ? double(scan.range_m[*ray]) : kProbeRange_m;
         if (range_m <= 0.0) continue;
-        const double head_rad = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[*ray]) +
-                                                           glm::dvec3(scan.rays.direction[*ray]) * range_m);
-        sum_x += std::cos(head_rad);
-        sum_y += std::sin(head_rad);
+        const glm::dvec3 point_m =
+            glm::dvec3(scan.rays.origin[*ray]) + glm::dvec3(scan.rays.direction[*ray]) * range_m;
+        sum_of_heads += std::polar(1.0, beams[ring].azimuth_facing(point_m));
         column.time_s += double(scan.rays.time_offset_s[*ray]) - 1e-6 * beam_delays_us[ring];
         ++n_used;
     }
     column.time_s /= double(std::max<std::size_t>(n_used, 1));
-    column.azimuth_deg = std::fmod(360.0 - std::atan2(sum_y, sum_x) * 180.0 / kPi, 360.0);  // clockwise
+    // Azimuths of scans count counterclockwise, those of packets clockwise.
+    column.azimuth_deg = std::fmod(360.0 - std::arg(sum_of_heads) * 180.0 / kPi, 360.0);
     return column;
 }
 
@@ -131,6 +132,7 @@ void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_peri
         const bool is_after_nearer =
             after == timed.begin() || (after != timed.end() && *after - i < i - *(after - 1));
         const FiringColumn& nearest = firings[std::size_t(is_after_nearer ? *after : *(after - 1))];
+        // from the nearest firing, backward if it is later
         double turned_deg = std::fmod(column.azimuth_deg - nearest.azimuth_deg + 720.0, 360.0);
         if (is_after_nearer) turned_deg -= 360.0;
         column.time_s = nearest.time_s + turned_deg / 360.0 * rotation_period_s;
