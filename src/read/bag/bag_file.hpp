@@ -12,6 +12,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <tuple>
 #include <vector>
 
 #include <fmt/format.h>
@@ -41,7 +42,11 @@ struct MessagePosition {
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
 
-    auto operator<=>(const MessagePosition&) const = default;
+    bool operator==(const MessagePosition&) const = default;
+    /// Compares positions in the order of the recording.
+    auto operator<=>(const MessagePosition& other) const {
+        return std::tie(file, at, in_chunk) <=> std::tie(other.file, other.at, other.in_chunk);
+    }
 };
 
 struct BagMessage {

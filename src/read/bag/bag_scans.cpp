@@ -56,22 +56,14 @@ std::string BagScans::frame_name(std::size_t frame) const {
 /// Reads the points of a frame. If a revolution was recorded as several clouds, reads and
 /// joins all of them.
 LidarPoints BagScans::read_points(std::size_t frame) const {
-    const FrameCloud& frame_cloud = clouds_[frame];
-    const CloudEntry& revolution = frame_cloud.entry;
-    if (revolution.parts.empty()) return read_cloud_points(frame, revolution, frame_cloud.cloud_s);
+    const CloudEntry& revolution = clouds_[frame].entry;
+    if (revolution.parts.empty()) return read_cloud_points(frame, revolution);
     LidarPoints all;
-    for (const RevolutionPart& part : revolution.parts) {
-        // A part has the time stamp of its message, which the correction changes.
-        CloudEntry cloud;
-        cloud.stamp_ns = part.stamp_ns - revolution.correction_ns;
-        cloud.log_ns = part.log_ns;
-        cloud.message_position = part.message_position;
-        cloud.correction_ns = revolution.correction_ns;
-        const double after_revolution_s = 1e-9 * double(cloud.time_ns(clock_) - revolution.time_ns(clock_));
-        const LidarPoints points = read_cloud_points(frame, cloud, frame_cloud.cloud_s + after_revolution_s);
+    for (const CloudEntry& part : revolution.parts) {
+        const LidarPoints points = read_cloud_points(frame, part);
         if (points.time_offset_s.empty())
             fail("{}: the points have no usable times, expected a time for each point, because {}",
-                 frame_name(frame), lidars_[frame_cloud.lidar].clouds->parts_note);
+                 frame_name(frame), lidars_[clouds_[frame].lidar].clouds->parts_note);
         append_points(all, points);
     }
     const auto is_partial = [&](const auto& values) {
@@ -85,7 +77,7 @@ LidarPoints BagScans::read_points(std::size_t frame) const {
     return all;
 }
 
-/// Returns the points of a cloud of a frame in the units of the message.
+/// Returns the points of a cloud of a frame, with values as in the message.
 read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
     // estimate_units() has already read a few clouds.
@@ -98,20 +90,24 @@ read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& 
     }
 }
 
-/// Reads the points of one cloud, with point times relative to the frame. If the points
-/// were motion-compensated, moves each point back to the sensor frame at its own time.
-/// @param cloud_s  time of the cloud on the clock of the log
-LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+/// Reads the points of a cloud, which is the cloud of a frame or a part of it. Point times
+/// become relative to the frame. If the points were motion-compensated, moves each point
+/// back to the sensor frame at its own time.
+LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& cloud) const {
     const FrameCloud& frame_cloud = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[frame_cloud.lidar].units;
     read::PointTable table = read_table(frame, cloud.message_position);
     if (units.time_reference == read::PointTimeReference::none)
         table.remove_fields(read::PointAttribute::time);
 
-    // The point times of the table at the time of the frame. It differs from the time of
-    // the cloud for LiDARs other than the main LiDAR.
-    const double frame_on_point_clock_s =
-        frame_cloud.time_s - cloud_s + stamp_on_point_clock_s(units, cloud, table);
+    // Times of the cloud and the frame on the clock of the log. They differ for a part of
+    // a revolution, and for LiDARs other than the main LiDAR.
+    const double after_revolution_s =
+        1e-9 * double(cloud.time_ns(clock_) - frame_cloud.entry.time_ns(clock_));
+    const double cloud_s = frame_cloud.cloud_s + after_revolution_s, frame_s = frame_cloud.time_s;
+    // Time of the frame on the clock of the point times. convert_table() subtracts it: from
+    // offsets as `time_zero`, from absolute times as the time of the frame.
+    const double frame_on_point_clock_s = frame_s - cloud_s + stamp_on_point_clock_s(units, cloud, table);
     const bool are_offsets = units.time_reference == read::PointTimeReference::stamp;
     const read::PointFileUnits point_units{
         .columns = {},
@@ -125,42 +121,43 @@ LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& clo
         .time_zero = are_offsets ? frame_on_point_clock_s / units.time_unit_s : 0.0};
     LidarPoints points = read::convert_table(table, point_units, frame_on_point_clock_s, frame_name(frame));
 
-    // deskewed_by_ returns the LiDAR poses with which the driver compensated the motion.
+    // The driver has compensated the motion to the time of the cloud, with these poses.
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(frame_cloud.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
         const Pose world_from_firing =
-            deskewed_by_(frame_cloud.lidar, frame_cloud.time_s + double(points.time_offset_s[i]));
+            deskewed_by_(frame_cloud.lidar, frame_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.position_m[i])));
     }
     return points;
 }
 
-/// Decodes the packets of a revolution. Shifts their times like the time of the frame.
+/// Decodes the packets of a revolution to rays with times relative to the frame.
 Scan BagScans::read_rays(std::size_t frame) const {
     const FrameCloud& frame_cloud = clouds_[frame];
-    const CloudTopic& clouds = *lidars_[frame_cloud.lidar].clouds;
+    const LidarTopic& lidar = lidars_[frame_cloud.lidar];
+    const CloudTopic& clouds = *lidar.clouds;
     const BagTopic& topic = bag_.topics()[clouds.topic];
     const packets::PacketRevolution& revolution = clouds.revolutions[frame_cloud.entry.revolution_index];
-    const std::vector<packets::PacketIndex::MessageSource> sources = clouds.packets.messages_of(revolution);
-    // The packets are views of the messages, so the messages must stay in memory.
-    std::vector<SharedBytes> messages;
-    for (const auto& source : sources) messages.push_back(bag_.read_message(topic, source.message_position));
-    std::vector<std::vector<packets::ReceivedPacket>> packets;
-    MessageHeader header;
-    for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(
-            relidar::packets::read_packets(topic, messages[m].bytes, sources[m].log_ns, header));
-    const auto shift_ns = std::int64_t(std::llround(1e9 * (frame_cloud.time_s - frame_cloud.cloud_s)));
-    return clouds.packets.decode(revolution, packets, lidars_[frame_cloud.lidar].sensor,
-                                 revolution.forward_ns + shift_ns);
+    std::vector<SharedBytes> messages;  // must stay in memory, because packets are views of them
+    std::vector<std::vector<packets::ReceivedPacket>> packets_of_message;
+    for (const auto& source : clouds.packets.messages_of(revolution)) {
+        messages.push_back(bag_.read_message(topic, source.message_position));
+        packets_of_message.push_back(
+            packets::read_packets(topic, messages.back().bytes, source.log_ns).packets);
+    }
+    // The log's time of a cloud differs from that of its frame if the frame is one of
+    // another LiDAR.
+    const auto frame_after_cloud_ns = std::llround(1e9 * (frame_cloud.time_s - frame_cloud.cloud_s));
+    return clouds.packets.decode(revolution, packets_of_message, lidar.sensor,
+                                 revolution.forward_ns + frame_after_cloud_ns);
 }
 
 LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {
     LidarTopic topic{&cloud_topic};
-    // The units of packets are known.
-    if (!cloud_topic.packets.empty()) return topic;
+    const bool are_units_known = !cloud_topic.packets.empty();
+    if (are_units_known) return topic;
     std::vector<read::PointTable> samples;
     std::vector<double> stamps_s;
     read::read_samples(cloud_topic.clouds.size(), [&](std::size_t i) {

@@ -65,7 +65,7 @@ private:
     const LidarPoseFunction deskewed_by_;
 
     read::PointTable read_table(std::size_t frame_index, const MessagePosition& position) const;
-    LidarPoints read_cloud_points(std::size_t frame_index, const CloudEntry& cloud, double cloud_s) const;
+    LidarPoints read_cloud_points(std::size_t frame_index, const CloudEntry& cloud) const;
 };
 
 }  // namespace relidar::bag

@@ -137,7 +137,7 @@ std::size_t count_posed(const CloudTopic& clouds, const ChosenPoses& choice) {
 
 /// Returns the samples of the poses. Returns null if the source does not move.
 const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSource& source) {
-    return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.world, source.vehicle);
+    return source.topic ? &source.topic->samples : index.frames.densest_samples(source.world, source.vehicle);
 }
 
 /// Shifts the poses in time if their stamps come from another clock than those of the

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <ranges>
 
 namespace relidar::bag {
 namespace {
@@ -112,39 +113,39 @@ TransformChain FrameTree::make_chain(const std::string& ancestor_frame, const st
                                      LogClock clock, std::int64_t time_origin_ns) const {
     const std::vector<std::string> frame_chain = path_to_root(child_frame);
     TransformChain path;
-    // Appends the transforms from the ancestor down to the child. The chain lists the
-    // frames from the child up to the root.
-    auto frame = std::ranges::find(frame_chain, ancestor_frame);
-    while (frame != frame_chain.begin()) {
-        --frame;
-        const FrameTreeEdge& edge = find_parent(*frame)->second;
-        if (is_frame_moving(*frame)) path.append_samples(edge.samples, clock, time_origin_ns);
+    // The chain lists the frames from the child up to the root. Appends the transforms of
+    // those below the ancestor, from top to bottom.
+    const auto ancestor = std::ranges::find(frame_chain, ancestor_frame);
+    for (const std::string& frame :
+         std::ranges::subrange(frame_chain.begin(), ancestor) | std::views::reverse) {
+        const FrameTreeEdge& edge = find_parent(frame)->second;
+        if (is_frame_moving(frame)) path.append_samples(edge.samples, clock, time_origin_ns);
         else path.append_constant(edge.samples.back().pose);
     }
     return path;
 }
 
-const std::vector<StampedPose>* FrameTree::fastest_samples(const std::string& ancestor_frame,
+const std::vector<StampedPose>* FrameTree::densest_samples(const std::string& ancestor_frame,
                                                            const std::string& child_frame) const {
-    const std::vector<StampedPose>* fastest = nullptr;
+    const std::vector<StampedPose>* densest = nullptr;
     for (const std::string& frame : path_to_root(child_frame)) {
         if (frame == ancestor_frame) break;
         if (!is_frame_moving(frame)) continue;
         const std::vector<StampedPose>& samples = find_parent(frame)->second.samples;
-        if (!fastest || samples.size() > fastest->size()) fastest = &samples;
+        if (!densest || samples.size() > densest->size()) densest = &samples;
     }
-    return fastest;
+    return densest;
 }
 
 std::optional<FramePose> FrameTree::find_chain(const std::string& target_frame,
                                                const std::string& source_frame, LogClock clock,
                                                std::int64_t time_origin_ns) const {
-    const std::vector<std::string> target_chain = path_to_root(target_frame),
-                                   source_chain = path_to_root(source_frame);
-    const auto common = std::ranges::find_first_of(source_chain, target_chain);
-    if (common == source_chain.end()) return std::nullopt;
-    return FramePose{make_chain(*common, target_frame, clock, time_origin_ns),
-                     make_chain(*common, source_frame, clock, time_origin_ns)};
+    const std::vector<std::string> target_ancestors = path_to_root(target_frame),
+                                   source_ancestors = path_to_root(source_frame);
+    const auto common = std::ranges::find_first_of(source_ancestors, target_ancestors);
+    if (common == source_ancestors.end()) return std::nullopt;
+    return FramePose{.ancestor_from_target = make_chain(*common, target_frame, clock, time_origin_ns),
+                     .ancestor_from_source = make_chain(*common, source_frame, clock, time_origin_ns)};
 }
 
 std::vector<std::string> FrameTree::ambiguous_frames() const {

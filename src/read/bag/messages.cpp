@@ -226,10 +226,11 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
         check_layout(cloud);
     } else {
         MessageReader reader = open_message(topic, message_bytes);
+        // A Livox message has a fixed layout, and contains the number of the LiDAR.
         if (topic.type != "sensor_msgs/PointCloud2") return read_livox(reader);
         cloud = read_ros_cloud(reader);
     }
-    // LiDARs that share a topic differ in their frame.
+    // Other LiDARs that share a topic differ in their frame.
     cloud.lidar = cloud.header.frame;
     return cloud;
 }

@@ -5,7 +5,6 @@
 #include <iterator>
 #include <optional>
 #include <set>
-#include <tuple>
 #include <utility>
 
 #include <fmt/format.h>
@@ -111,8 +110,7 @@ private:
         const auto n_points = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         const MessageTimes times{cloud.header.stamp_ns, message.log_ns};
         clouds.clouds.push_back({times, n_points, message.message_position});
-        if (const auto arc = azimuth_arc(to_point_table(cloud, {nullptr, message.bytes})))
-            clouds.arcs.push_back({times, message.message_position, n_points, *arc});
+        clouds.clouds.back().arc = azimuth_arc(to_point_table(cloud, {nullptr, message.bytes}));
     }
 
     /// Returns the entry of the LiDAR of a cloud. Adds an entry for a new LiDAR. An empty
@@ -144,9 +142,7 @@ private:
     /// Adds the packets of a message. Postpones Ouster packets without known metadata to
     /// the second pass.
     void index_packets(const BagTopic& topic, const BagMessage& message) {
-        MessageHeader header;
-        const std::vector<packets::ReceivedPacket> views =
-            packets::read_packets(topic, message.bytes, message.log_ns, header);
+        const auto [frame, views] = packets::read_packets(topic, message.bytes, message.log_ns);
         if (views.empty()) return;
         packets::DecoderCalibration calibration{read_corrections()};
         if (topic.encoding == packets::kLidarDatagrams) read_metadata();
@@ -163,7 +159,7 @@ private:
                                 broken_metadata_);
         }
         CloudTopic& clouds = find_entry(survey_.clouds, message.topic);
-        clouds.frame = header.frame;
+        clouds.frame = frame;
         clouds.packets.add_packets(views, message.log_ns, message.message_position, calibration);
     }
 
@@ -238,30 +234,34 @@ private:
     }
 };
 
-/// Ouster packets contain no frame name. Connects their clouds to the frame `os_lidar` of
-/// Ouster's driver, which is rotated by 180 degrees about z.
-void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
-    std::vector<CloudTopic*> ousters;
-    for (CloudTopic& clouds : bag_index.clouds)
-        if (packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
-            ousters.push_back(&clouds);
-    for (CloudTopic* clouds : ousters) {
-        // The driver's frames have the prefix of the topic. A single Ouster may have
-        // none.
-        const std::string& name = bag.topics()[clouds->topic].name;
-        std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
-        if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
-        if (ousters.size() == 1) prefixes.emplace_back();
-        for (const std::string& prefix : prefixes) {
-            for (const char* frame : {"os_lidar", "os_sensor"})
-                clouds->driver_frames.push_back(prefix + frame);
-            const bool is_connected = bag_index.frames.path_to_root(clouds->frame).size() > 1;
-            const bool has_driver_frame = bag_index.frames.path_to_root(prefix + "os_lidar").size() > 1;
-            if (is_connected || !has_driver_frame) continue;
-            const Pose half_turn{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};  // about z
-            bag_index.frames.add_transform({{0, prefix + "os_lidar"}, clouds->frame, half_turn}, 0,
-                                           /*is_static=*/true);
+/// Names the frames of the clouds that Ouster's driver makes from packets. Packets contain
+/// no frame name, so their frame has the name of the topic. If the recording contains the
+/// driver's frame `os_lidar`, adds the transform to it, half a turn about z.
+void add_ouster_frames(const BagRecording& bag, BagIndex& index) {
+    const auto is_ouster = [&](const CloudTopic& clouds) {
+        return packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty();
+    };
+    const auto has_parent = [&](const std::string& frame) {
+        return index.frames.path_to_root(frame).size() > 1;
+    };
+    const bool is_alone = std::ranges::count_if(index.clouds, is_ouster) == 1;
+    for (CloudTopic& clouds : index.clouds) {
+        if (!is_ouster(clouds)) continue;
+        // The prefix of the frames is the namespace of the topic, without the first slash.
+        // A single Ouster may have none.
+        const std::string& topic_name = bag.topics()[clouds.topic].name;
+        std::string prefix = topic_name.substr(0, topic_name.rfind('/') + 1);
+        if (prefix.starts_with('/')) prefix.erase(0, 1);
+        std::vector<std::string> lidar_frames{prefix + "os_lidar"};
+        clouds.driver_frames = {prefix + "os_lidar", prefix + "os_sensor"};
+        if (is_alone) {
+            lidar_frames.emplace_back("os_lidar");
+            clouds.driver_frames.insert(clouds.driver_frames.end(), {"os_lidar", "os_sensor"});
         }
+        const auto lidar_frame = std::ranges::find_if(lidar_frames, has_parent);
+        if (has_parent(clouds.frame) || lidar_frame == lidar_frames.end()) continue;
+        const Pose half_turn{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};  // w x y z
+        index.frames.add_transform({{0, *lidar_frame}, clouds.frame, half_turn}, 0, /*is_static=*/true);
     }
 }
 
@@ -272,7 +272,6 @@ void move_clouds(CloudTopic& from, CloudTopic& to) {
         to.n_other_frame += from.clouds.size();
     }
     std::ranges::move(std::exchange(from.clouds, {}), std::back_inserter(to.clouds));
-    std::ranges::move(std::exchange(from.arcs, {}), std::back_inserter(to.arcs));
 }
 
 /// Joins the entries of a topic (one per frame or LiDAR number of its clouds) if they
@@ -286,55 +285,48 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     if (entries.size() == 1) entries[0]->lidar.clear();
     if (entries.size() < 2) return;
 
-    // position in the recording, which gives the order of the clouds
-    const auto position_of = [](const auto& cloud) {
-        const MessagePosition& position = cloud.message_position;
-        return std::tuple(position.file, position.at, position.in_chunk);
+    const auto n_clouds = [](const CloudTopic* entry) { return entry->clouds.size(); };
+    const CloudTopic& largest = **std::ranges::max_element(entries, {}, n_clouds);
+    const auto begins_before_end = [](const CloudTopic& entry, const CloudTopic& other) {
+        return entry.clouds.front().message_position < other.clouds.back().message_position;
     };
-    const CloudTopic& largest =
-        **std::ranges::max_element(entries, {}, [](const CloudTopic* entry) { return entry->clouds.size(); });
-    const auto is_lidar = [&](const CloudTopic* entry) {
-        if (entry == &largest) return true;
-        // Each of the two begins before the other ends.
-        const bool alternates = position_of(entry->clouds.front()) < position_of(largest.clouds.back()) &&
-                                position_of(largest.clouds.front()) < position_of(entry->clouds.back());
-        return alternates && double(entry->clouds.size()) >= kLeastShare * double(largest.clouds.size());
-    };
-    const auto n_lidars = std::ranges::count_if(entries, is_lidar);
-    const bool is_one_lidar = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
-    // The entries that are no LiDARs become a part of the first LiDAR.
-    CloudTopic& first = is_one_lidar ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
-    if (is_one_lidar) first.lidar.clear();
+    std::vector<CloudTopic*> lidars;
     for (CloudTopic* entry : entries) {
-        const bool stays = entry == &first || (!is_one_lidar && is_lidar(entry));
-        if (!stays) move_clouds(*entry, first);
+        const bool alternates = begins_before_end(*entry, largest) && begins_before_end(largest, *entry);
+        const bool is_large = double(n_clouds(entry)) >= kLeastShare * double(n_clouds(&largest));
+        if (entry == &largest || (alternates && is_large)) lidars.push_back(entry);
     }
-    std::ranges::stable_sort(first.clouds, {}, position_of);
-    std::ranges::stable_sort(first.arcs, {}, position_of);
+    // More frames than real LiDARs are no LiDARs.
+    const bool is_one_lidar = lidars.size() == 1 || std::ssize(entries) > kMostLidarsOnTopic;
+    if (is_one_lidar) {
+        lidars = {entries[0]};
+        entries[0]->lidar.clear();
+    }
+    for (CloudTopic* entry : entries)
+        if (std::ranges::find(lidars, entry) == lidars.end()) move_clouds(*entry, *lidars[0]);
+    std::ranges::stable_sort(lidars[0]->clouds, {}, &CloudEntry::message_position);
     std::erase_if(all, [&](const CloudTopic& entry) { return entry.topic == topic && entry.clouds.empty(); });
 }
 
-/// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
-/// head faces forward in its middle part. The revolution gets the time of this part.
+/// Replaces clouds that are parts of a revolution by full revolutions.
 void join_parts(CloudTopic& cloud_topic) {
-    const JoinedRevolutions joined = join_clouds(std::exchange(cloud_topic.arcs, {}));
+    JoinedRevolutions joined = join_clouds(cloud_topic.clouds);
     if (joined.revolutions.empty()) return;
-    cloud_topic.clouds.clear();
-    for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
-        const RevolutionPart& middle = revolution[revolution.size() / 2];
-        CloudEntry& entry = cloud_topic.clouds.emplace_back();
-        entry.stamp_ns = middle.stamp_ns;
-        entry.log_ns = middle.log_ns;
-        entry.message_position = middle.message_position;
-        entry.parts = revolution;
-        for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
-    }
     cloud_topic.parts_note = fmt::format(
         "{}; these clouds were combined into {} full revolutions of {} clouds each{}", joined.note,
         joined.revolutions.size(), joined.revolutions[joined.revolutions.size() / 2].size(),
         joined.n_left_out == 0
             ? ""
             : fmt::format("; {} clouds of incomplete revolutions are skipped", joined.n_left_out));
+    cloud_topic.clouds.clear();
+    for (std::vector<CloudEntry>& parts : joined.revolutions) {
+        // A revolution begins at the rear. It has the time of its middle part, in which
+        // the head faces forward.
+        CloudEntry& revolution = cloud_topic.clouds.emplace_back(parts[parts.size() / 2]);
+        revolution.n_points = 0;
+        for (const CloudEntry& part : parts) revolution.n_points += part.n_points;
+        revolution.parts = std::move(parts);
+    }
 }
 
 /// Adds each revolution of the packets of a topic as a cloud. Its number of points is
@@ -347,6 +339,7 @@ void add_revolutions(CloudTopic& clouds) {
         CloudEntry& cloud = clouds.clouds.emplace_back();
         cloud.stamp_ns = revolution.forward_ns;
         cloud.log_ns = revolution.log_ns;
+        // names the file of the revolution in messages
         cloud.message_position = clouds.packets.messages_of(revolution).front().message_position;
         cloud.revolution_index = r;
     }

@@ -55,16 +55,16 @@ private:
     std::vector<PoseTrack> links_;
 };
 
-/// Pose of frame "from" in frame "to" as a function of time. "above" is their nearest
-/// common ancestor.
+/// Pose of a source frame in a target frame as a function of time: the poses of both in
+/// their nearest common ancestor.
 struct FramePose {
-    TransformChain above_from_to, above_from_from;
+    TransformChain ancestor_from_target, ancestor_from_source;
 
     Pose compute_pose_at(double t_s) const {
-        return inverse(above_from_to.compute_pose_at(t_s)) * above_from_from.compute_pose_at(t_s);
+        return inverse(ancestor_from_target.compute_pose_at(t_s)) * ancestor_from_source.compute_pose_at(t_s);
     }
     bool covers_time(double t_s) const {
-        return above_from_to.covers_time(t_s) && above_from_from.covers_time(t_s);
+        return ancestor_from_target.covers_time(t_s) && ancestor_from_source.covers_time(t_s);
     }
 };
 
@@ -91,7 +91,7 @@ public:
                                         LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns the samples of the moving transform with the most samples between a frame
     /// and its ancestor frame. Returns null if no transform moves.
-    const std::vector<StampedPose>* fastest_samples(const std::string& ancestor_frame,
+    const std::vector<StampedPose>* densest_samples(const std::string& ancestor_frame,
                                                     const std::string& child_frame) const;
     /// Returns the frames that have several parents in the bag. This class uses the
     /// parent with the most transforms.
@@ -118,25 +118,6 @@ struct AzimuthArc {
 /// points. Returns nothing if the cloud has no field x or y.
 std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud);
 
-/// A cloud that may be a part of a revolution.
-struct RevolutionPart : MessageTimes {
-    MessagePosition message_position;
-    std::uint32_t n_points = 0;
-    AzimuthArc arc;
-};
-
-/// Full revolutions, composed of clouds.
-struct JoinedRevolutions {
-    /// Clouds of each full revolution, sorted by time. Empty if none need to be joined.
-    std::vector<std::vector<RevolutionPart>> revolutions;
-    std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
-    std::string note;            ///< text about the parts for the user
-};
-/// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
-/// revolutions, or if the LiDAR scans a window and does not rotate.
-/// @param partial_clouds  all clouds of a topic
-JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds);
-
 /// Counts of the messages of a topic.
 struct TopicStatistics {
     std::size_t n = 0;                       ///< number of messages
@@ -155,13 +136,26 @@ struct TopicStatistics {
 struct CloudEntry : MessageTimes {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
+    std::optional<AzimuthArc> arc = {};  ///< azimuths of the points; empty if unknown
     std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
     /// Clouds from which this cloud was composed. Empty for a recorded full revolution.
-    std::vector<RevolutionPart> parts = {};
+    std::vector<CloudEntry> parts = {};
     /// Time stamp in the message minus `stamp_ns`, if the clock of the LiDAR was set
     /// during the recording.
     std::int64_t correction_ns = 0;
 };
+
+/// Full revolutions, composed of clouds.
+struct JoinedRevolutions {
+    /// Clouds of each full revolution, sorted by time. Empty if none need to be joined.
+    std::vector<std::vector<CloudEntry>> revolutions;
+    std::size_t n_left_out = 0;  ///< clouds of incomplete revolutions
+    std::string note;            ///< text about the clouds for the user
+};
+/// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
+/// revolutions, or if the LiDAR scans a window and does not rotate.
+/// @param clouds  all clouds of a topic. Ignores clouds with unknown azimuths
+JoinedRevolutions join_clouds(std::vector<CloudEntry> clouds);
 
 struct CloudTopic {
     std::size_t topic = 0;
@@ -176,8 +170,7 @@ struct CloudTopic {
     /// Clouds with points, in the order of the recording. Parts of a revolution are
     /// joined.
     std::vector<CloudEntry> clouds;
-    std::string parts_note;            ///< text about the joined clouds; empty if no clouds are joined
-    std::vector<RevolutionPart> arcs;  ///< used during the survey
+    std::string parts_note;  ///< text about the joined clouds; empty if no clouds are joined
     std::size_t n_empty = 0;
     /// Packets, if the topic has these instead of clouds. Each revolution becomes one
     /// scan.

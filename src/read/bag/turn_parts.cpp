@@ -42,24 +42,24 @@ std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_
     const CircularGap gap =
         find_widest_gap(kAzimuthBins, [&](std::size_t bin) { return is_bin_occupied[bin]; });
     if (gap.length >= kAzimuthBins) return std::nullopt;
-    // The range begins where the gap ends. gap.end can be kAzimuthBins or more if the gap
-    // passes bin 0; remainder() below removes such a full turn.
+    // The range begins where the gap ends, at the azimuth of bin gap.end. If the gap
+    // passes bin 0, gap.end counts on, and remainder() removes the full turn.
     const double bin_rad = 2.0 * kPi / kAzimuthBins;
+    const double begin_rad = bin_rad * double(gap.end) - kPi;
     const double extent_rad = 2.0 * kPi - bin_rad * double(gap.length);
-    const double middle_rad = bin_rad * double(gap.end) - kPi + 0.5 * extent_rad;
-    return AzimuthArc{.middle_rad = float(std::remainder(middle_rad, 2.0 * kPi)),
+    return AzimuthArc{.middle_rad = float(std::remainder(begin_rad + 0.5 * extent_rad, 2.0 * kPi)),
                       .extent_rad = float(extent_rad)};
 }
 
 /// Returns the widest sector of azimuths that no cloud covers. It is near 0 if the clouds
 /// together are a full revolution.
-double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
+double widest_gap_rad(const std::vector<CloudEntry>& clouds) {
     std::array<bool, kAzimuthBins> is_bin_occupied{};
-    for (const RevolutionPart& cloud : partial_clouds)
+    for (const CloudEntry& cloud : clouds)
         // Steps of 1 % of a cloud are below the 6 degrees of a bin, so no bin is missed.
         for (double share = -0.5; share <= 0.5; share += 0.01) {
             const double azimuth_rad = std::remainder(
-                double(cloud.arc.middle_rad) + share * double(cloud.arc.extent_rad), 2.0 * kPi);
+                double(cloud.arc->middle_rad) + share * double(cloud.arc->extent_rad), 2.0 * kPi);
             is_bin_occupied[find_azimuth_bin(azimuth_rad)] = true;
         }
     const std::optional<AzimuthArc> all = find_arc(is_bin_occupied);
@@ -69,9 +69,10 @@ double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
 /// How a revolution is split into several clouds.
 struct RevolutionPartition {
     double extent_rad;  ///< median azimuth width of a cloud
-    /// Mean azimuth step from cloud to cloud. Negative if the LiDAR rotates clockwise,
-    /// and if clouds are half revolutions, because the direction is then unknown.
-    double step_rad;
+    double step_rad;    ///< mean azimuth step from cloud to cloud, without its direction
+    /// Direction of rotation. Clockwise if clouds are half revolutions, because a step of
+    /// half a turn is the same in both directions.
+    bool is_clockwise;
     double step_s;
     /// Azimuth at which a revolution begins: the border between two clouds that is
     /// nearest to the rear of the LiDAR.
@@ -80,51 +81,48 @@ struct RevolutionPartition {
 
 /// Returns the border between two clouds that is nearest to the rear of the LiDAR.
 /// @param n_parts  number of clouds in a revolution
-double find_cut_rad(const std::vector<RevolutionPart>& partial_clouds, double n_parts) {
+double find_cut_rad(const std::vector<CloudEntry>& clouds, double n_parts) {
     // Middles differ by multiples of 2 pi / n. So n * middle is the same angle for all
-    // clouds, and the sum of exp(i n middle) has this angle. A border is half a part,
-    // pi / n, after a middle. Whole parts then move it next to the rear, pi.
+    // clouds, and the sum of exp(i n middle) has this angle.
     std::complex<double> sum = 0.0;
-    for (const RevolutionPart& cloud : partial_clouds)
-        sum += std::polar(1.0, n_parts * double(cloud.arc.middle_rad));
+    for (const CloudEntry& cloud : clouds) sum += std::polar(1.0, n_parts * double(cloud.arc->middle_rad));
+    // A border is half a cloud, pi / n, after a middle. The other borders are whole
+    // clouds away. The rear is at pi.
     const double border_rad = (std::arg(sum) + kPi) / n_parts, width_rad = 2.0 * kPi / n_parts;
     return border_rad + width_rad * std::round((kPi - border_rad) / width_rad);
 }
 
 /// Returns how the clouds of a topic divide a revolution, or nothing if they are full
 /// revolutions or the LiDAR does not rotate.
-std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPart>& partial_clouds) {
-    if (partial_clouds.size() < 4) return std::nullopt;
+std::optional<RevolutionPartition> estimate_split(const std::vector<CloudEntry>& clouds) {
+    if (clouds.size() < 4) return std::nullopt;
     std::vector<float> extents_rad;
     std::vector<std::int64_t> steps_ns;
-    // Sum of exp(i step). Its angle is the mean step, -pi to pi, positive if the LiDAR
-    // rotates counterclockwise. Its length is the number of steps if all are equal.
+    // Sum of exp(i step). Its angle is the mean step, positive if the LiDAR rotates
+    // counterclockwise. Its length is the number of steps if all are equal.
     std::complex<double> sum_of_steps = 0.0;
-    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
-        extents_rad.push_back(partial_clouds[k].arc.extent_rad);
+    for (std::size_t k = 0; k < clouds.size(); ++k) {
+        extents_rad.push_back(clouds[k].arc->extent_rad);
         if (k == 0) continue;
-        const RevolutionPart &cloud = partial_clouds[k], &before = partial_clouds[k - 1];
+        const CloudEntry &cloud = clouds[k], &before = clouds[k - 1];
         steps_ns.push_back(cloud.stamp_ns - before.stamp_ns);
-        sum_of_steps += std::polar(1.0, double(cloud.arc.middle_rad) - double(before.arc.middle_rad));
+        sum_of_steps += std::polar(1.0, double(cloud.arc->middle_rad) - double(before.arc->middle_rad));
     }
     const double extent_rad = compute_median(extents_rad), step_rad = std::abs(std::arg(sum_of_steps));
-    const bool are_steps_equal =
-        std::abs(sum_of_steps) >= kMinStepAgreement * double(partial_clouds.size() - 1);
+    const bool are_steps_equal = std::abs(sum_of_steps) >= kMinStepAgreement * double(steps_ns.size());
     if (extent_rad > kWidestPart_rad || !are_steps_equal) return std::nullopt;
     // In a rotating LiDAR, each cloud begins where the previous one ends, so the step is
-    // the width. A step above half a turn, such as 240 degrees, appears as the smaller
-    // step in the other direction, -120 degrees. The width is converted in the same way.
+    // the width. The angle of a step above half a turn, such as 240 degrees, is that of
+    // the smaller step in the other direction, 120 degrees. So is the width.
     const double width_rad = std::min(extent_rad, 2.0 * kPi - extent_rad);
     const bool are_adjacent = std::abs(step_rad - width_rad) <= kMaxStepError * step_rad;
-    if (!are_adjacent || widest_gap_rad(partial_clouds) > kLeastGap_rad) return std::nullopt;
+    if (!are_adjacent || widest_gap_rad(clouds) > kLeastGap_rad) return std::nullopt;
     const double n_parts = std::round(2.0 * kPi / step_rad);
-    // A step of half a turn is the same in both directions, so clockwise is assumed.
-    const bool are_halves = n_parts < 2.5;
-    const bool is_negative = are_halves || std::arg(sum_of_steps) < 0.0;
     return RevolutionPartition{.extent_rad = extent_rad,
-                               .step_rad = is_negative ? -step_rad : step_rad,
+                               .step_rad = step_rad,
+                               .is_clockwise = n_parts <= 2.0 || std::arg(sum_of_steps) < 0.0,
                                .step_s = 1e-9 * compute_median(steps_ns),
-                               .cut_rad = find_cut_rad(partial_clouds, n_parts)};
+                               .cut_rad = find_cut_rad(clouds, n_parts)};
 }
 
 }  // namespace
@@ -144,37 +142,38 @@ std::optional<AzimuthArc> azimuth_arc(const read::PointTable& cloud) {
     return find_arc(is_bin_occupied);
 }
 
-JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
-    std::ranges::stable_sort(partial_clouds, {}, &RevolutionPart::stamp_ns);
-    const std::optional<RevolutionPartition> parts = estimate_split(partial_clouds);
+JoinedRevolutions join_clouds(std::vector<CloudEntry> clouds) {
+    std::erase_if(clouds, [](const CloudEntry& cloud) { return !cloud.arc; });
+    std::ranges::stable_sort(clouds, {}, &CloudEntry::stamp_ns);
+    const std::optional<RevolutionPartition> split = estimate_split(clouds);
     JoinedRevolutions joined;
-    if (!parts) return joined;
+    if (!split) return joined;
     // rotation from the start of the revolution to the middle of a cloud, 0 to 2 pi
-    const auto rotation_rad = [&](const RevolutionPart& part) {
-        const double direction = parts->step_rad < 0.0 ? -1.0 : 1.0;
-        const double angle_rad = direction * (double(part.arc.middle_rad) - parts->cut_rad);
+    const auto rotation_rad = [&](const CloudEntry& cloud) {
+        const double direction = split->is_clockwise ? -1.0 : 1.0;
+        const double angle_rad = direction * (double(cloud.arc->middle_rad) - split->cut_rad);
         return angle_rad - 2.0 * kPi * std::floor(angle_rad / (2.0 * kPi));
     };
     // The rotation only decreases from the last cloud of a revolution to the first of the
     // next. A revolution also ends if a cloud is missing, seen by a time step that is too
     // long, because the rotation may increase across such a gap.
-    const auto begins_revolution = [&](const RevolutionPart& part, const RevolutionPart& before) {
-        const double step_s = 1e-9 * double(part.stamp_ns - before.stamp_ns);
-        return rotation_rad(part) <= rotation_rad(before) || step_s >= kMinPauseSteps * parts->step_s;
+    const auto begins_revolution = [&](const CloudEntry& cloud, const CloudEntry& before) {
+        const double step_s = 1e-9 * double(cloud.stamp_ns - before.stamp_ns);
+        return rotation_rad(cloud) <= rotation_rad(before) || step_s >= kMinPauseSteps * split->step_s;
     };
-    std::vector<std::vector<RevolutionPart>> revolutions;
-    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
-        if (k == 0 || begins_revolution(partial_clouds[k], partial_clouds[k - 1])) revolutions.emplace_back();
-        revolutions.back().push_back(partial_clouds[k]);
+    std::vector<std::vector<CloudEntry>> revolutions;
+    for (std::size_t k = 0; k < clouds.size(); ++k) {
+        if (k == 0 || begins_revolution(clouds[k], clouds[k - 1])) revolutions.emplace_back();
+        revolutions.back().push_back(clouds[k]);
     }
     // Incomplete revolutions have fewer clouds. The margin is for rounding errors.
-    const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
-    for (std::vector<RevolutionPart>& revolution : revolutions) {
+    const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / split->step_rad + 0.1));
+    for (std::vector<CloudEntry>& revolution : revolutions) {
         if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
         else joined.n_left_out += revolution.size();
     }
     joined.note = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
-                              parts->extent_rad * kDegreesPerRad);
+                              split->extent_rad * kDegreesPerRad);
     return joined;
 }
 

@@ -74,36 +74,32 @@ std::string read_std_string(const bag::BagTopic& topic, std::string_view message
     return std::string(MessageReader(message_bytes, topic.encoding == "ros1").read_string());
 }
 
-std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
-                                         std::int64_t recording_time_ns, bag::MessageHeader& header) {
+PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
+                           std::int64_t recording_time_ns) {
     const PacketMessageType& type = *find_type(topic.type);
-    std::vector<ReceivedPacket> packets;
-    // a message that is one packet of an Ouster
-    if (type.form == PacketMessageLayout::alone) {
-        header = {recording_time_ns, topic.name};
-        MessageReader reader(message_bytes, topic.encoding == "ros1");
-        const std::string_view packet = reader.read_bytes(reader.read_length(1));
-        // Packets of the IMU have the same message type and are skipped.
-        if (packet.size() != kImuBytes) packets.push_back({recording_time_ns, packet});
-        return packets;
-    }
-    // packets from a network capture: time stamp, length and bytes of each
+    PacketMessage message{.frame = topic.name, .packets = {}};
     if (type.form == PacketMessageLayout::bare) {
-        header = {0, topic.name};
         for (codecs::ByteReader reader(message_bytes); reader.remaining() > 0;) {
             const auto stamp_ns = reader.read_number<std::int64_t>();
-            packets.push_back({stamp_ns, reader.read_string()});
+            message.packets.push_back({stamp_ns, reader.read_string()});
         }
-        return packets;
+        return message;
     }
     MessageReader reader(message_bytes, topic.encoding == "ros1");
-    header = read_header(reader);
-    const std::size_t n = reader.read_length(8 + type.n);
+    if (type.form == PacketMessageLayout::alone) {
+        const std::string_view packet = reader.read_bytes(reader.read_length(1));
+        // Packets of the IMU have the same message type and are skipped.
+        if (packet.size() != kImuBytes) message.packets.push_back({recording_time_ns, packet});
+        return message;
+    }
+    message.frame = read_header(reader).frame;
+    constexpr std::size_t kTimeBytes = 8;
+    const std::size_t n = reader.read_length(kTimeBytes + type.n);
     for (std::size_t i = 0; i < n; ++i) {
         const std::int64_t stamp_ns = read_time_ns(reader);
-        packets.push_back({stamp_ns, read_packet(reader, type)});
+        message.packets.push_back({stamp_ns, read_packet(reader, type)});
     }
-    return packets;
+    return message;
 }
 
 }  // namespace relidar::packets

@@ -27,12 +27,15 @@ bool is_ouster_topic(const bag::BagTopic& topic);
 bool can_have_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
 std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes);
-/// Returns views of the LiDAR packets in a message, in their order.
+
+struct PacketMessage {
+    std::string frame;                    ///< the topic's name if the message has no header
+    std::vector<ReceivedPacket> packets;  ///< views of the message
+};
+/// Reads the LiDAR packets of a message.
 /// @param recording_time_ns  used for packets without a time stamp
-/// @param header  output: header of the message. A message without a header gets the
-/// topic's name as its frame.
 /// @throws DataError if the message is too short
-std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
-                                         std::int64_t recording_time_ns, bag::MessageHeader& header);
+PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
+                           std::int64_t recording_time_ns);
 
 }  // namespace relidar::packets
