@@ -60,6 +60,16 @@ void check_path(const SimulatedSweep& sweep) {
         kBeyondPath_s);
 }
 
+/// Returns the rays of a sweep if they differ from `sensor.rays`: if the pattern has other
+/// rays in each scan, or if all rays are fired at the same time.
+std::optional<RayTable> changed_rays_of(const SimulatedSensor& sensor, double time_s, bool is_rolling) {
+    const bool has_varying_rays = sensor.pattern && sensor.rays.size() == 0;
+    if (!has_varying_rays && is_rolling) return {};
+    RayTable rays = has_varying_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+    if (!is_rolling) std::ranges::fill(rays.time_offset_s, 0.0f);
+    return rays;
+}
+
 std::vector<Frame> frames_with_shifts(const Log& log) {
     std::vector<Frame> frames;
     for (const Frame& frame : log.frames)
@@ -98,7 +108,7 @@ void SimulatedSweepBuilder::add_model(const SurfelModel& model, const BoxTrack& 
 
 std::uint32_t SimulatedSweepBuilder::add_instance(std::uint32_t model) {
     layout_.instances.push_back({model, ""});
-    shown_.push_back(true);
+    shown_.push_back(false);
     return std::uint32_t(layout_.instances.size() - 1);
 }
 
@@ -107,6 +117,7 @@ void SimulatedSweepBuilder::name_instance(std::uint32_t instance, const std::str
     instance_of_.erase(track);
     track = name;
     if (!name.empty()) instance_of_.emplace(name, instance);
+    shown_[instance] = !name.empty();
 }
 
 std::uint32_t SimulatedSweepBuilder::find_actor(const std::string& name) const {
@@ -140,40 +151,29 @@ SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor,
     return follow_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-/// Makes a sweep for a sensor on a given track. Sets the vehicle's track in `log_` so
-/// that its LiDAR follows `world_from_sensor`, because helpers compute poses from it.
-/// Without a rolling shutter, all rays are fired at `time_s` from a single pose.
+/// Makes a sweep for a sensor on a given track. First lets the vehicle of `log_` drive so
+/// that its LiDAR follows this track, because pose_instances() reads the log.
 /// @param world_from_actor [instances] null if absent
 SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
                                                   PoseTrack world_from_sensor,
                                                   const InstanceTracks& world_from_actor) {
+    const bool is_rolling = relidar::is_rolling(sensor, config_);
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
-    log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
-    log_.rolling_shutter = is_rolling(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The sweep starts at an azimuth that depends on the scan pattern. Without a pattern,
-    // find_sweep_start() uses the log's spinning LiDAR.
-    const SweepTiming timing{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    std::optional<RayTable> changed_rays;  // no value: the sweep uses `sensor.rays` unchanged
-    // A pattern whose rays differ from scan to scan has no fixed rays.
-    const bool has_varying_rays = sensor.pattern && sensor.rays.size() == 0;
-    if (has_varying_rays || !log_.rolling_shutter) {
-        changed_rays = has_varying_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
-        if (!log_.rolling_shutter) std::ranges::fill(changed_rays->time_offset_s, 0.0f);
-    }
+    log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+    log_.rolling_shutter = is_rolling;
     SimulatedSweep sweep{.sensor = sensor,
                          .time_s = time_s,
-                         .changed_rays = std::move(changed_rays),
+                         .changed_rays = changed_rays_of(sensor, time_s, is_rolling),
                          .world_from_sensor = log_.lidar_track(sensor.lidar)};
-    if (log_.rolling_shutter) check_path(sweep);
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
-    if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
+    if (is_rolling) check_path(sweep);
+    else sweep.world_from_sensor = {{time_s}, {sweep.pose}};  // all rays are fired from this pose
+    // The times of the instances depend on the azimuth at which the sensor starts a sweep.
+    const SweepTiming timing{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     sweep.instances = pose_instances(layout_, log_, timing, world_from_actor);
-    for (std::size_t i = 0; i < sweep.instances.size(); ++i) {
-        // An added instance without a name is a free slot.
-        const bool is_free = i >= n_logged_ && layout_.instances[i].track.empty();
-        if (!shown_[i] || is_free) sweep.instances[i].present = false;
-    }
+    for (std::size_t i = 0; i < sweep.instances.size(); ++i)
+        if (!shown_[i]) sweep.instances[i].present = false;
     return sweep;
 }
 
@@ -198,11 +198,11 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
              request.time_s, kMaxCoordinate);
     }
     PoseTrack world_from_sensor = to_scene_frame(request.dataset_from_sensor, "the sensor");
-    // The actors of a request replace all logged motions. All others are absent (null).
-    InstanceTracks tracks = request.dataset_from_actor ? InstanceTracks(layout_.instances.size(), nullptr)
-                                                       : logged_tracks(request.time_s);
-    std::deque<PoseTrack> world_from_actor;  // a deque, because `tracks` points to its elements
-    if (request.dataset_from_actor)
+    // Owns the tracks of the request. Pointers to elements of a deque stay valid.
+    std::deque<PoseTrack> world_from_actor;
+    InstanceTracks tracks(layout_.instances.size(), nullptr);
+    if (!request.dataset_from_actor) tracks = logged_tracks(request.time_s);
+    else
         for (const auto& [name, track] : *request.dataset_from_actor) {
             const auto [first, end] = instance_of_.equal_range(name);
             if (first == end) fail_unknown_actor(name);
@@ -210,15 +210,14 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
             // Several instances can have the same name.
             for (auto match = first; match != end; ++match) tracks[match->second] = &in_scene;
         }
-    // Actors that spawn() has added are placed by their handles.
     for (const auto& [actor, track] : request.placed) {
         const auto instance = std::size_t(actor);
         if (instance >= tracks.size() || layout_.instances[instance].track.empty())
             fail<UsageError>(
                 "cannot place an actor: found the handle {}, expected that of an actor of the scene",
                 instance);
-        tracks[instance] = &world_from_actor.emplace_back(
-            to_scene_frame(track, "actor " + layout_.instances[instance].track));
+        const std::string& name = layout_.instances[instance].track;
+        tracks[instance] = &world_from_actor.emplace_back(to_scene_frame(track, "actor " + name));
     }
     return along_track(sensor, request.time_s, std::move(world_from_sensor), tracks);
 }

@@ -64,7 +64,7 @@ private:
     const PoseTrack log_world_from_vehicle_;
     const std::vector<Frame> shifted_;
     const std::size_t n_logged_;  ///< number of instances of the run; others were added
-    std::vector<bool> shown_;     ///< [instances]
+    std::vector<bool> shown_;     ///< [instances] false also for a free instance
     /// Actors by name. Instances with the same track have separate entries.
     std::unordered_multimap<std::string, std::uint32_t> instance_of_;
     std::vector<std::optional<std::size_t>> box_of_;  ///< [n_logged_] index in Log::boxes
