@@ -90,36 +90,38 @@ bool ResidentScene::must_reload(const Scene& added) const {
     return renderer_ && added.surfels.bends && !renderer_->scene().surfel_parameters().bends;
 }
 
-std::uint32_t ResidentScene::add_model(const Scene& added) {
-    if (!renderer_) return append_model(scene_, added, 0);
-    std::uint32_t model = 0;
-    if (must_reload(added)) {
-        const Scene before = renderer_->download_scene();
-        Scene scene = before;
-        model = append_model(scene, added, 0);
-        try {
-            load_scene(scene);
-        } catch (const OutOfDeviceMemory&) {
-            load_scene(before);  // so that the renderer stays usable
-            throw;
-        }
-    } else {
-        model = renderer_->append_model(added);
+/// Loads the scene again with one more model.
+/// @return index of the model
+std::uint32_t ResidentScene::reload_with(const Scene& added) {
+    const Scene before = renderer_->download_scene();
+    Scene scene = before;
+    const std::uint32_t model = append_model(scene, added, 0);
+    try {
+        load_scene(scene);
+    } catch (const OutOfDeviceMemory&) {
+        load_scene(before);  // so that the renderer stays usable
+        throw;
     }
-    // A scene with blocks needs the model again when other blocks are loaded.
-    if (!scene_.models.empty()) append_model(scene_, added, 0);
+    return model;
+}
+
+std::uint32_t ResidentScene::add_model(const Scene& added) {
+    std::uint32_t model = 0;
+    if (renderer_) model = must_reload(added) ? reload_with(added) : renderer_->append_model(added);
+    // Later loads of blocks need the model as well, with the same index.
+    if (has_blocks()) model = append_model(scene_, added, 0);
     return model;
 }
 
 void ResidentScene::add_instance(const ModelInstance& instance) {
     if (renderer_) renderer_->append_instance(instance);
-    if (!scene_.models.empty()) scene_.instances.push_back(instance);
+    if (has_blocks()) scene_.instances.push_back(instance);
 }
 
 Scene ResidentScene::copy_model(std::uint32_t model) {
     Scene copy;
     copy.instances = {{.model = 0, .track = "copy"}};  // a placeholder, because actors need a track
-    if (!renderer_) {
+    if (!renderer_) {                                  // a scene in blocks before its first scan
         append_model(copy, scene_, model);
         return copy;
     }

@@ -23,6 +23,7 @@ public:
     /// Call load_near() before.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
+    bool has_blocks() const { return !scene_.blocks.empty(); }
     /// Copies the scene on the device, so that several scans can be rendered in parallel.
     /// The scene must not have blocks. renderer() must outlive the copy, because both use
     /// the same stream.
@@ -31,7 +32,7 @@ public:
     /// Returns true if add_model() loads the scene again, because the model is a walking
     /// actor and the scene has none.
     bool must_reload(const Scene& added) const;
-    /// Adds the only model of another scene. See Renderer::append_model().
+    /// Adds the only model of another scene.
     /// @return index of the model
     std::uint32_t add_model(const Scene& added);
     void add_instance(const ModelInstance& instance);
@@ -41,6 +42,7 @@ public:
 
 private:
     std::uint64_t load_scene(const Scene& scene);
+    std::uint32_t reload_with(const Scene& added);
     void load_blocks(const std::vector<std::size_t>& blocks);
     std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> blocks) const;
 
