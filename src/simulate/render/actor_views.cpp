@@ -6,7 +6,6 @@
 
 #include "base/geometry/ray_box.hpp"
 #include "simulate/render/footprint.hpp"
-#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -97,7 +96,7 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), nearby);
         for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
-        prepare_scene(lanes->single_lane(), alone);
+        prepare_scene(lanes.first(), alone);
         const RenderedScan scan =
             plan.has_sub_rays() ? trace_footprint(alone, plan.beams) : trace_rays(alone, alone.rays()).scan;
         views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
@@ -105,7 +104,7 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
     std::erase_if(views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
     // Restores the instances of the full scene for the steps that follow.
-    prepare_scene(lanes->single_lane(), sweep);
+    prepare_scene(lanes.first(), sweep);
 }
 
 /// Counts the rays that return from standing objects, and estimates how many would if no
@@ -130,6 +129,19 @@ ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const
         }
         if (const auto view = crossing.visibility(box.id)) views.push_back(*view);
     }
+    return views;
+}
+
+/// Measures the visibility of all actors, and of the standing objects if the background is
+/// shown.
+/// @param scan rays of the sweep, before a network or noise changes the drops
+ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+                                           const RenderedScan& scan) {
+    ActorViews views = count_first_hits(scan);
+    count_unoccluded(sweep, plan, views);
+    if (!sweeps.is_background_shown()) return views;
+    const ActorViews of_standing = count_standing(sweep, scan);
+    views.insert(views.end(), of_standing.begin(), of_standing.end());
     return views;
 }
 

@@ -7,6 +7,7 @@
 
 namespace relidar {
 
+/// Returns a scan with these rays and without values of the rays.
 /// @param where scan of the same sweep with times, poses and channel names
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& where = {}) {
     RenderedScan scan;
@@ -21,6 +22,7 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& where =
     scan.time_s = where.time_s;
     scan.trace_ms = where.trace_ms;
     scan.unseen_share = where.unseen_share;
+    scan.actor_views = where.actor_views;
     scan.channels = copy_layout(where.channels);
     return scan;
 }

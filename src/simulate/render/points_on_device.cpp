@@ -32,20 +32,20 @@ void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
 
 /// Records three kernels: mark the returned rays, compute the index of each point by a
 /// prefix sum, and gather the points without gaps.
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record(
+std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::record(
     Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
-    const Array<std::uint32_t>& truncated) {
+    const Array<std::uint32_t>& n_truncated) {
     const std::size_t n = rays.ray_table().size();
     reserve(stream, n);
-    const std::vector<shared::SensorPose> poses =
-        rays.sweep_poses(options.points_from_sensor, options.time_s);
+    const SensorPoses poses = rays.sweep_poses(options.points_from_sensor, options.time_s);
+    const std::uint32_t of_image = options.is_at_median_range ? 0 : 1;
     run(stream, mark_, n,
         {.measured = rays.device_measured().address(),
-         .drop_prob = rays.drop_address(),
+         .drop_prob = address_or_null(rays.network_drops()),
          .marks = marks_.address(),
          .n_rays = std::uint32_t(n),
-         .refined = options.refined ? 1u : 0u,
-         .of_image = options.of_image ? 1u : 0u,
+         .refined = rays.network_drops() ? 1u : 0u,
+         .of_image = of_image,
          .drop_threshold = kDropThreshold});
     sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()},
              point_indices_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n),
@@ -57,60 +57,57 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .marks = marks_.address(),
          .places = point_indices_.address(),
          .points = options.target ? options.target->address() : points_.address(),
-         .asked = sampled_ranges_.address(),  // ranges of the sampled rays
+         .asked = sampled_ranges_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(sample_count(n)),
-         .of_image = options.of_image ? 1u : 0u});
-    return record_readback(stream, n, truncated, options.target != nullptr);
+         .of_image = of_image});
+    return copy_to_host(stream, n, n_truncated, /*has_points=*/!options.target);
 }
 
-// The buffer of points is allocated by record_readback(), which knows its size.
-DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
-    : count(device, sizeof(std::uint32_t), "number of returned points"),
-      sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
-      capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
-
-/// Records the copies of the results of a scan to host buffers, which stay in use until
-/// the caller releases them.
-/// @param on_device if true, the points stay on the device
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
-    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated, bool on_device) {
-    // A slot is free if no pending scan refers to it.
-    auto free_slot = std::ranges::find_if(
-        slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
-    if (free_slot == slots_.end())
-        free_slot = slots_.insert(free_slot, std::make_shared<PointReadbackSlot>(device_));
-    PointReadbackSlot& slot = **free_slot;
-    slot.on_device = on_device;
-    slot.n_rays = n_rays;
-    if (!on_device) {
+/// Records copies of the results to host buffers that no pending scan uses.
+std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::copy_to_host(
+    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_truncated, bool has_points) {
+    const auto is_free = [](const std::shared_ptr<PointReadback>& one) { return one.use_count() == 1; };
+    auto match = std::ranges::find_if(readbacks_, is_free);
+    if (match == readbacks_.end()) match = readbacks_.insert(match, std::make_shared<PointReadback>(device_));
+    PointReadback& results = **match;
+    results.n_rays = n_rays;
+    results.has_points = has_points;
+    if (has_points) {
         const std::size_t n_bytes = n_rays * sizeof(shared::ReturnedPoint);  // if all rays return
-        if (n_rays > slot.point_capacity) {
-            slot.points.emplace(device_, n_bytes, "returned points");
-            slot.point_capacity = n_rays;
+        if (n_rays > results.point_capacity) {
+            results.points.emplace(device_, n_bytes, "returned points");
+            results.point_capacity = n_rays;
         }
-        slot.points->record_copy(stream, points_.buffer(), n_bytes);
+        results.points->record_copy(stream, points_.buffer(), n_bytes);
     }
-    slot.count.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
-    slot.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(), sample_count(n_rays) * sizeof(float));
-    slot.capped.record_copy(stream, truncated.buffer(), sizeof(std::uint32_t));
-    return *free_slot;
+    results.n_points.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
+    results.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(),
+                                       sample_count(n_rays) * sizeof(float));
+    results.n_truncated.record_copy(stream, n_truncated.buffer(), sizeof(std::uint32_t));
+    return *match;
 }
 
-DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, PointReadbackSlot& buffers) {
+// copy_to_host() allocates the buffer of points, whose size depends on the sensor.
+DevicePointComputer::PointReadback::PointReadback(Device& device)
+    : n_points(device, sizeof(std::uint32_t), "number of returned points"),
+      sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
+      n_truncated(device, sizeof(std::uint32_t), "number of truncated rays") {}
+
+DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, PointReadback& results) {
     const auto read_number = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    const std::size_t n = read_number(buffers.count);
+    const std::size_t n = read_number(results.n_points);
     std::span<const shared::ReturnedPoint> points;
-    if (!buffers.on_device)
-        points = {static_cast<const shared::ReturnedPoint*>(buffers.points->wait_for_bytes(stream)), n};
-    const auto* sampled_m = static_cast<const float*>(buffers.sampled_ranges.wait_for_bytes(stream));
+    if (results.has_points)
+        points = {static_cast<const shared::ReturnedPoint*>(results.points->wait_for_bytes(stream)), n};
+    const auto* sampled_m = static_cast<const float*>(results.sampled_ranges.wait_for_bytes(stream));
     return {.n_points = n,
             .points = points,
-            .sampled_m = {sampled_m, sample_count(buffers.n_rays)},
-            .n_capped = read_number(buffers.capped)};
+            .sampled_m = {sampled_m, sample_count(results.n_rays)},
+            .n_truncated = read_number(results.n_truncated)};
 }
 
 }  // namespace relidar

@@ -11,10 +11,8 @@
 #include "base/fail.hpp"
 #include "gpu/context.hpp"
 #include "simulate/render/body_rays.hpp"
-#include "simulate/render/channel_makers.hpp"
 #include "simulate/render/channel_pairs.hpp"
 #include "simulate/render/footprint.hpp"
-#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 #include "simulate/weather/air.hpp"
 
@@ -126,7 +124,6 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
-/// Uploads the scene. trace_options() first rejects channels that it cannot provide.
 ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log)
     : device(on),
       config(with_max_range(settings_of_run, log)),
@@ -136,10 +133,10 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       sweeps(config, all, log),
       standing(list_standing(all, log, config.init)),
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
-      lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
+      lanes(device, scene) {}
 
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
-    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(), sampled);
+    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes.drop_network(), sampled);
 }
 
 bool ScanRenderer::Impl::has_channel(const std::string& name) const {
@@ -163,56 +160,55 @@ ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
 }
 
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
-void ScanRenderer::Impl::prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep) {
+void ScanRenderer::Impl::prepare_scene(RenderLane& lane, const SimulatedSweep& sweep) {
     // Loading blocks can replace the renderer that pending scans use.
-    if (!sweeps.layout().blocks.empty()) finish_pending();
+    if (scene.has_blocks()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_near(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
-    lanes->renderer_of(resources).record_poses(sweep.instances, sensor_m);
+    lane.renderer().record_poses(sweep.instances, sensor_m);
 }
 
-/// Records GPU commands that trace rays and compute the measurements. The order is fixed:
-/// rays to world frame, tracing, measurements, ray-drop. Call prepare_scene() before.
-/// @param with_drop true to run the ray-drop network as well
-std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanResources& lane,
+/// Records GPU commands that trace rays of a sweep and compute their measurements. Call
+/// prepare_scene() before.
+/// @param with_network true to run the ray-drop network as well
+/// @return rays whose measurements the caller can wait for
+std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& lane,
                                                                    const SimulatedSweep& sweep,
-                                                                   const RayTable& rays, bool with_drop) try {
+                                                                   const RayTable& ray_table,
+                                                                   bool with_network) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const std::shared_ptr<DeviceSensorRays> recorded =
-        lane.upload_rays(device, sensor, rays, [&](std::size_t index) {
-            return sweeps.permanent_drop(sensor, rays.channel[index], rays.direction[index]);
-        });
-    Renderer& renderer = lanes->renderer_of(lane);
-    recorded->place(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
-    renderer.record_forward(recorded->world_batch());
-    recorded->record_measure(
-        renderer.stream(), renderer.last_batch(),
-        {.range = config.render.range,
-         .beams = sensor.beams,
-         .response = sweeps.sequence().intensity_response,
-         .limits = sensor.limits,
-         .min_weight = kMinWeight,
-         .actor_logits = actor_logits_of(lanes->drop_network(), sweeps.sequence(), sensor)});
-    if (with_drop)
-        recorded->record_drop(
-            renderer.stream(), lanes->refiner_of(lane).inference(),
-            glm::vec3(sweep.pose.translation + sweeps.sequence().world_offset_m - first_origin_m));
-    return recorded;
-} catch (...) {
-    wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
-    throw;
+    const Log& log = sweeps.sequence();
+    Renderer& renderer = lane.renderer();
+    Stream& stream = renderer.stream();
+    const std::shared_ptr<DeviceSensorRays> rays = lane.upload_rays(sensor, ray_table, [&](std::size_t ray) {
+        return sweeps.permanent_drop(sensor, ray_table.channel[ray], ray_table.direction[ray]);
+    });
+    rays->place(stream, sweep.world_from_sensor, sweep.time_s);
+    renderer.record_forward(rays->world_batch());
+    rays->record_measure(stream, renderer.last_batch(),
+                         {.range = config.render.range,
+                          .beams = sensor.beams,
+                          .response = log.intensity_response,
+                          .limits = sensor.limits,
+                          .min_weight = kMinWeight,
+                          .actor_logits = actor_logits_of(lanes.drop_network(), log, sensor)});
+    if (with_network) {
+        const glm::dvec3 sensor_m = sweep.pose.translation + log.world_offset_m - first_origin_m;
+        rays->record_drop(stream, lane.refiner->inference(), glm::vec3(sensor_m));
+    }
+    return rays;
 }
 
 /// Traces rays and waits for the result. The scan has the poses of the dataset frame,
 /// whereas the scene is shifted by Log::world_offset_m.
-/// @param with_drop true to run the ray-drop network as well
+/// @param with_network true to run the ray-drop network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSweep& sweep,
-                                                              const RayTable& ray_table, bool with_drop) {
+                                                              const RayTable& ray_table, bool with_network) {
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace(lanes->single_lane(), sweep, ray_table, with_drop);
-    const std::span<const shared::MeasuredRay> measured = rays->wait_measured(renderer.stream());
+        record_trace(lanes.first(), sweep, ray_table, with_network);
+    const auto [measured, network_drops] = rays->wait_measured(renderer.stream());
     renderer.check_truncation();
 
     RenderedScan scan = empty_scan(ray_table);
@@ -226,11 +222,11 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     // Ray-drop networks read the channel "incidence", so this channel is computed even if
     // it is not requested. render_sweep() removes it afterwards.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes->drop_network() && !has_channel(kIncidenceChannel))
+    if (lanes.drop_network() && !has_channel(kIncidenceChannel))
         channels.push_back(parse_channels(kIncidenceChannel).front());
     add_ray_channels(scan, measured,
                      needs_rendering(channels) ? renderer.download_rays() : RenderedRayValues{}, channels);
-    return {std::move(scan), with_drop ? rays->wait_drop(renderer.stream()) : std::span<const float>{}};
+    return {std::move(scan), {network_drops.begin(), network_drops.end()}};
 }
 
 /// Traces several sub-rays for each beam and joins them to returns. If a beam hits
@@ -260,12 +256,11 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, Se
     return scan;
 }
 
-/// Corrects the drop probabilities of a finished scan on the device. Used if the network
-/// needs beams that are joined from sub-rays, or the cells of a grid.
-void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
-    replace_drop(scan,
-                 lanes->refiner_of(lanes->single_lane())
-                     .predict_drops(make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
+/// Runs the ray-drop network on a scan in host memory. Used if the network needs beams
+/// that are joined from sub-rays, or the cells of a grid.
+std::vector<float> ScanRenderer::Impl::predict_drops(const RenderedScan& scan) {
+    return lanes.first().refiner->predict_drops(
+        make_drop_image(scan, lanes.drop_network()->inputs, first_origin_m));
 }
 
 /// Adds the effects of the weather to a scan, and sets the channel `source`, the cause of
@@ -314,28 +309,24 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
 /// are computed before the ray-drop network runs, because it changes the probabilities.
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, SampleSeed seed) {
     using Network = ScanRenderPlan::RayDropStage;
+    const WaitOnError wait_on_error{*this};
     const SimulatedSensor& sensor = sweep.sensor;
-    const ScanRenderPlan plan = this->plan_sweep(sweep, seed.has_value());
-    lanes->submit_batch();
-    prepare_scene(lanes->single_lane(), sweep);
-    auto [scan, drops] = plan.has_sub_rays()
-                             ? TracedScan{trace_footprint(sweep, plan.beams), {}}
-                             : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
+    const ScanRenderPlan plan = plan_sweep(sweep, seed.has_value());
+    lanes.submit_batch();
+    prepare_scene(lanes.first(), sweep);
+    TracedScan traced = plan.has_sub_rays()
+                            ? TracedScan{trace_footprint(sweep, plan.beams)}
+                            : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
+    RenderedScan scan = std::move(traced.scan);
     add_beam_channels(scan, channel_inputs(sweep), settings.channels);
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
     block_rays(scan, sensor.body, sensor.limits);
-    ActorViews views, standing_views;
-    if (settings.has_views) {
-        views = count_first_hits(scan);
-        if (sweeps.is_background_shown()) standing_views = count_standing(sweep, scan);
-    }
+    if (settings.has_views) scan.actor_views = count_views(sweep, plan, scan);
     // A network for the cells of a grid needs the projected scan. Without such a network,
     // the scan is projected last, after noise and weather.
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
-    if (plan.network == Network::device) replace_drop(scan, drops);
-    else if (plan.network != Network::none) correct_drop(scan);
-    // Runs after the probabilities in `drops` were used, because it invalidates them.
-    if (settings.has_views) count_unoccluded(sweep, plan, views);
+    if (plan.network == Network::device) replace_drop(scan, traced.network_drops);
+    else if (plan.network != Network::none) replace_drop(scan, predict_drops(scan));
     // trace_rays() adds this channel for the network, although nobody requested it.
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
@@ -343,8 +334,6 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     apply_noise(scan, sweep, seed);
     block_rays(scan, sensor.body, sensor.limits);  // removes noise from points of the body
     if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
-    views.insert(views.end(), standing_views.begin(), standing_views.end());
-    scan.actor_views = std::move(views);
     return scan;
 }
 
@@ -368,7 +357,7 @@ void ScanRenderer::use_network(const RayDropNetwork& network) {
     // Only throws an error if the network has inputs that cannot be rendered.
     channel_numbers(network.inputs);
     impl_->finish_pending();
-    impl_->lanes->use_network(network);
+    impl_->lanes.use_network(network);
 }
 
 void ScanRenderer::add_channels(const std::string& comma_separated_names) {
@@ -384,16 +373,14 @@ void ScanRenderer::set_parallel(int count) {
         fail<UsageError>("cannot render several scans at the same time: found {} scans, expected at least 1",
                          count);
     impl_->finish_pending();
-    impl_->lanes->set_limit(count);
+    impl_->lanes.set_limit(count);
 }
 
 int ScanRenderer::default_parallel(const Device& device) {
     return device.impl().forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
-int ScanRenderer::max_parallel() const {
-    return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->parallel_limit() : 1;
-}
+int ScanRenderer::max_parallel() const { return impl_->lanes.parallel_limit(); }
 
 void ScanRenderer::count_actor_rays(bool enabled) { impl_->settings.has_views = enabled; }
 
@@ -428,7 +415,7 @@ void ScanRenderer::set_weather(const Weather& weather) {
 }
 
 bool ScanRenderer::has_network_for(const SimulatedSensor& sensor) const {
-    return corrects_drop(impl_->lanes->drop_network(), sensor);
+    return corrects_drop(impl_->lanes.drop_network(), sensor);
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.kernel_times(); }

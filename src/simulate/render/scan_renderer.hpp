@@ -5,13 +5,14 @@
 #pragma once
 
 #include <deque>
+#include <exception>
+#include <variant>
 
 #include <relidar/simulate/device_points.hpp>
 #include <relidar/simulate/render.hpp>
 
-#include "simulate/render/points_on_device.hpp"
-#include "simulate/render/resident_scene.hpp"
-#include "simulate/render/sweep.hpp"
+#include "simulate/render/channel_makers.hpp"
+#include "simulate/render/render_lanes.hpp"
 
 namespace relidar {
 
@@ -44,32 +45,25 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
 
 bool corrects_drop(const RayDropNetwork* network, const SimulatedSensor& sensor);
 
-struct ChannelInputs;
-struct LogObservedSpace;
-class ParallelScanResourcePool;
-class DeviceSensorRays;
-struct ParallelScanResources;
-
-/// Points of a submitted scan that wait_for_points() has not collected yet.
-struct PendingPoints {
-    std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
-    std::shared_ptr<DeviceSensorRays> rays = {};
-    PoseTrack dataset_from_sensor = {};
-    Pose dataset_from_points = {};
-    double time_s = 0.0;
-    double max_range_m = 0.0;  ///< maximum range of the sensor
-    bool is_background_shown = true;
-    double step = 0.0;  ///< step to which intensities are rounded (IntensityScatterModel)
-    std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
-    Renderer* renderer = nullptr;
-    /// The points, if they stay on the device.
-    std::optional<DevicePoints> on_device = {};
+/// Scan of which the device computes the points while the host continues.
+struct SubmittedScan {
+    std::shared_ptr<DeviceSensorRays> rays;
+    Renderer& renderer;
+    PoseTrack dataset_from_sensor;
+    Pose dataset_from_points;
+    double time_s;
+    IntensityScatterModel rounding;              ///< has only a step
+    std::optional<LogObservedSpace> observed;    ///< no value if the background is hidden
+    std::optional<DevicePoints> on_device = {};  ///< the points, if they stay on the device
+    std::shared_ptr<DevicePointComputer::PointReadback> results = {};
 };
+/// Requested points that the caller has not collected yet.
+using PendingPoints = std::variant<SubmittedScan, RenderedPoints, DevicePoints>;
 
 /// Instance that spawn() has added. It is free if its actor has no name.
 struct SpawnSlot {
     std::uint32_t source = 0;  ///< model that the instance has, or of which it has a copy
-    SpawnedActor actor = {};
+    SpawnedActor actor = {};   ///< its handle is the index of the instance
 };
 
 struct ScanRenderer::Impl {
@@ -80,7 +74,7 @@ struct ScanRenderer::Impl {
     SimulatedSweepBuilder sweeps;
     const std::vector<BoxTrack> standing;  ///< list_standing() of the scene
     ResidentScene scene;
-    std::unique_ptr<ParallelScanResourcePool> lanes;
+    RenderLanes lanes;
     SurfaceClassMap class_map = {};
     /// Search tree of `class_map`. Null until the first scan with the channel "class".
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
@@ -90,37 +84,44 @@ struct ScanRenderer::Impl {
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log);
-    /// `drops` has the network's drop probabilities, if it ran on the device. They are
-    /// valid until the next scan is traced.
+    /// Waits for the device if an exception leaves the scope. Otherwise the next scan
+    /// could replace arrays that recorded commands use.
+    struct WaitOnError {
+        Impl& renderer;
+        const int n_before = std::uncaught_exceptions();
+        ~WaitOnError() {
+            if (std::uncaught_exceptions() > n_before) renderer.wait_for_device();
+        }
+    };
     struct TracedScan {
         RenderedScan scan;
-        std::span<const float> drops;
+        std::vector<float> network_drops = {};  ///< empty if no network ran on the device
     };
     ScanRenderPlan plan_sweep(const SimulatedSweep& sweep, bool sampled) const;
-    void prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep);
-    std::shared_ptr<DeviceSensorRays> record_trace(ParallelScanResources& lane, const SimulatedSweep& sweep,
-                                                   const RayTable& rays, bool with_drop);
-    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table, bool with_drop = false);
+    void prepare_scene(RenderLane& lane, const SimulatedSweep& sweep);
+    std::shared_ptr<DeviceSensorRays> record_trace(RenderLane& lane, const SimulatedSweep& sweep,
+                                                   const RayTable& ray_table, bool with_network);
+    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table, bool with_network = false);
     RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
     ActorViews count_first_hits(const RenderedScan& scan) const;
     void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan, ActorViews& views);
     ActorViews count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const;
-    void correct_drop(RenderedScan& scan);
+    ActorViews count_views(const SimulatedSweep& sweep, const ScanRenderPlan& plan, const RenderedScan& scan);
+    std::vector<float> predict_drops(const RenderedScan& scan);
     void simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep, std::uint64_t seed);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);
 
-    PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                const ScanRenderPlan& plan, SubmissionTiming timing, PointMemory memory);
-    PendingPoints take_pending(PointMemory memory);
-    DevicePointComputer::GatheredPoints wait_gathered(PendingPoints& scan);
-    RenderedPoints collect_points(PendingPoints& scan, LidarPoints memory = {});
-    DevicePoints collect_on_device(PendingPoints& scan);
+    SubmittedScan submit_sweep(const SimulatedSweep& sweep, const Pose& dataset_from_points,
+                               SubmissionTiming timing, PointMemory memory, bool with_network);
     DevicePoints upload_points(const RenderedPoints& points);
+    void finish_scan(PendingPoints& points, LidarPoints reused = {});
+    void finish_pending();
+    PendingPoints take_pending(PointMemory memory, LidarPoints reused = {});
     void check_new_name(const std::string& name) const;
     std::uint32_t add_model(const Scene& model, const BoxTrack& box);
+    ActorHandle add_instance(std::uint32_t source, const std::string& name);
     ActorHandle fill_slot(std::uint32_t source, SpawnedActor actor);
-    void finish_pending();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
     LogObservedSpace observed_space_of(const SimulatedSensor& sensor) const;

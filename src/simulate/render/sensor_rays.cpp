@@ -27,6 +27,21 @@ bool are_bytes_equal(const Values& first, const Values& second) {
     return are_equal;
 }
 
+/// Returns the calibration and the actor logit of each beam. One list can be longer than
+/// the other: beams that are missing in a list have its neutral values.
+std::vector<shared::SensorBeam> beam_table(const RayMeasurementOptions& options) {
+    const std::vector<float>& logits = options.actor_logits;
+    std::vector<shared::SensorBeam> beams;
+    for (std::size_t k = 0; k < std::max(options.beams.size(), logits.size()); ++k) {
+        const Beam beam = find_beam(options.beams, k);
+        beams.push_back({.range_offset_m = float(beam.range_offset_m),
+                         .intensity_gain = float(beam.intensity_gain),
+                         .intensity_offset = float(beam.intensity_offset),
+                         .actor_logit = k < logits.size() ? logits[k] : 0.0f});
+    }
+    return beams;
+}
+
 std::uint32_t range_kind_number(const std::string& name) {
     if (name == "expected") return RELIDAR_RANGE_EXPECTED;
     if (name == "mode") return RELIDAR_RANGE_MODE;
@@ -36,12 +51,12 @@ std::uint32_t range_kind_number(const std::string& name) {
 /// Returns the number RELIDAR_DROP_* of an input of the ray-drop network.
 /// @throws DataError for an unknown input
 std::uint32_t channel_number(const std::string& name) {
-    constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
+    constexpr std::pair<const char*, std::uint32_t> kChannels[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
         {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
         {"elevation", RELIDAR_DROP_ELEVATION}};
-    for (const auto& [known, channel] : kOfRays)
+    for (const auto& [known, channel] : kChannels)
         if (name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
@@ -93,7 +108,6 @@ PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame) {
     return track;
 }
 
-/// Loads the kernels. upload() allocates the arrays of rays.
 DeviceSensorRays::DeviceSensorRays(Device& device)
     : device_(device),
       fire_(device, "simulate/render/fire_rays"),
@@ -130,8 +144,8 @@ void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in world coordinates");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
-        readback_.reset();
-        refined_readback_.reset();
+        measured_readback_.reset();
+        drops_readback_.reset();
     }
     rays_.upload(all);
     table_ = rays;
@@ -163,14 +177,7 @@ RayBatch DeviceSensorRays::world_batch() const {
 
 void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch,
                                       const RayMeasurementOptions& options) {
-    std::vector<shared::SensorBeam> beams;
-    for (std::size_t k = 0; k < std::max(options.beams.size(), options.actor_logits.size()); ++k) {
-        const Beam beam = find_beam(options.beams, k);
-        beams.push_back({.range_offset_m = float(beam.range_offset_m),
-                         .intensity_gain = float(beam.intensity_gain),
-                         .intensity_offset = float(beam.intensity_offset),
-                         .actor_logit = k < options.actor_logits.size() ? options.actor_logits[k] : 0.0f});
-    }
+    const std::vector<shared::SensorBeam> beams = beam_table(options);
     // range (x) and factor (y) of each point of the response curve
     std::vector<glm::vec2> response;
     for (std::size_t k = 0; k < options.response.factor.size(); ++k)
@@ -192,8 +199,7 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch
          .min_weight = options.min_weight,
          .min_range_m = float(options.limits.min_m),
          .max_range_m = float(options.limits.max_m)});
-    // The drop probabilities of an earlier scan are no longer valid.
-    refined_ = nullptr;
+    network_drops_ = nullptr;  // those of an earlier scan are no longer valid
 }
 
 void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m) {
@@ -214,24 +220,26 @@ void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, co
          .n_rays = std::uint32_t(table_.size())});
     // After a full turn, the first column follows the last column.
     const bool is_circular = is_full_turn(table_.rows, table_.columns, table_.direction);
-    refined_ = &network.record_drops(stream, table_.rows, table_.columns, is_circular, samples_);
+    network_drops_ = &network.record_drops(stream, table_.rows, table_.columns, is_circular, samples_);
 }
 
-std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
-    return {static_cast<const float*>(refined_readback_->wait_for_bytes(stream)), table_.size()};
-}
-
-std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
-    const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
-                               std::size_t bytes_per_ray, const char* text) {
+ScanMeasurements DeviceSensorRays::wait_measured(Stream& stream) {
+    const std::size_t n = table_.size();
+    const auto record_copy = [&](std::optional<ReadbackBuffer>& target, const Buffer& source,
+                                 std::size_t bytes_per_ray, const char* name) {
         // As large as rays_, which can have space for more rays than this sensor.
-        if (!readback) readback.emplace(device_, rays_.size() * bytes_per_ray, text);
-        readback->record_copy(stream, source, table_.size() * bytes_per_ray);
+        if (!target) target.emplace(device_, rays_.size() * bytes_per_ray, name);
+        target->record_copy(stream, source, n * bytes_per_ray);
     };
-    read_back(readback_, measured_.buffer(), sizeof(shared::MeasuredRay), "measured rays");
-    if (refined_) read_back(refined_readback_, refined_->buffer(), sizeof(float), "drop probabilities");
+    record_copy(measured_readback_, measured_.buffer(), sizeof(shared::MeasuredRay), "measured rays");
+    if (network_drops_)
+        record_copy(drops_readback_, network_drops_->buffer(), sizeof(float), "drop probabilities");
     stream.submit_commands();
-    return {static_cast<const shared::MeasuredRay*>(readback_->wait_for_bytes(stream)), table_.size()};
+    ScanMeasurements result;
+    result.rays = {static_cast<const shared::MeasuredRay*>(measured_readback_->wait_for_bytes(stream)), n};
+    if (network_drops_)
+        result.network_drops = {static_cast<const float*>(drops_readback_->wait_for_bytes(stream)), n};
+    return result;
 }
 
 }  // namespace relidar

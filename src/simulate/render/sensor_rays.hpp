@@ -25,6 +25,12 @@ struct RayMeasurementOptions {
     std::vector<float> actor_logits = {};  ///< RayDropNetwork::actor_logits of these beams
 };
 
+/// Results of the device for each ray, in host memory.
+struct ScanMeasurements {
+    std::span<const shared::MeasuredRay> rays;
+    std::span<const float> network_drops;  ///< drop probabilities; empty if no network ran
+};
+
 class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);
@@ -43,23 +49,21 @@ public:
     /// Records GPU commands that convert rendering results to ranges and intensities.
     void record_measure(Stream& stream, const RenderedBatch& batch, const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Then
-    /// drop_address() has the result.
+    /// network_drops() has the result.
     /// @param sensor_m relative to the first vehicle position of the log
     /// @throws DataError if the image or the channels do not match the network
     void record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m);
     /// Copies the measurements to the host and waits for them.
-    /// @return [rays] valid until the next call
-    std::span<const shared::MeasuredRay> wait_measured(Stream& stream);
-    /// Returns the drop probability that the network computed for each ray. Call
-    /// wait_measured() first. The result is valid until the next call of that function.
-    std::span<const float> wait_drop(Stream& stream);
+    /// @return valid until the next call
+    ScanMeasurements wait_measured(Stream& stream);
 
     bool is_uploaded(const RayTable& rays, const std::string& sensor_name) const;
     const RayTable& ray_table() const { return table_; }
     const std::string& sensor_name() const { return sensor_; }
     const Array<shared::SensorRay>& device_rays() const { return rays_; }
     const Array<shared::MeasuredRay>& device_measured() const { return measured_; }
-    Address<float, shared::DropProbabilities> drop_address() const { return address_or_null(refined_); }
+    /// Null if no network ran after the last record_measure().
+    const Array<float, shared::DropProbabilities>* network_drops() const { return network_drops_; }
     SensorPoses sweep_poses(const PoseTrack& world_from_sensor, double time_s) const;
 
 private:
@@ -72,13 +76,12 @@ private:
     Array<shared::SensorRay> rays_;
     Array<shared::DeviceRay> fired_;
     Array<shared::MeasuredRay> measured_;
-    std::optional<ReadbackBuffer> readback_, refined_readback_;
+    std::optional<ReadbackBuffer> measured_readback_, drops_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
-    Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
-    Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
-    /// null if the network did not run after the last
-    /// record_measure()
-    const Array<float, shared::DropProbabilities>* refined_ = nullptr;
+    /// A single entry of zeros, which the kernel reads if the scene has no surfaces.
+    Array<shared::RenderedSurface> no_surfaces_;
+    Array<float, shared::DropSamples> samples_;  ///< inputs of the ray-drop network
+    const Array<float, shared::DropProbabilities>* network_drops_ = nullptr;
 };
 
 /// Returns RELIDAR_DROP_*.

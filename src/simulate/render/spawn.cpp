@@ -7,7 +7,6 @@
 
 #include "base/fail.hpp"
 #include "base/random.hpp"
-#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -39,41 +38,40 @@ void ScanRenderer::Impl::check_new_name(const std::string& name) const {
 /// Adds a model to all copies of the scene.
 std::uint32_t ScanRenderer::Impl::add_model(const Scene& model, const BoxTrack& box) {
     // The copies use the stream of the renderer, so they are removed before it.
-    if (scene.must_reload(model)) lanes->remove_copies();
+    if (scene.must_reload(model)) lanes.remove_copies();
     const std::uint32_t index = scene.add_model(model);
-    lanes->change_copies([&](Renderer& copy) { copy.append_model(model); });
+    lanes.change_copies([&](Renderer& copy) { copy.append_model(model); });
     sweeps.add_model(model.models.front(), box);
     return index;
 }
 
-/// Gives an actor a free instance of its model, or a new one. A slot is an instance that
-/// was added for a spawned actor. It is free after the actor was despawned.
+/// Adds an instance of a model, or of a copy of the model, to all copies of the scene.
+/// @param name of the first actor that uses the instance
+ActorHandle ScanRenderer::Impl::add_instance(std::uint32_t source, const std::string& name) {
+    const Scene& layout = sweeps.layout();
+    // Instances cannot share a model whose surfel records depend on the pose of the
+    // instance: because of their SH, or because the actor walks.
+    const bool can_share =
+        config.image.sh_direction == ShDirection::ray && layout.models[source].stride_m <= 0.0f;
+    const bool is_used =
+        std::ranges::find(layout.instances, source, &ModelInstance::model) != layout.instances.end();
+    ModelInstance instance{source, name};
+    if (is_used && !can_share) instance.model = add_model(scene.copy_model(source), {});
+    scene.add_instance(instance);
+    lanes.change_copies([&](Renderer& copy) { copy.append_instance(instance); });
+    return ActorHandle(sweeps.add_instance(instance.model));
+}
+
+/// Gives an actor a free instance of its model, or a new one.
 /// @param source model of the actor
 ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
-    const Scene& layout = sweeps.layout();
-    // The instances of the slots follow those of the run.
-    const auto n_of_run = std::uint32_t(layout.instances.size() - slots.size());
     auto slot = std::ranges::find_if(slots, [&](const SpawnSlot& candidate) {
         return candidate.source == source && candidate.actor.name.empty();
     });
-    if (slot == slots.end()) {
-        // Instances cannot share a model whose surfel records depend on the pose of the
-        // instance: because of their SH, or because the actor walks.
-        const bool can_share =
-            config.image.sh_direction == ShDirection::ray && layout.models[source].stride_m <= 0.0f;
-        const bool is_used =
-            std::ranges::find(layout.instances, source, &ModelInstance::model) != layout.instances.end();
-        ModelInstance instance{source, actor.name};
-        if (is_used && !can_share) instance.model = add_model(scene.copy_model(source), {});
-        scene.add_instance(instance);
-        lanes->change_copies([&](Renderer& copy) { copy.append_instance(instance); });
-        sweeps.add_instance(instance.model);
-        slots.push_back({source});
-        slot = slots.end() - 1;
-    }
-    const auto handle = n_of_run + std::uint32_t(slot - slots.begin());
-    sweeps.name_instance(handle, actor.name);
-    actor.handle = ActorHandle(handle);
+    if (slot == slots.end())
+        slot = slots.insert(slot, {source, {.handle = add_instance(source, actor.name)}});
+    actor.handle = slot->actor.handle;
+    sweeps.name_instance(std::uint32_t(actor.handle), actor.name);
     slot->actor = std::move(actor);
     return slot->actor.handle;
 }

@@ -159,7 +159,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         Stream stream(device());
         on_device.record_measure(
             stream, {.rays = on_device.world_batch(), .rendered = &rendered, .surfaces = &surfaces}, how);
-        const std::span<const shared::MeasuredRay> measured = on_device.wait_measured(stream);
+        const std::span<const shared::MeasuredRay> measured = on_device.wait_measured(stream).rays;
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
@@ -197,7 +197,7 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
         Stream stream(device());
         on_device.record_measure(stream, {.rays = on_device.world_batch(), .rendered = &rendered},
                                  {"median", {}, {}, {0.0, 80.0}, 1e-3f});
-        return on_device.wait_measured(stream)[0].drop_prob;
+        return on_device.wait_measured(stream).rays[0].drop_prob;
     };
     on_device.upload(rays, "one", [](std::size_t) { return 0.0f; });
     EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f);
@@ -264,7 +264,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
             {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();
-    const RenderedScan scan = scan_of(rays, on_device.wait_measured(stream));
+    const RenderedScan scan = scan_of(rays, on_device.wait_measured(stream).rays);
     for (const std::string network : {"pixel", "small"}) {
         const RayDropNetworkOptions options{
             .network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
@@ -280,8 +280,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
         measure();
         on_device.record_drop(stream, refiner.inference(),
                               glm::vec3(scan.world_from_sensor.translation - first_origin_m));
-        on_device.wait_measured(stream);
-        const std::span<const float> actual = on_device.wait_drop(stream);
+        const std::span<const float> actual = on_device.wait_measured(stream).network_drops;
         double changed = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             EXPECT_NEAR(actual[i], expected[i], 2e-4) << network << i;
