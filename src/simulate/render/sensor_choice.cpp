@@ -69,42 +69,23 @@ SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, co
     return choice;
 }
 
-/// Returns true if a ray replaces the ray that a pixel shows. A returned ray replaces a
-/// dropped one. Of two returned rays, the pixel shows the nearer one, and of two dropped
-/// rays the one with the lower probability.
-/// @param drop, shown_drop drop probabilities of the ray and of the shown ray
-bool replaces_ray(float drop, float shown_drop, bool is_nearer) {
-    const bool returns = drop < kDropThreshold, shown_returns = shown_drop < kDropThreshold;
-    if (returns != shown_returns) return returns;
-    return returns ? is_nearer : drop < shown_drop;
+/// Returns the pixel of the grid to which the hit point of each ray belongs, or -1.
+std::vector<int> pixels_of_rays(const RenderedScan& scan, const RangeImageGrid& grid) {
+    std::vector<int> pixels(scan.median_range_m.size(), -1);
+    for (std::size_t ray = 0; ray < pixels.size(); ++ray)
+        if (scan.median_range_m[ray] > 0.0f && scan.weight[ray] >= kLeastWeight)
+            pixels[ray] = project_to_pixel(grid, glm::dvec3(scan.end_of(ray))).value_or(-1);
+    return pixels;
 }
 
-/// Copies all values of a ray to a cell of the grid, except drop probabilities. Ranges
-/// are measured from the origin of the grid, not from the origin of the ray.
-void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
-    const glm::vec3 &origin = source.image.origin[ray], &direction = source.image.direction[ray];
-    for_all_channels(
-        source, target,
-        [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-            if (channel.join == ChannelMergeRule::drop) return;  // see merge_drop()
-            of_cells[cell] = of_rays[ray];
-            if constexpr (std::is_same_v<T, float>)
-                if (channel.join == ChannelMergeRule::range)  // the channel has ranges
-                    of_cells[cell] = glm::length(origin + of_rays[ray] * direction);
-        });
-    target.time_offset_s[cell] = source.time_offset_s[ray];
-}
-
-/// Updates a pixel (cell) with one of its rays. Its drop probability is the minimum over
-/// its rays, because the pixel has a return if any ray returns.
-void merge_drop(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
-    for_all_channels(
-        source, target,
-        [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-            if constexpr (std::is_same_v<T, float>)
-                if (channel.join == ChannelMergeRule::drop)
-                    of_cells[cell] = std::min(of_cells[cell], of_rays[ray]);
-        });
+/// Returns true if a pixel shows a ray rather than another ray. Prefers returned rays. Of
+/// two returned rays, the pixel shows the nearer point, and of two dropped rays the one
+/// with the lower drop probability. Of equal rays, it shows `other`.
+bool is_shown_instead(const RenderedScan& scan, std::size_t ray, std::size_t other) {
+    const float drop = scan.image.drop_prob[ray], other_drop = scan.image.drop_prob[other];
+    const bool returns = drop < kDropThreshold, other_returns = other_drop < kDropThreshold;
+    if (returns != other_returns) return returns;
+    return returns ? glm::length(scan.end_of(ray)) < glm::length(scan.end_of(other)) : drop < other_drop;
 }
 
 }  // namespace
@@ -129,7 +110,7 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
         return sensor;
     SimulatedSensor result = sensor;
     result.rays = rotate_firings(std::move(result.rays), head, sweep->azimuth_shift_rad);
-    result.follows_sweeps = false;
+    result.follows_sweeps = false;  // another call must not rotate the rays again
     return result;
 }
 
@@ -161,30 +142,40 @@ SimulatedSensor choose_sensor(const std::string& name, const Config& config, con
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) {
-    const RayTable cells = make_rays(grid);
-    const std::size_t n = cells.size();
+    const RayTable pixel_rays = make_rays(grid);
+    const std::size_t n = pixel_rays.size();
     check_channels(scan.channels, scan.median_range_m.size(), "a scan that is projected onto the grid");
-    RenderedScan result = empty_scan(cells, scan);
-    for_all_channels(scan, result,
-                     [n]<class T>(const ChannelInfo& channel, const std::vector<T>&,
-                                  std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
-    result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray that each pixel shows
-    constexpr float kNoRay = 2.0f;  // more than a probability: no ray yet
-    std::vector<float> shown_drop(n, kNoRay);
-    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
-        if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
-        const glm::vec3 point = scan.end_of(i);
-        const std::optional<int> pixel = project_to_pixel(grid, glm::dvec3(point));
-        if (!pixel) continue;
-        const auto cell = std::size_t(*pixel);
-        const float drop = scan.image.drop_prob[i];
-        merge_drop(scan, i, result, cell);
-        const bool is_nearer = glm::length(point) < result.median_range_m[cell];
-        if (shown_drop[cell] != kNoRay && !replaces_ray(drop, shown_drop[cell], is_nearer)) continue;
-        shown_drop[cell] = drop;
-        copy_to_cell(scan, i, result, cell);
+    const std::vector<int> pixels = pixels_of_rays(scan, grid);
+    std::vector<std::optional<std::size_t>> shown(n);  // the ray that each pixel shows
+    for (std::size_t ray = 0; ray < pixels.size(); ++ray) {
+        if (pixels[ray] < 0) continue;
+        std::optional<std::size_t>& current = shown[std::size_t(pixels[ray])];
+        if (!current || is_shown_instead(scan, ray, *current)) current = ray;
     }
+    RenderedScan result = empty_scan(pixel_rays, scan);
+    result.time_offset_s.assign(n, 0.0f);
+    for (std::size_t pixel = 0; pixel < n; ++pixel)
+        if (shown[pixel]) result.time_offset_s[pixel] = scan.time_offset_s[*shown[pixel]];
+    const auto fill_channel = [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays,
+                                           std::vector<T>& of_pixels) {
+        of_pixels.assign(n, empty_value<T>(channel));
+        for (std::size_t pixel = 0; pixel < n; ++pixel)
+            if (shown[pixel]) of_pixels[pixel] = of_rays[*shown[pixel]];
+        if constexpr (std::is_same_v<T, float>) {
+            // Ranges of a grid are distances from its origin, not from the origin of the ray.
+            for (std::size_t pixel = 0; channel.join == ChannelMergeRule::range && pixel < n; ++pixel)
+                if (shown[pixel])
+                    of_pixels[pixel] = glm::length(scan.image.origin[*shown[pixel]] +
+                                                   of_pixels[pixel] * scan.image.direction[*shown[pixel]]);
+            // A pixel has a return if any of its rays returns.
+            for (std::size_t ray = 0; channel.join == ChannelMergeRule::drop && ray < pixels.size(); ++ray)
+                if (pixels[ray] >= 0) {
+                    float& drop = of_pixels[std::size_t(pixels[ray])];
+                    drop = std::min(drop, of_rays[ray]);
+                }
+        }
+    };
+    for_all_channels(scan, result, fill_channel);
     return result;
 }
 
