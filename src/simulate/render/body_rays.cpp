@@ -27,6 +27,16 @@ T value_on_body(const ChannelInfo& channel, const BodyHit& hit, const glm::vec3&
     }
 }
 
+/// Returns true if a surface is between the sensor and the hit point on the body. A point
+/// of the body itself can also be nearer, because of noise.
+bool is_body_hidden(const RenderedScan& scan, std::size_t ray, float body_range_m) {
+    if (scan.instance[ray] == kOwnVehicleInstance) return false;
+    const float median_m = scan.median_range_m[ray];
+    // A ray with less than half of its weight has a return in weather.
+    const bool has_surface = scan.weight[ray] >= 0.5f || scan.image.drop_prob[ray] < kDropThreshold;
+    return has_surface && median_m > 0.0f && median_m < body_range_m;
+}
+
 }  // namespace
 
 void block_rays(RenderedScan& scan, const VehicleBody& body, const RangeLimits& limits) {
@@ -35,13 +45,8 @@ void block_rays(RenderedScan& scan, const VehicleBody& body, const RangeLimits& 
         const glm::vec3& direction = scan.image.direction[i];
         const std::optional<BodyHit> hit =
             find_body_hit(body.boxes, glm::dvec3(scan.image.origin[i]), glm::dvec3(direction));
-        if (!hit) return;
-        const float range_m = float(hit->range_m), median_m = scan.median_range_m[i];
-        const bool has_surface = scan.weight[i] >= 0.5f || scan.image.drop_prob[i] < kDropThreshold;
-        // Another surface can be between the sensor and the body. A point that already
-        // belongs to the body can be nearer because of noise.
-        const bool is_hidden = has_surface && median_m > 0.0f && median_m < range_m;
-        if (is_hidden && scan.instance[i] != kOwnVehicleInstance) return;
+        if (!hit || is_body_hidden(scan, i, float(hit->range_m))) return;
+        const float range_m = float(hit->range_m);
         const bool is_kept = body.keeps_points && limits.contains(hit->range_m);
         scan.image.range_m[i] = scan.median_range_m[i] = scan.mean_range_m[i] = range_m;
         scan.image.intensity[i] = is_kept ? kBodyIntensity : 0.0f;
