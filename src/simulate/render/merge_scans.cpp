@@ -11,15 +11,20 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
     target.insert(target.end(), source.begin(), source.end());
 }
 
+/// Returns the channel with this name, or null if the scan does not have it.
+const ScanChannel* find_channel(const RenderedScan& scan, const std::string& name) {
+    const auto match = std::ranges::find_if(
+        scan.channels, [&](const ScanChannel& channel) { return channel.info.name == name; });
+    return match == scan.channels.end() ? nullptr : &*match;
+}
+
 /// Adds the channels of a scan to the merged scan. The rays that are already merged have
 /// no values in a new channel.
 /// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : copy_layout(scan.channels)) {
-        const auto known =
-            std::ranges::find(merged.channels, channel.info.name,
-                              [](const ScanChannel& c) -> const std::string& { return c.info.name; });
-        if (known == merged.channels.end()) {
+        const ScanChannel* known = find_channel(merged, channel.info.name);
+        if (!known) {
             merged.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
@@ -77,30 +82,26 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
-/// Appends the values of all channels of a scan. Rotates vectors, such as normals, into
-/// the frame of the rig.
+/// Appends the values of a scan to all channels of the merged scan. If the scan lacks a
+/// channel, its rays get the empty value.
 /// @param first_ray index of the scan's first ray in the merged scan
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first_ray) {
     const std::size_t n_rays = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        // clang 14 cannot capture structured bindings in lambdas.
-        const ChannelInfo& info = channel.info;
-        const auto add = [&]<class T>(std::vector<T>& merged_values) {
-            const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);
-            if (!scan_values) {
-                merged_values.resize(first_ray + n_rays, empty_value<T>(info));
-                return;
-            }
-            append_elements(merged_values, *scan_values);
-            if constexpr (std::is_same_v<T, glm::vec3>)  // `turns`: in the frame of the sensor
-                for (std::size_t i = 0; info.turns && i < n_rays; ++i)
-                    merged_values[first_ray + i] =
-                        glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
+        const ScanChannel* source = find_channel(scan, channel.info.name);
+        const auto append_values = [&]<class T>(std::vector<T>& values) {
+            if (source) append_elements(values, std::get<std::vector<T>>(source->values));
+            else values.resize(first_ray + n_rays, empty_value<T>(channel.info));
         };
-        std::visit(add, channel.values);
-        for (const ScanChannel& scan_channel : scan.channels)
-            if (scan_channel.info.name == info.name && count_values(scan_channel.second) > 0)
-                append_second(channel, scan_channel, first_ray);
+        std::visit(append_values, channel.values);
+        if (!source) continue;
+        // Rotates vectors such as normals from the frame of the sensor to that of the rig.
+        auto* vectors = std::get_if<std::vector<glm::vec3>>(&channel.values);
+        for (std::size_t i = 0; vectors && channel.info.turns && i < n_rays; ++i) {
+            glm::vec3& vector = (*vectors)[first_ray + i];
+            vector = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3(vector));
+        }
+        if (count_values(source->second) > 0) append_second(channel, *source, first_ray);
     }
 }
 
