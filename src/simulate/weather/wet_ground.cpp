@@ -162,17 +162,18 @@ double mean_reflectance() {
 
 struct WetGroundRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
+    double mirrors = 0.0;        // light that remains after two reflections at the water
     LidarEcho mirrored{};        // return of the object that the mirrored ray hits
-    // light that remains after two reflections at the water
-    double mirrors = 0.0;
 };
 
-struct MirroredRays {
-    WorldRays rays;
-    std::vector<std::size_t> of_ray;  // index of the ray in its scan
+// The rays of a scan, and the rays that the water mirrors.
+struct WetGroundRays {
+    std::vector<WetGroundRay> of_scan;  // [rays of the scan]
+    WorldRays mirrored;
+    std::vector<std::size_t> of_mirrored;  // [mirrored] index of the ray in the scan
 };
 
-// So that mirrored rays do not hit the rough ground itself.
+// Mirrored rays start above the water, so that they do not hit the rough ground itself.
 constexpr double kRayLift_m = 0.1;
 // Hits below this height belong to the ground.
 constexpr double kMinMirroredHeight_m = 0.3;
@@ -183,11 +184,11 @@ float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
 
 /// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
 /// out mirrored rays that return less light than the ground.
-MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals,
-                         std::vector<WetGroundRay>& wet_rays) {
+/// @param normals [rays] from ground_normals_of()
+WetGroundRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals) {
     const RenderedScan& scan = input.scan;
     const double wet_share = film_fraction(input.weather.wet_mm);  // of the ground under water
-    MirroredRays mirrored;
+    WetGroundRays rays{.of_scan = std::vector<WetGroundRay>(normals.size())};
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < normals.size(); ++i) {
         const Pose& pose = firing.pose_of(i);
@@ -195,47 +196,48 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, normals[i]);
         if (!(cosine > 0.0)) continue;
         const double albedo = scan.image.intensity[i] / input.response.range_factor(range_m);
-        wet_rays[i].through_water = 1.0 - wet_share + wet_share * wet_ratio(cosine, albedo);
-        wet_rays[i].mirrors = wet_share * std::pow(water_reflectance(cosine), 2);
+        WetGroundRay& wet = rays.of_scan[i];
+        wet.through_water = 1.0 - wet_share + wet_share * wet_ratio(cosine, albedo);
+        // The water reflects the light on its way to the object and on its way back.
+        wet.mirrors = wet_share * std::pow(water_reflectance(cosine), 2);
         // A sensor with one return reports the brighter of the wet ground
         // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
-        if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
-            continue;
-        wet_rays[i].mirrored.range_m = range_m;
+        if (scan.second_returns.empty() && wet.mirrors <= wet.through_water * albedo) continue;
         const glm::dvec3 hit_m =
             pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
-        mirrored.rays.origin.push_back(glm::vec3(hit_m + kRayLift_m * normals[i]));
-        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * normals[i]));
-        mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
-        mirrored.of_ray.push_back(i);
+        rays.mirrored.origin.push_back(glm::vec3(hit_m + kRayLift_m * normals[i]));
+        rays.mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * normals[i]));
+        rays.mirrored.time_s.push_back(scan.time_offset_s[i]);
+        rays.of_mirrored.push_back(i);
     }
-    return mirrored;
+    return rays;
 }
 
-/// Traces the mirrored rays and adds the returns of the objects that they hit. The range
-/// of such a return is the length of the path via the water.
+/// Returns the wet ground at each ray of a scan. Traces the mirrored rays to find the
+/// objects that they hit.
 std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
     const std::vector<glm::dvec3> normals = ground_normals_of(input.scan);
-    std::vector<WetGroundRay> wet(normals.size());
-    const auto [rays, of_ray] = mirror_rays(input, normals, wet);
-    if (of_ray.empty()) return wet;
-    const RenderedRayValues hits = input.trace(rays);
+    WetGroundRays wet = mirror_rays(input, normals);
+    const RenderedRayValues hits = wet.of_mirrored.empty() ? RenderedRayValues{} : input.trace(wet.mirrored);
     for (std::size_t k = 0; k < hits.size(); ++k) {
+        const std::size_t ray = wet.of_mirrored[k];
         const double from_water_m = hits.median_depth[k];
-        const glm::dvec3 direction(rays.direction[k]), &normal = normals[of_ray[k]];
+        const glm::dvec3 direction(wet.mirrored.direction[k]);
         if (!(from_water_m > 0.0) || drop_chance(hits, k) >= kDropThreshold) continue;
-        const double height_m = kRayLift_m + from_water_m * glm::dot(direction, normal);
+        const double height_m = kRayLift_m + from_water_m * glm::dot(direction, normals[ray]);
         if (height_m < kMinMirroredHeight_m) continue;
-        LidarEcho& echo = wet[of_ray[k]].mirrored;
-        echo.range_m += from_water_m;  // mirror_rays() has set the range of the water
+        // The sensor measures the length of the path via the water.
+        LidarEcho& echo = wet.of_scan[ray].mirrored;
+        echo.range_m = double(input.scan.median_range_m[ray]) + from_water_m;
         echo.reflectivity = std::min(double(hits.intensity[k]), 1.0);
         echo.source = ReturnCause::mirror;
         if (!input.motion) continue;
-        const glm::dvec3 hit_m = glm::dvec3(rays.origin[k]) + from_water_m * direction;
-        echo.away_mps = glm::dot(
-            direction, input.motion->object_velocity(hits.instance[k], double(rays.time_s[k]), hit_m));
+        const glm::dvec3 hit_m = glm::dvec3(wet.mirrored.origin[k]) + from_water_m * direction;
+        const glm::dvec3 object_mps =
+            input.motion->object_velocity(hits.instance[k], double(wet.mirrored.time_s[k]), hit_m);
+        echo.away_mps = glm::dot(direction, object_mps);
     }
-    return wet;
+    return std::move(wet.of_scan);
 }
 
 class WetGroundEffect : public RayWeatherEffect {
@@ -247,8 +249,9 @@ public:
         ray.through_water = wet_[ray.index].through_water;
     }
     void append_returns(EchoCandidates& candidates, const RayWeatherState& ray, Random&) const override {
-        const auto& [through_water, echo, mirrors] = wet_[ray.index];
-        append_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors);
+        const WetGroundRay& wet = wet_[ray.index];
+        append_detectable(candidates, wet.mirrored, sensor_,
+                          std::exp(-2.0 * alpha_ * wet.mirrored.range_m) * wet.mirrors);
     }
 
 private:
