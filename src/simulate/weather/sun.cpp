@@ -94,21 +94,21 @@ double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double a
                  bool sees_sky) {
     const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
     const double off_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
-    // Radiance / irradiance, 1/sr: light that the dusty window scatters, the lit surface,
-    // and the part of the solar disc in the beam.
+    // Sum of radiance / irradiance, 1/sr: light that the dusty window scatters, the lit
+    // surface, and the part of the solar disc in the beam.
     double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
     if (sees_sky) {
         const double disc_share = (kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad;
         per_sr += std::clamp(disc_share, 0.0, 1.0) / kSunSolidAngle_sr;
     }
-    // Electrons of the sunlight during a pulse.
-    const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kQuantumEfficiency / kPhoton_J;
-    const double n_sun =
-        irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2 * sensor.pulse_s * electrons_per_J;
-    // Electrons of the pulse after reflection by a diffuse surface with reflectivity 1 at
-    // 1 m, which reflects 1 / pi of the light per steradian. Its power is 1.
-    const double n_unit_power = kPeak_W * kReceiverArea_m2 / kPi * sensor.pulse_s * electrons_per_J;
-    return std::sqrt(kExcessNoiseFactor * n_sun) / n_unit_power;
+    const double view_sr = kPi * half_rad * half_rad;
+    const double sun_W = irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2;
+    // A diffuse surface with reflectivity 1 at 1 m reflects 1 / pi of the pulse per
+    // steradian. By definition, its relative power is 1.
+    const double unit_power_W = kPeak_W * kReceiverArea_m2 / kPi;
+    constexpr double kElectronsPerJ = kQuantumEfficiency / kPhoton_J;
+    const auto count_electrons = [&](double watt) { return watt * sensor.pulse_s * kElectronsPerJ; };
+    return std::sqrt(kExcessNoiseFactor * count_electrons(sun_W)) / count_electrons(unit_power_W);
 }
 
 double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas) {

@@ -57,29 +57,33 @@ std::vector<double> parse_numbers(std::string_view text) {
     }
 }
 
+/// Returns the effect whose form fits the text, for example "bloom" or "rain=5".
+/// @throws UsageError if the name is unknown, or if the effect needs numbers
+const WeatherEffectEntry& find_effect(std::string_view effect_text) {
+    const bool has_numbers = effect_text.find('=') != std::string_view::npos;
+    std::vector<std::string_view> forms;
+    for (const WeatherEffectEntry* effect : kWeatherEffects) {
+        const bool fits = has_numbers || effect->n_required == 0;
+        if (fits && effect->name == effect_text.substr(0, effect_text.find('='))) return *effect;
+        forms.push_back(effect->form);
+    }
+    fail_weather(fmt::format("\"{}\"", quote(effect_text)),
+                 fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
+}
+
 /// Parses the text of one weather effect, for example "rain=5".
 /// @throws UsageError for an unknown, repeated or incomplete effect
 void parse_effect(Weather& weather, std::string_view effect_text) {
-    const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
-    const bool has_numbers = equals < effect_text.size();
-    const auto* entry =
-        std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
-    const bool is_unknown = entry == std::end(kWeatherEffects);
-    if (is_unknown || (!has_numbers && (*entry)->n_required > 0)) {
-        std::vector<std::string_view> forms;
-        for (const WeatherEffectEntry* known_effect : kWeatherEffects) forms.push_back(known_effect->form);
-        fail_weather(fmt::format("\"{}\"", quote(effect_text)),
-                     fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
-    }
-    const WeatherEffectEntry& effect = **entry;
+    const WeatherEffectEntry& effect = find_effect(effect_text);
     if (effect.is_active(weather))
         fail<UsageError>("weather: {} occurs twice, expected it once", effect.name);
     std::vector<double> values;
-    if (has_numbers) values = parse_numbers(effect_text.substr(equals + 1));
-    const std::size_t min_numbers = has_numbers ? std::max<std::size_t>(effect.n_required, 1) : 0;
-    if (values.size() < min_numbers || values.size() > effect.numbers.size() ||
-        !has_valid_values(effect, values))
-        fail_weather(quote(effect_text), effect.expected);
+    if (effect_text != effect.name) {
+        values = parse_numbers(effect_text.substr(effect.name.size() + 1));  // after the =
+        if (values.size() < std::max<std::size_t>(effect.n_required, 1) ||
+            values.size() > effect.numbers.size() || !has_valid_values(effect, values))
+            fail_weather(quote(effect_text), effect.expected);
+    }
     // Numbers that the text leaves out get their usual values.
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
