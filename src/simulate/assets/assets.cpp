@@ -61,7 +61,7 @@ Log log_of_actor(const Log& full, const BoxTrack& actor_box) {
 // Replaces a LiDAR of the log whose rays change from scan to scan.
 constexpr const char* kStandIn = "HDL-64E";
 
-/// Returns one sensor for each LiDAR of the log.
+/// Returns one sensor for each LiDAR of the log, or its stand-in.
 std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
     std::vector<SimulatedSensor> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {

@@ -59,7 +59,8 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
     // A beam needs several sub-rays to have returns from two surfaces.
-    if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
+    constexpr int kSubRaysOfTwoReturns = 9;
+    if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = kSubRaysOfTwoReturns;
     check_sub_rays(rays, plan.beams, sensor);
     if (rays.size() == 0)
         fail<UsageError>(
