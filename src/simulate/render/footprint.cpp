@@ -12,44 +12,43 @@ namespace {
 // group of black sub-rays would have a total weight of 0.
 constexpr float kMinIntensity = 1e-3f;
 
+struct SubRayHit {
+    std::size_t index = 0;  ///< of the sub-ray in its scan
+    float range_m = 0.0f;
+    glm::dvec2 offset{0.0};  ///< of the sub-ray from the axis of the beam, see spread_sub_rays()
+};
 struct SubRayReturn {
-    RayIndices parts;    ///< indices of the sub-rays in their scan, sorted by range
-    float light = 0.0f;  ///< sum of the intensities
+    std::vector<SubRayHit> parts;  ///< sorted by range
+    float light = 0.0f;            ///< sum of the intensities
 };
 
 /// Returns true if at least five sub-rays hit the same plane. Fits 1 / range by least
 /// squares, because on a plane it is a linear function of the sub-ray offsets. Three
 /// sub-rays always fit a plane, so a test needs more.
-/// @param first index of the first sub-ray of the beam
 /// @param tolerance_m maximum distance of a hit from the plane along its ray
-bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, std::size_t first,
-                 const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    if (parts.size() < 5) return false;
+bool is_coplanar(const std::vector<SubRayHit>& hits, double tolerance_m) {
+    if (hits.size() < 5) return false;
     // Solves the normal equations of 1 / range = plane . (1, offset x, offset y).
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right_side(0.0);
-    const auto row = [&](std::size_t index) {
-        return glm::dvec3(1.0, offsets[index - first].x, offsets[index - first].y);
-    };
-    for (const std::size_t i : parts) {
-        normal_matrix += glm::outerProduct(row(i), row(i));
-        right_side += row(i) / double(ranges_m[i]);
+    const auto row = [](const SubRayHit& hit) { return glm::dvec3(1.0, hit.offset.x, hit.offset.y); };
+    for (const SubRayHit& hit : hits) {
+        normal_matrix += glm::outerProduct(row(hit), row(hit));
+        right_side += row(hit) / double(hit.range_m);
     }
     // Sub-rays whose offsets lie on a line do not define a plane.
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right_side;
-    return std::ranges::all_of(parts, [&](std::size_t index) {
-        const double inverse_m = glm::dot(plane, row(index));
-        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < tolerance_m;
+    return std::ranges::all_of(hits, [&](const SubRayHit& hit) {
+        const double inverse_m = glm::dot(plane, row(hit));
+        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(hit.range_m)) < tolerance_m;
     });
 }
 
 /// Joins consecutive groups of sub-rays that hit the same plane. A plane at a grazing
 /// angle, such as a distant road, spans many ranges but gives only one return.
 /// @param groups groups of one beam, sorted by range
-/// @param first index of the first sub-ray of the beam
-void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m, std::size_t first,
-                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+void join_coplanar(std::vector<SubRayReturn>& groups, double tolerance_m) {
     // Tries all groups of the beam first, then shorter and shorter sequences, so that a
     // plane becomes one group instead of several.
     for (std::size_t length = groups.size(); length >= 2; --length) {
@@ -59,7 +58,7 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!is_coplanar(joined.parts, ranges_m, first, offsets, tolerance_m)) continue;
+            if (!is_coplanar(joined.parts, tolerance_m)) continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
                          groups.begin() + std::ptrdiff_t(begin + length));
@@ -67,38 +66,40 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
     }
 }
 
-/// Divides the returned sub-rays of a beam into groups that form one return each. A new
-/// group begins where the sorted ranges have a gap of at least `separation_m`.
+/// Divides the returned sub-rays of a beam into groups that form one return each: either
+/// without a gap of `separation_m` between their sorted ranges, or on the same plane.
 /// @param first index of the first sub-ray of the beam
 std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first,
                                          const std::vector<glm::dvec2>& offsets, float separation_m) {
-    const std::vector<float>& range_m = scan.median_range_m;
-    RayIndices hits;
-    for (std::size_t i = first; i < first + offsets.size(); ++i)
-        if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
-    std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
-    std::vector<SubRayReturn> groups;
-    for (const std::size_t i : hits) {
-        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m)
-            groups.emplace_back();
-        groups.back().parts.push_back(i);
-        groups.back().light += std::max(scan.image.intensity[i], kMinIntensity);
+    std::vector<SubRayHit> hits;
+    for (std::size_t k = 0; k < offsets.size(); ++k) {
+        const std::size_t i = first + k;
+        if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
+            hits.push_back({i, scan.median_range_m[i], offsets[k]});
     }
-    join_coplanar(groups, range_m, first, offsets, 0.5 * double(separation_m));
+    std::ranges::stable_sort(hits, {}, &SubRayHit::range_m);
+    std::vector<SubRayReturn> groups;
+    for (const SubRayHit& hit : hits) {
+        if (groups.empty() || hit.range_m - groups.back().parts.back().range_m >= separation_m)
+            groups.emplace_back();
+        groups.back().parts.push_back(hit);
+        groups.back().light += std::max(scan.image.intensity[hit.index], kMinIntensity);
+    }
+    join_coplanar(groups, 0.5 * double(separation_m));
     return groups;
 }
 
 /// Returns the mean of `values` over a group, weighted by the intensities.
 float weighted_mean(const SubRayReturn& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
-    for (const std::size_t i : group.parts)
-        sum += double(std::max(scan.image.intensity[i], kMinIntensity)) * double(values[i]);
+    for (const SubRayHit& hit : group.parts)
+        sum += double(std::max(scan.image.intensity[hit.index], kMinIntensity)) * double(values[hit.index]);
     return static_cast<float>(sum / double(group.light));
 }
 
 float sum_over_group(const SubRayReturn& group, const std::vector<float>& values) {
     float sum = 0.0f;
-    for (const std::size_t i : group.parts) sum += values[i];
+    for (const SubRayHit& hit : group.parts) sum += values[hit.index];
     return sum;
 }
 
@@ -137,16 +138,17 @@ public:
         const std::vector<SubRayReturn> groups =
             group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
         // If no sub-ray returns, the beam gets the values of its central sub-ray.
-        const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kMinIntensity)};
+        const SubRayReturn middle{{{.index = first}}, std::max(parts_.image.intensity[first], kMinIntensity)};
         const SubRayReturn& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
         // The surface at the joined range gives the instance and the other values.
         const float joined_m = weighted_mean(strongest, parts_.median_range_m, parts_);
-        const std::size_t nearest = *std::ranges::min_element(strongest.parts, {}, [&](std::size_t part) {
+        const auto distance_to_joined = [&](const SubRayHit& hit) {
             // Of equal ranges, the part nearest to the centre is used. Parts are ordered
             // from the centre outwards.
-            return std::pair(std::abs(parts_.median_range_m[part] - joined_m), part);
-        });
+            return std::pair(std::abs(parts_.median_range_m[hit.index] - joined_m), hit.index);
+        };
+        const std::size_t nearest = std::ranges::min_element(strongest.parts, {}, distance_to_joined)->index;
         for_all_channels(parts_, scan_,
                          [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
                                       std::vector<T>& of_rays) {
@@ -233,7 +235,6 @@ RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, con
     RayIndices edges;
     for (std::size_t beam = 0; beam < beams.size(); ++beam) {
         const std::size_t first = beam * offsets.size();  // the sub-rays of a beam are consecutive
-        // Sub-rays that hit several surfaces form several groups.
         if (group_sub_rays(parts, first, offsets, separation_m).size() > 1) edges.push_back(beam);
     }
     return edges;
