@@ -83,8 +83,9 @@ ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const 
 
 /// For each actor, traces the nearby rays in a scene that contains only this actor, and
 /// counts their hits. Then removes the background and actors without hits from `views`.
-void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, ScanRenderPlan plan,
                                           ActorViews& views) {
+    plan.network = ScanRenderPlan::RayDropStage::none;  // it does not change what a ray hits
     const std::vector<WorldRay> rays = fired_rays(sweep);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
         if (views[i].track.empty() || !sweep.instances[i].present) continue;
@@ -97,8 +98,8 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
         alone.changed_rays = select_rays(sweep.rays(), nearby);
         for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
         prepare_scene(lanes.first(), alone);
-        const RenderedScan scan =
-            plan.has_sub_rays() ? trace_footprint(alone, plan.beams) : trace_rays(alone, alone.rays()).scan;
+        const RenderedScan scan = plan.has_sub_rays() ? trace_footprint(alone, plan)
+                                                      : trace_rays(alone, alone.rays(), plan.network).scan;
         views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
     }
     std::erase_if(views,

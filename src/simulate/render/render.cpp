@@ -73,25 +73,24 @@ void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probab
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
-/// Returns the properties of a sensor that determine how weather affects its scans. All
-/// powers are relative: a surface with reflectivity 1 at 1 m has power 1.
+/// Returns the properties of a sensor that determine how weather affects its scans. Powers
+/// are relative: a surface returns its reflectivity divided by the square of its range.
 /// @param rays rays of the sensor, which define the beam divergence
 /// @param name name of the sensor; selects the maximum range of its data sheet
 WeatherSensorProperties weather_properties(const Config& config, const RayTable& rays,
                                            const RangeLimits& limits, const std::string& name) {
-    WeatherSensorProperties result;
     const double specified_m = nominal_max_range_m(name).value_or(limits.max_m);
-    result.min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m);
-    result.weakest_reflectivity = kNearReflectivity;
-    const double divergence_rad = rays.max_divergence_rad();
+    WeatherSensorProperties result{
+        .separation_m = config.sensor.return_separation_m,
+        .min_range_m = limits.min_m,
+        .max_range_m = limits.max_m,
+        .darkest = kNoisePower * limits.max_m * limits.max_m,  // has this power at the maximum range
+        .weakest_reflectivity = kNearReflectivity,
+        .min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m),
+        .min_stray_power = kStrayPower};
+    // The setting replaces the divergence of the sensor. Without both, the default stays.
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
-    else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
-    result.separation_m = config.sensor.return_separation_m;
-    result.min_range_m = limits.min_m;
-    result.max_range_m = limits.max_m;
-    // Converts the noise power to the reflectivity that equals it at the maximum range.
-    result.darkest = kNoisePower * limits.max_m * limits.max_m;
-    result.min_stray_power = kStrayPower;
+    else if (rays.max_divergence_rad() > 0.0) result.divergence_rad = rays.max_divergence_rad();
     return result;
 }
 
@@ -124,15 +123,15 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
-ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log)
+ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& run_config, const Log& log)
     : device(on),
-      config(with_max_range(settings_of_run, log)),
+      config(with_max_range(run_config, log)),
       first_origin_m(first_position(log)),
       settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(log.lidars.size())},
       sweeps(config, all, log),
       standing(list_standing(all, log, config.init)),
-      scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
+      scene(device, all, config, {.accel = {}, .trace = trace_options(config)}),
       lanes(device, scene) {}
 
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
@@ -201,13 +200,14 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
 
 /// Traces rays and waits for the result. The scan has the poses of the dataset frame,
 /// whereas the scene is shifted by Log::world_offset_m.
-/// @param with_network true to run the ray-drop network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSweep& sweep,
-                                                              const RayTable& ray_table, bool with_network) {
+                                                              const RayTable& ray_table,
+                                                              ScanRenderPlan::RayDropStage network) {
+    using Network = ScanRenderPlan::RayDropStage;
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace(lanes.first(), sweep, ray_table, with_network);
+        record_trace(lanes.first(), sweep, ray_table, network == Network::device);
     const auto [measured, network_drops] = rays->wait_measured(renderer.stream());
     renderer.check_truncation();
 
@@ -219,34 +219,35 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // Ray-drop networks read the channel "incidence", so this channel is computed even if
-    // it is not requested. render_sweep() removes it afterwards.
+    // A network that runs on the host needs the channel "incidence", even if it is not
+    // requested. render_sweep() removes it afterwards.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes.drop_network() && !has_channel(kIncidenceChannel))
+    const bool is_for_host = network == Network::beams || network == Network::cells;
+    if (is_for_host && !has_channel(kIncidenceChannel))
         channels.push_back(parse_channels(kIncidenceChannel).front());
     add_ray_channels(scan, measured,
                      needs_rendering(channels) ? renderer.download_rays() : RenderedRayValues{}, channels);
     return {std::move(scan), {network_drops.begin(), network_drops.end()}};
 }
 
-/// Traces several sub-rays for each beam and joins them to returns. If a beam hits
-/// several surfaces, traces the beam again with more sub-rays.
-RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config) {
+/// Traces several sub-rays for each beam and joins them to returns. If beams hit several
+/// surfaces, traces these beams again with more sub-rays, unless that needs too many rays.
+RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan) {
+    SensorConfig beam_config = plan.beams;
     const RayTable& rays = sweep.rays();
     const auto split = [&](const RayTable& some) {
         return split_rays(some, beam_config.sub_rays, 1e-3 * beam_config.divergence_mrad);
     };
     const WeatherSensorProperties detection =
         weather_properties(config, rays, sweep.sensor.limits, sweep.sensor.name);
-    const RenderedScan parts = trace_rays(sweep, split(rays)).scan;
+    const RenderedScan parts = trace_rays(sweep, split(rays), plan.network).scan;
     RenderedScan scan = join_sub_rays(parts, rays, beam_config, detection);
     const std::vector<std::size_t> edges = find_edge_beams(parts, rays, beam_config);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         const RayTable edge_rays = select_rays(rays, edges);
         beam_config.sub_rays = kEdgeParts;
-        replace_rays(
-            scan, edges,
-            join_sub_rays(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config, detection));
+        const RenderedScan edge_parts = trace_rays(sweep, split(edge_rays), plan.network).scan;
+        replace_rays(scan, edges, join_sub_rays(edge_parts, edge_rays, beam_config, detection));
     }
     // The sensor does not report beams whose joined range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;
@@ -269,12 +270,14 @@ void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSwe
                                           std::uint64_t seed) {
     const SimulatedSensor& sensor = sweep.sensor;
     const Log& log = sweeps.sequence();
-    const WeatherSensorProperties in_weather = weather_properties(
-        config, sweep.rays(), sweeps.limits_of(sensor),
-        sensor.is_log_lidar ? log.lidars[std::size_t(sensor.lidar)].sensor.name : sensor.name);
+    // A grid into which points of the LiDAR are binned has another name than the LiDAR.
+    const std::string& name =
+        sensor.is_log_lidar ? log.lidars[std::size_t(sensor.lidar)].sensor.name : sensor.name;
+    const WeatherSensorProperties detection =
+        weather_properties(config, sweep.rays(), sweeps.limits_of(sensor), name);
     const MotionDuringScan motion{log.lidar_track(sensor.lidar), sweep.instances};
     WeatherInput input{.weather = settings.weather,
-                       .sensor = in_weather,
+                       .sensor = detection,
                        .scan = scan,
                        .response = log.intensity_response,
                        .world_offset_m = log.world_offset_m,
@@ -295,14 +298,17 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
     const SimulatedSensor& sensor = sweep.sensor;
     const Lidar& lidar = sweeps.sequence().lidars[std::size_t(sensor.lidar)];
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
+    const bool is_clear = settings.weather.is_clear();
     if (seed) sample_returns(scan, lidar.range_noise, scatter, *seed, sweeps.limits_of(sensor));
-    if (!settings.weather.is_clear() || find_values<std::int32_t>(scan.channels, "source"))
-        simulate_weather(scan, sweep, seed.value_or(0));
-    // Sampled intensities already have the steps, unless weather changed them.
-    if (!seed || !settings.weather.is_clear())
-        for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);
-    for (AdditionalReturns& echo : scan.second_returns)
-        for (float& intensity : echo.intensity) intensity = scatter.quantise(intensity);
+    // In clear air, sets only the channel `source`.
+    if (!is_clear || has_channel("source")) simulate_weather(scan, sweep, seed.value_or(0));
+    const auto quantise = [&](std::vector<float>& intensities) {
+        for (float& intensity : intensities) intensity = scatter.quantise(intensity);
+    };
+    // Sampled intensities already have the steps, unless weather changed them. Intensities
+    // of second returns are not sampled.
+    if (!seed || !is_clear) quantise(scan.image.intensity);
+    for (AdditionalReturns& second : scan.second_returns) quantise(second.intensity);
 }
 
 /// Renders the scan of a sweep, from tracing the rays to weather and rounding. Channels
@@ -314,9 +320,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     const ScanRenderPlan plan = plan_sweep(sweep, seed.has_value());
     lanes.submit_batch();
     prepare_scene(lanes.first(), sweep);
-    TracedScan traced = plan.has_sub_rays()
-                            ? TracedScan{trace_footprint(sweep, plan.beams)}
-                            : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
+    TracedScan traced = plan.has_sub_rays() ? TracedScan{trace_footprint(sweep, plan)}
+                                            : trace_rays(sweep, sweep.rays(), plan.network);
     RenderedScan scan = std::move(traced.scan);
     add_beam_channels(scan, channel_inputs(sweep), settings.channels);
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
@@ -327,7 +332,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop(scan, traced.network_drops);
     else if (plan.network != Network::none) replace_drop(scan, predict_drops(scan));
-    // trace_rays() adds this channel for the network, although nobody requested it.
+    // trace_rays() may have added this channel for the network.
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
@@ -337,6 +342,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     return scan;
 }
 
+// Instances share a model only if its surfels do not depend on the pose of the instance.
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log)
     : impl_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends
                 ? new Impl(device, unshare_models(scene), config, log)

@@ -83,7 +83,7 @@ struct ScanRenderer::Impl {
     std::map<std::uint64_t, std::uint32_t> asset_models = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
-    Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log);
+    Impl(Device& on, const Scene& all, const Config& run_config, const Log& log);
     /// Waits for the device if an exception leaves the scope. Otherwise the next scan
     /// could replace arrays that recorded commands use.
     struct WaitOnError {
@@ -101,10 +101,11 @@ struct ScanRenderer::Impl {
     void prepare_scene(RenderLane& lane, const SimulatedSweep& sweep);
     std::shared_ptr<DeviceSensorRays> record_trace(RenderLane& lane, const SimulatedSweep& sweep,
                                                    const RayTable& ray_table, bool with_network);
-    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table, bool with_network = false);
-    RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
+    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table,
+                          ScanRenderPlan::RayDropStage network);
+    RenderedScan trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan);
     ActorViews count_first_hits(const RenderedScan& scan) const;
-    void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan, ActorViews& views);
+    void count_unoccluded(const SimulatedSweep& sweep, ScanRenderPlan plan, ActorViews& views);
     ActorViews count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const;
     ActorViews count_views(const SimulatedSweep& sweep, const ScanRenderPlan& plan, const RenderedScan& scan);
     std::vector<float> predict_drops(const RenderedScan& scan);
@@ -121,6 +122,7 @@ struct ScanRenderer::Impl {
     void check_new_name(const std::string& name) const;
     std::uint32_t add_model(const Scene& model, const BoxTrack& box);
     ActorHandle add_instance(std::uint32_t source, const std::string& name);
+    SpawnSlot* find_slot(const std::string& name);
     ActorHandle fill_slot(std::uint32_t source, SpawnedActor actor);
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;

@@ -27,6 +27,12 @@ std::uint64_t hash_model(const Scene& model) {
     return hash;
 }
 
+/// @param box of the actor whose model is used; null if its log has none
+SpawnedActor make_spawned(const std::string& name, const BoxTrack* box) {
+    if (!box) return {.name = name};
+    return {.name = name, .category = box->category, .size_m = box->size_m};
+}
+
 }  // namespace
 
 void ScanRenderer::Impl::check_new_name(const std::string& name) const {
@@ -62,6 +68,13 @@ ActorHandle ScanRenderer::Impl::add_instance(std::uint32_t source, const std::st
     return ActorHandle(sweeps.add_instance(instance.model));
 }
 
+/// Returns the slot of a spawned actor, or null if no spawned actor has this name.
+SpawnSlot* ScanRenderer::Impl::find_slot(const std::string& name) {
+    const auto slot = std::ranges::find_if(
+        slots, [&](const SpawnSlot& one) { return !name.empty() && one.actor.name == name; });
+    return slot == slots.end() ? nullptr : &*slot;
+}
+
 /// Gives an actor a free instance of its model, or a new one.
 /// @param source model of the actor
 ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
@@ -81,21 +94,14 @@ ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& nam
     renderer.check_new_name(name);
     const std::uint32_t instance = renderer.sweeps.find_actor(actor);
     renderer.finish_pending();
-    // If `actor` was itself spawned, the new actor has the same source model.
-    const auto original =
-        std::ranges::find(renderer.slots, actor, [](const SpawnSlot& slot) { return slot.actor.name; });
-    if (original != renderer.slots.end()) {
-        const SpawnedActor& copied = original->actor;
-        return renderer.fill_slot(original->source,
-                                  {.name = name, .category = copied.category, .size_m = copied.size_m});
+    // A copy of a spawned actor has the same source model.
+    if (const SpawnSlot* original = renderer.find_slot(actor)) {
+        SpawnedActor copy = original->actor;
+        copy.name = name;
+        return renderer.fill_slot(original->source, std::move(copy));
     }
-    // Otherwise it is an actor of the run, with a box in the log.
-    SpawnedActor spawned{.name = name};
-    if (const BoxTrack* box = find_box(renderer.sweeps.sequence(), actor)) {
-        spawned.category = box->category;
-        spawned.size_m = box->size_m;
-    }
-    return renderer.fill_slot(renderer.sweeps.layout().instances[instance].model, std::move(spawned));
+    return renderer.fill_slot(renderer.sweeps.layout().instances[instance].model,
+                              make_spawned(name, find_box(renderer.sweeps.sequence(), actor)));
 }
 
 ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
@@ -103,33 +109,29 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     renderer.check_new_name(name);
     const std::string track = only_track(asset);
     const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
-    // A scene with only this model.
-    Scene model;
+    Scene model;  // a scene with only this model
     model.instances = {{.model = 0, .track = track}};
     append_model(model, asset.scene, instance->model);
-    const BoxTrack* logged = find_box(asset.sequence, track);
-    BoxTrack box = logged ? *logged : BoxTrack{};
-    const SpawnedActor actor{.name = name, .category = box.category, .size_m = box.size_m};
+    SpawnedActor actor = make_spawned(name, find_box(asset.sequence, track));
     renderer.finish_pending();
     // Equal models are added only once.
     const std::uint64_t hash = hash_model(model);
     auto known = renderer.asset_models.find(hash);
     if (known == renderer.asset_models.end()) {
         // The channel "class" finds the box of a spawned actor by the name of its model.
-        box = {.id = fmt::format("spawned model {}", hash), .category = box.category, .world_from_box = {}};
-        model.models.front().name = box.id;
-        known = renderer.asset_models.emplace(hash, renderer.add_model(model, box)).first;
+        std::string& model_name = model.models.front().name;
+        model_name = fmt::format("spawned model {}", hash);
+        const std::uint32_t added =
+            renderer.add_model(model, {.id = model_name, .category = actor.category, .world_from_box = {}});
+        known = renderer.asset_models.emplace(hash, added).first;
     }
-    return renderer.fill_slot(known->second, actor);
+    return renderer.fill_slot(known->second, std::move(actor));
 }
 
 void ScanRenderer::despawn(const std::string& name) {
-    Impl& renderer = *impl_;
-    const auto slot =
-        std::ranges::find(renderer.slots, name, [](const SpawnSlot& one) { return one.actor.name; });
-    if (name.empty() || slot == renderer.slots.end())
-        fail<UsageError>("cannot despawn \"{}\": no spawned actor has this name", name);
-    renderer.sweeps.name_instance(std::uint32_t(slot->actor.handle), "");
+    SpawnSlot* slot = impl_->find_slot(name);
+    if (!slot) fail<UsageError>("cannot despawn \"{}\": no spawned actor has this name", name);
+    impl_->sweeps.name_instance(std::uint32_t(slot->actor.handle), "");
     slot->actor.name.clear();
 }
 
