@@ -6,10 +6,9 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 
-#include "../../support/device.hpp"
 #include "../plates.hpp"
+#include "../street_scene.hpp"
 #include "simulate/render/footprint.hpp"
 
 namespace relidar {
@@ -157,14 +156,9 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     }
 }
 
-class RenderedChannels : public test::DeviceTest {
+class RenderedChannels : public test::StreetTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        StreetOptions options;
-        options.n_frames = 4;
-        log = make_street_log(options);
-        scene = init_scene(log, {0, 1, 2, 3}, {});
+    RenderedChannels() : StreetTest({.n_frames = 4}) {
         for (const std::string& name : optional_names())
             config.render.channels += (config.render.channels.empty() ? "" : ",") + name;
     }
@@ -174,9 +168,6 @@ protected:
             observe_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
     }
-    Log log;
-    Scene scene;
-    Config config;
 };
 
 TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {

@@ -7,12 +7,11 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/device_points.hpp>
 #include <relidar/simulate/place_points.hpp>
 
-#include "../../support/device.hpp"
 #include "../plates.hpp"
+#include "../street_scene.hpp"
 #include "base/random.hpp"
 #include "gpu/context.hpp"
 #include "support/names.hpp"
@@ -27,15 +26,9 @@ struct PointRequest {
     std::optional<std::uint64_t> sample = {};
 };
 
-class PointsOfScans : public test::DeviceTest {
+class PointsOfScans : public test::StreetTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        if (IsSkipped() || HasFatalFailure()) return;
-        log = make_street_log({.n_frames = 12});
-        log.world_offset_m = {455000.0, 5428000.0, 113.0};
-        scene = init_scene(log, split_frames(log, 5).train, {});
-    }
+    PointsOfScans() : StreetTest({.n_frames = 12}) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
     PoseTrack bend() const {
         PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -93,9 +86,6 @@ protected:
             [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
     }
 
-    Log log;
-    Scene scene;
-    Config config;
     std::optional<ScanRenderer> renderer;
 };
 

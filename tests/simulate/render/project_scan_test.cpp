@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include <relidar/base/error.hpp>
-#include <relidar/simulate/render.hpp>
 
+#include "../plates.hpp"
 #include "simulate/render/channel_pairs.hpp"
 
 namespace relidar {
@@ -116,8 +116,6 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
 
 RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<float>& drop) {
     RenderedScan scan;
-    scan.image.rows = 1;
-    scan.image.columns = static_cast<int>(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec3 origin(0.0f, 0.0f, 0.2f);
         scan.image.origin.push_back(origin);
@@ -125,14 +123,9 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
         scan.image.range_m.push_back(glm::length(points[i] - origin));
         scan.image.intensity.push_back(0.1f * float(i + 1));
         scan.image.drop_prob.push_back(drop[i]);
-        scan.median_range_m.push_back(scan.image.range_m.back());
-        scan.mean_range_m.push_back(scan.image.range_m.back());
-        scan.weight.push_back(1.0f);
-        scan.time_offset_s.push_back(0.0f);
-        scan.ring.push_back(0);
         scan.instance.push_back(static_cast<std::int32_t>(i));
     }
-    return scan;
+    return test::complete(std::move(scan));
 }
 
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {

@@ -7,26 +7,19 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/place_points.hpp>
 
-#include "../../support/device.hpp"
 #include "../../support/drop_networks.hpp"
+#include "../street_scene.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
-class RayDrop : public test::DeviceTest {
+class RayDrop : public test::StreetTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        if (IsSkipped() || HasFatalFailure()) return;
-        log = make_street_log({.n_frames = 6, .speed_mps = 5.0});
-        InitOptions options;
-        options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
-        scene = init_scene(log, {0, 1, 2, 3, 4, 5}, options);
-    }
+    // Small surfels, so that some rays miss all of them.
+    RayDrop() : StreetTest({.n_frames = 6, .speed_mps = 5.0}, {.max_scale_m = 0.5}) {}
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
         return scan_of(rays, network, shift_track(log.lidar_track(0), log.world_offset_m));
     }
@@ -39,10 +32,6 @@ protected:
         return renderer.render(sensor, {log.frames[3].time_s, dataset_from_sensor, ActorTracksByName{}});
     }
     RayTable rays() const { return choose_sensor("VLP-16:300x10", config, log).rays; }
-
-    Log log;
-    Scene scene;
-    Config config;
 };
 
 std::size_t count_returns(const std::vector<float>& drop_prob) {

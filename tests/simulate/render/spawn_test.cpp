@@ -6,11 +6,10 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/place_points.hpp>
 
-#include "../../support/device.hpp"
+#include "../street_scene.hpp"
 #include "gpu/forced.hpp"
 
 namespace relidar {
@@ -38,18 +37,11 @@ Run make_walker(const Scene& street) {
     return asset;
 }
 
-class SpawnedActors : public test::DeviceTest {
+class SpawnedActors : public test::StreetTest {
 protected:
     using Placed = std::vector<std::pair<std::string, glm::dvec3>>;
 
-    void SetUp() override {
-        DeviceTest::SetUp();
-        if (IsSkipped() || HasFatalFailure()) return;
-        log = make_street_log({.n_frames = 12});
-        log.world_offset_m = {455000.0, 5428000.0, 113.0};
-        scene = init_scene(log, split_frames(log, 5).train, {});
-        sensor = choose_sensor("VLP-16:300x10", config, log);
-    }
+    SpawnedActors() : StreetTest({.n_frames = 12}) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
     Scene scene_with(const std::vector<std::pair<const relidar::Run*, std::string>>& assets) const {
         Scene all = scene;
         std::map<const relidar::Run*, std::uint32_t> models;
@@ -84,10 +76,7 @@ protected:
         return std::size_t(std::ranges::count(scan.instance, std::int32_t(instance)));
     }
 
-    Log log;
-    Scene scene;
-    Config config;
-    SimulatedSensor sensor;
+    const SimulatedSensor sensor = choose_sensor("VLP-16:300x10", config, log);
 };
 
 TEST_F(SpawnedActors, AreRenderedAsIfTheyHadBeenThereFromTheStart) {

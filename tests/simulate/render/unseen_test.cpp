@@ -4,12 +4,10 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
-#include <relidar/simulate/render.hpp>
 
-#include "../../support/device.hpp"
 #include "../plates.hpp"
+#include "../street_scene.hpp"
 
 namespace relidar {
 namespace {
@@ -98,17 +96,9 @@ TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
     EXPECT_EQ(sides[0].n_rays, 10u * 13u);
 }
 
-class Seen : public test::DeviceTest {
+class Seen : public test::StreetTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        StreetOptions options;
-        options.n_frames = 12;
-        log = make_street_log(options);
-        split = split_frames(log, 5);
-        scene = init_scene(log, split.train, {});
-        config.render.channels = "seen";
-    }
+    Seen() : StreetTest({.n_frames = 12}) { config.render.channels = "seen"; }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
         renderer.use_observed(

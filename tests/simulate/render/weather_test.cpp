@@ -6,10 +6,9 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 
-#include "../../support/device.hpp"
 #include "../plates.hpp"
+#include "../street_scene.hpp"
 #include "simulate/weather/air.hpp"
 
 namespace relidar {
@@ -188,18 +187,9 @@ TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     }
 }
 
-class RenderedWeather : public test::DeviceTest {
+class RenderedWeather : public test::StreetTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        StreetOptions options;
-        options.n_frames = 3;
-        log = make_street_log(options);
-        scene = init_scene(log, {0, 1, 2}, {});
-    }
-    Log log;
-    Scene scene;
-    Config config;
+    RenderedWeather() : StreetTest({.n_frames = 3}) {}
 };
 
 /// Without intensities, the air would be brighter than all surfaces.
