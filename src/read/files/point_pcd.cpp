@@ -28,7 +28,7 @@ struct PcdHeader {
 
 /// Parses the numbers of a line of the header, which follow its first word. Limits them
 /// to 1e9, so that their conversion to integers is always defined.
-std::vector<double> parse_counts(const std::vector<std::string>& words, const std::string& where) {
+std::vector<double> parse_counts(const std::vector<std::string_view>& words, const std::string& where) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
@@ -48,7 +48,8 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             fail("{}: the line DATA is missing, expected the header of a PCD file", where);
-        const std::vector<std::string> words = split_words(bytes.substr(header.length, end - header.length));
+        const std::vector<std::string_view> words =
+            split_words(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
         if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());

@@ -132,25 +132,24 @@ PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>&
 }
 
 /// Adds the columns of an array [points, columns] to a table with the same number of
-/// points. Adds only columns that relidar reads.
+/// points. Adds only columns that relidar reads. The table keeps the memory of the array,
+/// and each column is a view of it.
 void add_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
                  const std::string& where) {
-    // Arrays of other types, such as 16-bit floats, are converted to doubles.
-    const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
-    if (type_row == std::end(kNumberTypes) || array.bytes.size() != array.element_count() * type_row->size) {
+    const auto* type = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
+    if (type == std::end(kNumberTypes)) {  // for example 16-bit floats
         const std::vector<double> values = array.to_doubles();
         array = make_array(array.name, array.shape, values.data(), values.size());
-        type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
+        type = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
     }
     const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
     table.keep_alive(memory);
-    const auto* first = reinterpret_cast<const char*>(memory->data());
-    const std::size_t row_bytes = column_names.size() * type_row->size;
-    for (std::size_t c = 0; c < column_names.size(); ++c) {
-        if (!is_known_field(column_names[c])) continue;
-        const PointFieldView column(type_row->type, first + c * type_row->size, row_bytes);
-        table.add_value_field(column_names[c], column, where);
-    }
+    const auto* first_row = reinterpret_cast<const char*>(memory->data());
+    const std::size_t row_bytes = column_names.size() * type->size;
+    for (std::size_t c = 0; c < column_names.size(); ++c)
+        if (is_known_field(column_names[c]))
+            table.add_value_field(column_names[c], {type->type, first_row + c * type->size, row_bytes},
+                                  where);
 }
 
 /// Makes a table from a 2D array with one row per point and one column per name.
@@ -289,11 +288,11 @@ PointTable table_of_records(const SharedBytes& data, const std::vector<PointFiel
     return table;
 }
 
-std::vector<std::string> split_words(std::string_view line) {
-    std::vector<std::string> words;
+std::vector<std::string_view> split_words(std::string_view line) {
+    std::vector<std::string_view> words;
     for (line = trim(line); !line.empty(); line = trim(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        words.emplace_back(line.substr(0, end));
+        words.push_back(line.substr(0, end));
         line.remove_prefix(end);
     }
     return words;

@@ -149,7 +149,7 @@ void check_point_count(std::size_t n_points, const std::string& where);
 PointTable table_of_records(const SharedBytes& data, const std::vector<PointField>& fields,
                             std::size_t n_points, PointMemoryLayout memory_layout, const std::string& where);
 /// Splits a line at blanks and tabs.
-std::vector<std::string> split_words(std::string_view line);
+std::vector<std::string_view> split_words(std::string_view line);
 /// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
 PointTable parse_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n_points,
                        const std::string& where);
@@ -159,14 +159,20 @@ bool is_point_file(const std::filesystem::path& file);
 bool is_image_file(const std::filesystem::path& file);
 /// Number of scans per LiDAR from which units and beams are estimated.
 inline constexpr std::size_t kSampleScans = 6;
-/// Calls read(i) for at most kSampleScans of n indices, evenly spread. Ignores errors,
-/// because they are reported when the scans are read.
+/// Returns at most `most` of the indices 0 to n - 1, evenly spread, so that samples of a
+/// log show different scenery.
+inline std::vector<std::size_t> spread_indices(std::size_t n, std::size_t most) {
+    std::vector<std::size_t> indices(std::min(most, n));
+    for (std::size_t k = 0; k < indices.size(); ++k) indices[k] = k * n / indices.size();
+    return indices;
+}
+/// Calls read(i) for some of n indices, evenly spread. Ignores errors, because they are
+/// reported when the scans are read.
 template <class Read>
-void read_samples(std::size_t n_all, const Read& read) {
-    const std::size_t n = std::min(kSampleScans, n_all);
-    for (std::size_t k = 0; k < n; ++k) {
+void read_samples(std::size_t n, const Read& read, std::size_t most = kSampleScans) {
+    for (const std::size_t i : spread_indices(n, most)) {
         try {
-            read(k * n_all / n);
+            read(i);
         } catch (const DataError&) {
             continue;
         }

@@ -38,7 +38,8 @@ std::vector<PointField> default_fields(std::size_t n_values_per_line,
 std::vector<PointField> parse_header_names(std::string_view line) {
     std::string_view names = trim(line);
     names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
-    std::vector<std::string> field_names = split_words(names);
+    const std::vector<std::string_view> words = split_words(names);
+    std::vector<std::string> field_names(words.begin(), words.end());
     for (std::string& name : field_names) std::erase(name, '"');
     return named_fields(field_names);
 }

@@ -14,6 +14,7 @@
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/sequence/match_sweeps.hpp"
+#include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
 #include "read/scans/pose_conventions.hpp"
@@ -36,21 +37,11 @@ std::string_view strip_comment(const std::string& line) {
     return trim(std::string_view(line).substr(0, line.find('#')));
 }
 
-std::vector<std::string_view> split_at_spaces(std::string_view line) {
-    std::vector<std::string_view> words;
-    for (line = trim(line); !line.empty(); line = trim(line)) {
-        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        words.push_back(line.substr(0, end));
-        line.remove_prefix(end);
-    }
-    return words;
-}
-
 /// Returns the words of a line, also if the line is a comment.
 std::vector<std::string_view> split_header(const std::string& line) {
     std::string_view text = trim(line);
     if (text.starts_with('#')) text.remove_prefix(1);
-    return split_at_spaces(text);
+    return split_words(text);
 }
 
 /// Column names are in a comment that contains "qw", or in a line whose first word is not
@@ -385,7 +376,7 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
     const auto first =
         std::ranges::find_if(lines, [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end()) fail_without_poses(pose_file.string());
-    if (split_at_spaces(strip_comment(*first)).size() == kMatrixNumbers)
+    if (split_words(strip_comment(*first)).size() == kMatrixNumbers)
         return load_matrix_poses(pose_file, frames, read_scan_pairs_for_pose_check, notes);
     return load_timed_poses(lines, pose_file.string(), frames, read_scan_pairs_for_pose_check, notes);
 }

@@ -75,25 +75,19 @@ std::vector<glm::vec3> read_vehicle_points(const read::SequenceHeader& header, c
 }
 
 /// Reads a few pairs of consecutive scans of the first LiDAR, evenly spread over the log.
-/// With correct poses, the scans of a pair overlap. Skips unreadable files.
+/// With correct poses, the scans of a pair overlap.
 read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
     constexpr std::size_t kMaxPairs = 4;  // enough for a decision, and fast to read
-    std::vector<const LogFrame*> first_lidar_frames;
-    for (const LogFrame& frame : frames)
-        if (frame.lidar == 0) first_lidar_frames.push_back(&frame);
+    std::vector<LogFrame> scans;          // of the first LiDAR
+    std::ranges::copy_if(frames, std::back_inserter(scans),
+                         [](const LogFrame& frame) { return frame.lidar == 0; });
     read::ScanPairs pairs;
-    if (first_lidar_frames.empty()) return pairs;
-    const std::size_t n_steps = first_lidar_frames.size() - 1, n_pairs = std::min(kMaxPairs, n_steps);
-    for (std::size_t k = 0; k < n_pairs; ++k) {
-        const std::size_t step = k * n_steps / n_pairs;
-        const LogFrame &first = *first_lidar_frames[step], &second = *first_lidar_frames[step + 1];
-        try {
-            pairs.add_scan_pair(first.time_s, read_vehicle_points(header, first), second.time_s,
-                                read_vehicle_points(header, second));
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scans are read
-        }
-    }
+    if (scans.empty()) return pairs;
+    const auto read_pair = [&](std::size_t i) {
+        pairs.add_scan_pair(scans[i].time_s, read_vehicle_points(header, scans[i]), scans[i + 1].time_s,
+                            read_vehicle_points(header, scans[i + 1]));
+    };
+    read::read_samples(scans.size() - 1, read_pair, kMaxPairs);
     return pairs;
 }
 
