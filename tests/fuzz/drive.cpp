@@ -84,7 +84,7 @@ void read_drive_texts(const Drive& drive, unsigned options) {
                      if (options & kPosesFile) kitti::read_matrices(drive.poses, frames);
                      else kitti::read_oxts_poses(drive.log.folder, frames);
                  },
-                 [&] { kitti::split_rings(kitti::read_kitti_scan(drive.log.scan(0)).points); },
+                 [&] { kitti::split_rings(kitti::read_kitti_scan(drive.log.scan(0))); },
                  [&] { kitti::read_tracklets(drive.log.folder / "tracklet_labels.xml", frames, track); }});
 }
 

@@ -98,7 +98,7 @@ std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_nu
     return requested;
 }
 
-ScanPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
+LidarPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
     const std::string bytes = read_file(file);
     constexpr std::size_t kPointBytes = sizeof(glm::vec4);  // x, y, z, reflectance
     if (bytes.empty())
@@ -107,30 +107,23 @@ ScanPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
         fail("{}: the file is truncated: it has {} bytes, which are {} points of {} bytes and {} more bytes",
              file.string(), bytes.size(), bytes.size() / kPointBytes, kPointBytes,
              bytes.size() % kPointBytes);
-    ScanPoints scan;
-    std::vector<glm::vec4>& points = scan.points;
-    points.resize(bytes.size() / kPointBytes);
-    std::memcpy(points.data(), bytes.data(), bytes.size());
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        const glm::vec4& p = points[i];
+    std::vector<glm::vec4> stored(bytes.size() / kPointBytes);
+    std::memcpy(stored.data(), bytes.data(), bytes.size());
+    std::vector<SurfaceClass> classes;
+    if (!label_file.empty() && does_path_exist(label_file)) classes = read_classes(label_file, stored.size());
+    LidarPoints points;
+    for (std::size_t i = 0; i < stored.size(); ++i) {
+        const glm::vec4& p = stored[i];
+        if (!is_return_point(p)) continue;  // may have any values
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-        // A ray without a return may have any values, because it is removed below.
-        if (!is_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
-        fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
-             file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
+        if (!std::isfinite(p.w) || largest > kFarthestReturn_m)
+            fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
+                 file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
+        points.position_m.emplace_back(p);
+        points.intensity.push_back(p.w);
+        if (!classes.empty()) points.classes.push_back(classes[i]);
     }
-    if (!label_file.empty() && does_path_exist(label_file))
-        scan.classes = read_classes(label_file, points.size());
-    // Removes rays without a return, together with their classes.
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        if (!is_return_point(points[i])) continue;
-        if (!scan.classes.empty()) scan.classes[n] = scan.classes[i];
-        points[n++] = points[i];
-    }
-    points.resize(n);
-    if (!scan.classes.empty()) scan.classes.resize(n);
-    return scan;
+    return points;
 }
 
 }  // namespace relidar::kitti

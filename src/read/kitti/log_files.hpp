@@ -11,6 +11,7 @@
 #include <glm/glm.hpp>
 
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/points.hpp>
 
 #include "read/scans/pose_conventions.hpp"
 
@@ -22,16 +23,13 @@ namespace relidar::kitti {
 /// @throws UsageError if the range contains no scan
 std::vector<int> list_scans(const std::filesystem::path& folder, int begin_number, int end_number);
 
-struct ScanPoints {
-    std::vector<glm::vec4> points;      ///< x, y, z in metres in the sensor frame, and reflectance
-    std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
-};
-/// Reads the points of a scan file. Omits rays without a return.
+/// Reads the points of a scan file, with the reflectance as intensity. Omits rays without
+/// a return.
 /// @param label_file  SemanticKITTI labels, 32 bits per point, of which the lower 16 are
 /// the class; may not exist
 /// @throws DataError if the scan is truncated, empty or invalid, or if the number of
 /// labels differs
-ScanPoints read_kitti_scan(const std::filesystem::path& file, const std::filesystem::path& label_file = {});
+LidarPoints read_kitti_scan(const std::filesystem::path& file, const std::filesystem::path& label_file = {});
 
 /// Adds a note if scan files are missing.
 /// @throws DataError if scan files are missing and allow_missing is false

@@ -17,14 +17,16 @@ struct RobustLine {
     std::size_t n = 0;  ///< number of points in the fit; 0 if the fit is unreliable
     double slope_error = INFINITY;
 
+    double at(double x) const { return at_zero + slope * x; }
     double residual(const glm::dvec2& point) const { return point.y - at_zero - point.x * slope; }
 };
 
 struct RobustLineOptions {
     int n_passes = 4;  ///< fits without the outliers of the fit before
     std::size_t min_points = 16;
-    double min_spread = 0.0;   ///< sum of the squared deviations of x from its mean
-    double min_outlier = 0.0;  ///< points nearer to the line than this are no outliers
+    double min_spread = 0.0;    ///< sum of the squared deviations of x from its mean
+    double min_variance = 0.0;  ///< the same, divided by the number of points
+    double min_outlier = 0.0;   ///< points nearer to the line than this are no outliers
 };
 
 /// Fits a line to the points that are at most `max_off` above or below another line.
@@ -41,7 +43,9 @@ inline RobustLine fit_line(const std::vector<glm::dvec2>& points, const RobustLi
         syy += p.y * p.y;
     }
     const double spread = n * sxx - sx * sx;  // n times the sum of squared deviations of x
-    if (n < double(options.min_points) || !(spread > 0.0) || spread < options.min_spread * n) return {};
+    if (n < double(options.min_points) || !(spread > 0.0) || spread < options.min_spread * n ||
+        spread < options.min_variance * n * n)
+        return {};
     const double slope = (n * sxy - sx * sy) / spread, at_zero = (sy - slope * sx) / n;
     const double squares = std::max(0.0, syy - at_zero * sy - slope * sxy);
     return {at_zero, slope, std::size_t(n), std::sqrt(squares / spread)};

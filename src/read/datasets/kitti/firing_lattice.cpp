@@ -10,12 +10,14 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <functional>
 #include <numeric>
 
 #include <relidar/base/math.hpp>
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "log/sensor/beam_geometry.hpp"
+#include "read/scans/robust_line.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -25,40 +27,40 @@ constexpr double kMaxOffset_rad = 0.35;
 // A firing has returns of at least this many beams. Fewer can be stray points.
 constexpr int kMinLasers = 4;
 
-/// Azimuth of each point, and 1 / its distance from the spin axis in metres.
-struct PolarPoints {
-    std::vector<double> azimuth_rad, inverse_rho;
+struct PolarPoint {
+    double azimuth_rad, inverse_rho;  ///< inverse_rho: 1 / distance from the spin axis in metres
 };
+using PolarRings = std::array<std::vector<PolarPoint>, kRings>;
 
 /// Converts the points of all scans to polar coordinates, grouped by ring (beam). Leaves
 /// out points nearer than 2 m.
-std::array<PolarPoints, kRings> collect_polar(const std::vector<const RingScan*>& scans) {
-    std::array<PolarPoints, kRings> polar;
+PolarRings collect_polar(const std::vector<const RingScan*>& scans) {
+    PolarRings polar;
     for (const RingScan* scan : scans)
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
-            const glm::dvec4 p(scan->points[i]);
+            const glm::dvec3 p(scan->points.position_m[i]);
             const double rho = std::hypot(p.x, p.y);
             // The files are rounded to a millimetre, so azimuths of near points are
             // inaccurate.
-            if (rho < 2.0) continue;
-            polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
-            polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
+            if (rho >= 2.0) polar[scan->points.ring[i]].push_back({std::atan2(p.y, p.x), 1.0 / rho});
         }
     return polar;
 }
 
-/// Tests a lateral offset of a beam from the spin axis. Returns the mean of
-///   exp(2 pi i (azimuth - lateral_offset_m / distance) / tick)
-/// over every `point_stride`-th point. The absolute value is 1 if all corrected azimuths
-/// have the same distance from the tick before them, and 0 if they are random. The
-/// argument of the mean is this distance, where 2 pi is a full tick.
-std::complex<double> mean_tick_phase(const PolarPoints& beam_points, double encoder_tick_rad,
-                                     double lateral_offset_m, std::size_t point_stride) {
+/// Returns how well the azimuths of a beam fit to the ticks of the encoder, if the beam
+/// starts `left_m` to the left of the spin axis. The head was then at
+///   head = azimuth - left_m / rho.
+/// The result is the mean of exp(2 pi i head / tick) over every `stride`-th point. Its
+/// absolute value (the concentration) is 1 if all heads have the same distance from the
+/// tick before them, and 0 if they are random. Its argument is this distance; 2 pi is a
+/// full tick.
+std::complex<double> mean_tick_phase(const std::vector<PolarPoint>& points, double tick_rad, double left_m,
+                                     std::size_t stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
-    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride) {
-        const double head_rad = beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i];
-        sum += std::polar(1.0, 2.0 * kPi * head_rad / encoder_tick_rad);
+    for (std::size_t i = 0; i < points.size(); i += stride) {
+        const double head_rad = points[i].azimuth_rad - left_m * points[i].inverse_rho;
+        sum += std::polar(1.0, 2.0 * kPi * head_rad / tick_rad);
         ++n;
     }
     return n > 0 ? sum / double(n) : sum;
@@ -70,52 +72,45 @@ struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Improves the model azimuth = k * encoder_tick_rad + phase_rad + left_m / distance,
-/// with integer k. Fits a line error = d_phase + d_left * u to the errors of the model by
-/// least squares, where u = 1 / distance.
-void refine_phase(TickGridPhase& phase, const PolarPoints& polar, double encoder_tick_rad) {
-    double n = 0, sum_u = 0, sum_error = 0, sum_uu = 0, sum_u_error = 0;
-    for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
-        const double u = polar.inverse_rho[i];
-        const double error =
-            std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, encoder_tick_rad);
-        // Points in the middle between two ticks are outliers.
-        if (std::abs(error) > 0.25 * encoder_tick_rad) continue;
-        n += 1;
-        sum_u += u;
-        sum_error += error;
-        sum_uu += u * u;
-        sum_u_error += u * error;
-    }
-    // With few points, or at similar distances, the lateral offset cannot be separated
-    // from the azimuth offset. The standard deviation of u must be 0.01 / m.
-    constexpr double kMinPoints = 16, kMinVariance = 1e-4;
-    const double spread = n * sum_uu - sum_u * sum_u;  // n^2 times the variance of u
-    if (n < kMinPoints || spread < kMinVariance * n * n) return;
-    const double d_left = (n * sum_u_error - sum_u * sum_error) / spread;
-    phase.left_m += d_left;
-    phase.phase_rad += (sum_error - d_left * sum_u) / n;
+/// Improves the model azimuth = k * tick_rad + phase_rad + left_m / rho with integer k:
+/// fits a line over 1 / rho to the errors of the model, which are differences to the
+/// nearest tick.
+void refine_phase(TickGridPhase& phase, const std::vector<PolarPoint>& points, double tick_rad) {
+    std::vector<glm::dvec2> errors;
+    for (const PolarPoint& p : points)
+        errors.emplace_back(
+            p.inverse_rho,
+            std::remainder(p.azimuth_rad - phase.left_m * p.inverse_rho - phase.phase_rad, tick_rad));
+    // Points in the middle between two ticks are outliers. With few points, or at similar
+    // distances, left_m cannot be separated from phase_rad: nothing is changed unless the
+    // standard deviation of 1 / rho is at least 0.01 / m.
+    const read::RobustLine change =
+        read::fit_line(errors, {}, 0.25 * tick_rad, {.min_points = 16, .min_variance = 1e-4});
+    phase.left_m += change.slope;
+    phase.phase_rad += change.at_zero;
 }
 
 /// Fits the left offset and the azimuth phase of one beam: searches the offset that fits
-/// the encoder ticks best, in steps of 2 mm, and then refines it.
-TickGridPhase fit_beam_phase(const PolarPoints& polar, double encoder_tick_rad) {
+/// the encoder ticks best, and then refines it.
+TickGridPhase fit_beam_phase(const std::vector<PolarPoint>& points, double tick_rad) {
+    // Real HDL-64Es have offsets of up to 26 mm.
+    constexpr int kMaxLeft_mm = 60, kStep_mm = 2;
+    // Below this gain of the concentration, an offset is not certain.
+    constexpr double kMinGain = 0.02;
     // About 500 points are enough to compare the offsets.
-    const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
+    const std::size_t stride = std::max<std::size_t>(points.size() / 500, 1);
     const auto fit_phase = [&](double left_m) {
-        const std::complex<double> mean = mean_tick_phase(polar, encoder_tick_rad, left_m, stride);
-        return TickGridPhase{left_m, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
+        const std::complex<double> mean = mean_tick_phase(points, tick_rad, left_m, stride);
+        return TickGridPhase{left_m, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     };
-    // The concentration is 1 if all azimuths have the same distance from a tick.
     TickGridPhase best{.concentration = -1.0};
-    for (int mm = -60; mm <= 60; mm += 2) {
-        const TickGridPhase phase = fit_phase(mm * 1e-3);
+    for (int left_mm = -kMaxLeft_mm; left_mm <= kMaxLeft_mm; left_mm += kStep_mm) {
+        const TickGridPhase phase = fit_phase(left_mm * 1e-3);
         if (phase.concentration > best.concentration) best = phase;
     }
-    // Prefers offset 0 if it fits nearly as well.
     const TickGridPhase centred = fit_phase(0.0);
-    if (centred.concentration > best.concentration - 0.02) best = centred;
-    if (best.left_m != 0.0) refine_phase(best, polar, encoder_tick_rad);
+    if (centred.concentration > best.concentration - kMinGain) return centred;
+    refine_phase(best, points, tick_rad);
     return best;
 }
 
@@ -124,17 +119,15 @@ struct RingPhases {
     double concentration = 0.0;  ///< mean over the points
 };
 
-/// Fits the phase of every beam to ticks of one size. Returns also the mean quality of
-/// all fits.
-RingPhases fit_phases(const std::array<PolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
+/// Fits the phase of every beam to the ticks of an encoder with `n_ticks` per revolution.
+RingPhases fit_phases(const PolarRings& polar, int n_ticks) {
     RingPhases phases;
     parallel_for(kRings, [&](int k) {
-        const std::size_t ring = std::size_t(k);
-        phases.ring[ring] = fit_beam_phase(polar_rings[ring], encoder_tick_rad);
+        phases.ring[std::size_t(k)] = fit_beam_phase(polar[std::size_t(k)], 2.0 * kPi / n_ticks);
     });
     double n_points = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
-        const double n_ring_points = double(polar_rings[k].azimuth_rad.size());
+        const double n_ring_points = double(polar[k].size());
         n_points += n_ring_points;
         phases.concentration += phases.ring[k].concentration * n_ring_points;
     }
@@ -150,10 +143,11 @@ int estimate_firings(const std::vector<const RingScan*>& scans) {
     std::vector<double> steps_rad;
     for (const RingScan* scan : scans)
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
-            const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
+            const glm::dvec3 a(scan->points.position_m[i - 1]), b(scan->points.position_m[i]);
             // angle from a to b about z: its sine and cosine, times both lengths
             const double step_rad = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
-            if (scan->ring[i] == scan->ring[i - 1] && step_rad > kMinStep_rad) steps_rad.push_back(step_rad);
+            if (scan->points.ring[i] == scan->points.ring[i - 1] && step_rad > kMinStep_rad)
+                steps_rad.push_back(step_rad);
         }
     if (steps_rad.empty()) return 1;
     const double longest_rad = 1.5 * compute_median(steps_rad);
@@ -166,65 +160,56 @@ int estimate_firings(const std::vector<const RingScan*>& scans) {
     return std::max(int(std::lround(2.0 * kPi * n / sum_rad)), 1);
 }
 
-/// [beams][points] Number of the encoder tick (a head angle at which a firing is
-/// possible) at which each point was measured.
+/// [beams][points] Encoder ticks, which are the angles at which the head can fire.
 using BeamTicks = std::vector<std::vector<int>>;
+/// [ticks] whether the LiDAR fired at a tick
+using FiredTicks = std::vector<char>;
 
-/// Returns the encoder ticks of all points of a scan, grouped by beam. A tick is the head
-/// position at which the beam of the point faced the point.
-BeamTicks compute_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
-    BeamTicks ticks(kRings);
+/// Returns for each point of a scan the tick nearest to the azimuth of the head at which
+/// the beam of the point faced the point.
+BeamTicks compute_ticks(const RingScan& scan, const FiringGrid& grid) {
     std::vector<BeamRays> beams;
     for (std::size_t k = 0; k < kRings; ++k)
-        beams.emplace_back(
-            Beam{.azimuth_offset_rad = firing_grid.offset_rad[k], .origin_left_m = firing_grid.left_m[k]});
+        beams.emplace_back(Beam{.azimuth_offset_rad = grid.offset_rad[k], .origin_left_m = grid.left_m[k]});
+    BeamTicks ticks(kRings);
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
-        const std::size_t k = scan.ring[i];
-        ticks[k].push_back(
-            firing_grid.head.nearest_tick(beams[k].azimuth_facing(glm::dvec3(scan.points[i]))));
+        const std::size_t k = scan.points.ring[i];
+        const double head_rad = beams[k].azimuth_facing(glm::dvec3(scan.points.position_m[i]));
+        ticks[k].push_back(grid.head.nearest_tick(head_rad));
     }
     return ticks;
 }
 
-/// Returns [scans][ticks] at which ticks (head angles of the rotary encoder) the LiDAR
-/// fired. All beams fire together, so at least `min_beams` beams have a return there.
-/// @param tick_shift_of_each_beam  [beams] subtracted from the tick of each return of the
-/// beam
-std::vector<std::vector<char>> flag_fired_ticks(const std::vector<BeamTicks>& ticks_of_scans,
-                                                const std::vector<int>& tick_shift_of_each_beam, int n_ticks,
-                                                int min_beams) {
-    std::vector<std::vector<char>> is_fired;
-    for (const BeamTicks& scan : ticks_of_scans) {
-        std::vector<int> n_returns(static_cast<std::size_t>(n_ticks));
-        for (std::size_t k = 0; k < kRings; ++k)
-            for (const int tick : scan[k]) {
-                const int shifted = tick - tick_shift_of_each_beam[k];
-                ++n_returns[std::size_t((shifted % n_ticks + n_ticks) % n_ticks)];
-            }
-        std::vector<char>& flags = is_fired.emplace_back(std::size_t(n_ticks));
-        for (std::size_t t = 0; t < n_returns.size(); ++t) flags[t] = n_returns[t] >= min_beams;
-    }
+/// Returns the ticks at which at least `min_returns` points were measured. All beams fire
+/// together, so a firing has a return of many beams.
+FiredTicks flag_fired_ticks(const BeamTicks& ticks, int n_ticks, int min_returns) {
+    std::vector<int> n_returns(static_cast<std::size_t>(n_ticks));
+    for (const std::vector<int>& beam : ticks)
+        for (const int tick : beam) ++n_returns[std::size_t(tick)];
+    FiredTicks is_fired;
+    for (const int n : n_returns) is_fired.push_back(n >= min_returns);
     return is_fired;
 }
 
-/// Moves a tick into [0, n_ticks). The argument is at most one turn outside of this
-/// range.
+/// Moves a tick that is at most one turn outside of [0, n_ticks) into this range.
 int wrap_tick(int tick, int n_ticks) {
     if (tick < 0) return tick + n_ticks;
     return tick >= n_ticks ? tick - n_ticks : tick;
 }
 
-/// Returns the azimuth offset of a beam in encoder ticks, which is later subtracted from
-/// its ticks. The best offset moves the most returns to ticks at which other beams have
-/// returns. Returns 0 if no offset is clearly better than 0.
-/// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
-int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t ring,
-                     const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
+/// Returns the azimuth offset of a beam in ticks, to be subtracted from its ticks. With
+/// the best offset, the most returns are at fired ticks. Returns 0 if no offset is
+/// clearly better than 0.
+/// @param ticks_of_scans, is_fired  [scans]
+int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t beam,
+                     const std::vector<FiredTicks>& is_fired) {
+    const int n_ticks = int(is_fired[0].size()),
+              max_shift = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     const auto count_matches = [&](int shift) {
         std::size_t n = 0;
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
-            for (const int tick : ticks_of_scans[s][ring])
-                n += std::size_t(is_tick_fired[s][std::size_t(wrap_tick(tick - shift, n_ticks))]);
+            for (const int tick : ticks_of_scans[s][beam])
+                n += std::size_t(is_fired[s][std::size_t(wrap_tick(tick - shift, n_ticks))]);
         return n;
     };
     const std::size_t matches_at_zero = count_matches(0);
@@ -238,34 +223,40 @@ int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t r
                 best_shift = shift;
             }
     std::size_t n_returns = 0;
-    for (const BeamTicks& scan : ticks_of_scans) n_returns += scan[ring].size();
+    for (const BeamTicks& scan : ticks_of_scans) n_returns += scan[beam].size();
     // Another offset must match at least 1 % more returns.
     return most_matches > matches_at_zero + n_returns / 100 ? best_shift : 0;
 }
 
-/// Returns the azimuth offset of each beam in encoder ticks. All beams fire together, so
-/// correct offsets move the returns of a firing to the same tick.
-std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, int n_ticks) {
-    const int max_shift = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
-    const std::size_t fullest_ring = std::size_t(
-        std::ranges::max_element(ticks_of_scans[0], {}, std::ranges::size) - ticks_of_scans[0].begin());
-    std::vector<BeamTicks> only_fullest(ticks_of_scans.size(), BeamTicks(kRings));
-    for (std::size_t s = 0; s < only_fullest.size(); ++s)
-        only_fullest[s][fullest_ring] = ticks_of_scans[s][fullest_ring];
-    std::vector<int> shifts(kRings, 0);
-    auto is_fired = flag_fired_ticks(only_fullest, shifts, n_ticks, 1);
-    // Each pass shifts each beam in azimuth, so that its returns are at fired ticks. Pass
-    // 1 uses the ticks of one beam, the beam with the most points, because the offsets
-    // between beams are not known yet. Pass 2 uses the ticks at which at least kMinLasers
-    // beams have returns after pass 1.
-    for (int pass = 0; pass < 2; ++pass) {
-        parallel_for(kRings, [&](int k) {
-            shifts[std::size_t(k)] =
-                find_tick_offset(ticks_of_scans, std::size_t(k), is_fired, n_ticks, max_shift);
-        });
-        is_fired = flag_fired_ticks(ticks_of_scans, shifts, n_ticks, kMinLasers);
+/// Returns find_tick_offset() of all beams.
+std::vector<int> find_tick_offsets(const std::vector<BeamTicks>& ticks_of_scans,
+                                   const std::vector<FiredTicks>& is_fired) {
+    std::vector<int> offsets(kRings);
+    parallel_for(kRings, [&](int k) {
+        offsets[std::size_t(k)] = find_tick_offset(ticks_of_scans, std::size_t(k), is_fired);
+    });
+    return offsets;
+}
+
+/// Returns the azimuth offset of each beam in ticks. All beams fire together, so correct
+/// offsets move the returns of a firing to the same tick.
+std::vector<int> align_beams(const std::vector<BeamTicks>& ticks_of_scans, int n_ticks) {
+    // First, the fired ticks are those of the beam with the most points, because the
+    // offsets between beams are not known yet.
+    const auto fullest =
+        std::ranges::max_element(ticks_of_scans[0], {}, std::ranges::size) - ticks_of_scans[0].begin();
+    std::vector<FiredTicks> is_fired;
+    for (const BeamTicks& scan : ticks_of_scans)
+        is_fired.push_back(flag_fired_ticks({scan[std::size_t(fullest)]}, n_ticks, 1));
+    const std::vector<int> rough = find_tick_offsets(ticks_of_scans, is_fired);
+    // With these offsets, the fired ticks are those at which several beams have returns.
+    for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
+        BeamTicks moved = ticks_of_scans[s];
+        for (std::size_t k = 0; k < kRings; ++k)
+            for (int& tick : moved[k]) tick = wrap_tick(tick - rough[k], n_ticks);
+        is_fired[s] = flag_fired_ticks(moved, n_ticks, kMinLasers);
     }
-    return shifts;
+    return find_tick_offsets(ticks_of_scans, is_fired);
 }
 
 }  // namespace
@@ -274,37 +265,36 @@ std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].slope);
-        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].at_zero * std::cos(elevation), left_m[k]};
+        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].z0_m * std::cos(elevation), left_m[k]};
     }
     return beams;
 }
 
 FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
-    // Minimum quality of the fit of the azimuths to the ticks. It is 1 if all azimuths
-    // are exactly on ticks, and 0 if they are unrelated to the ticks.
+    // Azimuths with a smaller concentration do not fit to the ticks.
     constexpr double kMinConcentration = 0.8;
-    const std::array<PolarPoints, kRings> polar = collect_polar(scans);
+    const PolarRings polar = collect_polar(scans);
     FiringGrid grid;
     grid.head.n_ticks = kEncoderTicks;
-    RingPhases phases = fit_phases(polar, 2.0 * kPi / kEncoderTicks);
-    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal azimuth steps
-    // instead.
-    if (phases.concentration < kMinConcentration) {
+    RingPhases phases = fit_phases(polar, kEncoderTicks);
+    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal steps instead.
+    grid.every_tick = phases.concentration < kMinConcentration;
+    if (grid.every_tick) {
         grid.head.n_ticks = estimate_firings(scans);
-        grid.every_tick = true;
-        phases = fit_phases(polar, 2.0 * kPi / grid.head.n_ticks);
+        phases = fit_phases(polar, grid.head.n_ticks);
+        if (phases.concentration < kMinConcentration) return grid;
     }
-    if (phases.concentration < kMinConcentration) return grid;
-
     for (std::size_t k = 0; k < kRings; ++k) {
         grid.left_m[k] = phases.ring[k].left_m;
         grid.offset_rad[k] = phases.ring[k].phase_rad;
     }
+    // The phases are offsets up to a multiple of a tick. Between equal steps, they are
+    // complete, because the head fires at every tick.
     if (!grid.every_tick) {
         std::vector<BeamTicks> ticks;
         for (const RingScan* scan : scans) ticks.push_back(compute_ticks(*scan, grid));
-        const std::vector<int> shift = find_tick_shifts(ticks, grid.head.n_ticks);
-        for (std::size_t k = 0; k < kRings; ++k) grid.offset_rad[k] += shift[k] * grid.head.tick_step_rad();
+        const std::vector<int> offsets = align_beams(ticks, grid.head.n_ticks);
+        for (std::size_t k = 0; k < kRings; ++k) grid.offset_rad[k] += offsets[k] * grid.head.tick_step_rad();
     }
     // Shifts the offsets of all beams so that their mean is 0. The head then faces the
     // mean direction of the beams.
@@ -314,18 +304,13 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
     return grid;
 }
 
-std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
-    // compute_ticks() has applied the beam offsets, so the shifts are 0.
-    const std::vector<int> no_shifts(kRings, 0);
-    const std::vector<char> is_fired = flag_fired_ticks({compute_ticks(scan, firing_grid)}, no_shifts,
-                                                        firing_grid.head.n_ticks, kMinLasers)[0];
+std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& grid) {
+    const FiredTicks is_fired = flag_fired_ticks(compute_ticks(scan, grid), grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;
-    for (int t = 0; t < firing_grid.head.n_ticks; ++t)
-        if (firing_grid.every_tick || is_fired[std::size_t(t)]) firings.push_back(t);
+    for (int t = 0; t < grid.head.n_ticks; ++t)
+        if (grid.every_tick || is_fired[std::size_t(t)]) firings.push_back(t);
     // The head turns clockwise, so azimuths decrease with time.
-    std::sort(firings.begin(), firings.end(), [&](int first, int second) {
-        return firing_grid.head.tick_azimuth_rad(first) > firing_grid.head.tick_azimuth_rad(second);
-    });
+    std::ranges::sort(firings, std::greater{}, [&](int tick) { return grid.head.tick_azimuth_rad(tick); });
     return firings;
 }
 

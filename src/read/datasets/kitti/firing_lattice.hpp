@@ -44,6 +44,6 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans);
 
 /// Returns the ticks at which the head fired, in order of time: clockwise from azimuth
 /// +pi.
-std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing_grid);
+std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& grid);
 
 }  // namespace relidar::kitti

@@ -7,14 +7,14 @@
 
 #include <algorithm>
 #include <cmath>
-
-#include <fmt/format.h>
+#include <span>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
 #include "base/fail.hpp"
 #include "base/median.hpp"
+#include "read/scans/robust_line.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -25,91 +25,82 @@ namespace {
 constexpr read::RobustLineOptions kConeFit{
     .n_passes = 4, .min_points = 16, .min_spread = 36.0, .min_outlier = 1e-3};
 
-/// Returns the distance of a point from the spin axis, and its height.
-glm::dvec2 to_cone_point(const glm::vec4& point) {
-    const glm::dvec4 p(point);
+/// Points of each beam: the distance from the spin axis, and the height.
+using ConePoints = std::array<std::vector<glm::dvec2>, kRings>;
+
+glm::dvec2 to_cone_point(const glm::vec3& point) {
+    const glm::dvec3 p(point);
     return {std::hypot(p.x, p.y), p.z};
 }
 
-/// Heights at which the 32 beams of a laser block cross the spin axis: z0 = mean_z0 +
-/// slope * (tan_elevation - mean_tan). The means are over the fitted beams.
-struct HeightFit {
-    double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
-    double height_at_m(double tan_elevation) const { return mean_z0 + slope * (tan_elevation - mean_tan); }
-};
-
-/// Fits a line to the heights of the beams in `fitted_rings`, which belong to one laser
-/// block. The height is a linear function of tan(elevation).
-HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
-    HeightFit line;
-    double sum_tt = 0.0, sum_tz = 0.0;
-    for (const std::size_t k : fitted_rings) {
-        line.mean_tan += cones[k].slope / double(fitted_rings.size());
-        line.mean_z0 += cones[k].at_zero / double(fitted_rings.size());
-    }
-    for (const std::size_t k : fitted_rings) {
-        const double tan_deviation = cones[k].slope - line.mean_tan;
-        sum_tt += tan_deviation * tan_deviation;
-        sum_tz += tan_deviation * (cones[k].at_zero - line.mean_z0);
-    }
-    line.slope = sum_tz / std::max(sum_tt, 1e-12);
-    return line;
+/// Returns the distance of a point above or below a cone.
+double height_error_m(const read::RingCone& cone, const glm::vec3& point) {
+    const glm::dvec2 p = to_cone_point(point);
+    return std::abs(p.y - cone.z0_m - p.x * cone.slope);
 }
 
-/// Returns the median of tan(elevation) over the points of one beam. Used if all points
-/// have similar distances, so that no line can be fitted to them. `fit` gives the height
-/// of the beam; it was fitted to other beams of the block.
-/// @param tan_elevation  first guess, on which the height depends; improved in 3 passes
-double tan_elevation_at(const std::vector<glm::dvec2>& samples, const HeightFit& fit, double tan_elevation) {
-    std::vector<double> slopes(samples.size());
-    for (int pass = 0; pass < 3; ++pass) {
-        for (std::size_t i = 0; i < samples.size(); ++i)
-            slopes[i] = (samples[i].y - fit.height_at_m(tan_elevation)) / std::max(samples[i].x, 0.1);
-        tan_elevation = compute_median(slopes);
-    }
-    return tan_elevation;
-}
-
-/// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
-/// beams in the same half of the 64 beams, because each half is one laser block.
-void fill_missing_cones(BeamCones& cones, const std::array<std::vector<glm::dvec2>, kRings>& samples_of_rings,
-                        const std::string& where) {
-    for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {  // first beam of a block
-        std::vector<std::size_t> good;
-        for (std::size_t k = first; k < first + kRings / 2; ++k)
-            if (cones[k].n > 0) good.push_back(k);
-        if (good.size() < 2)
-            throw DataError(where +
-                            ": fewer than two beams of a block of 32 beams have enough returns, expected a "
-                            "log of an HDL-64E");
-        const HeightFit line = fit_heights(cones, good);
-        for (std::size_t k = first; k < first + kRings / 2; ++k) {
-            if (cones[k].n > 0) continue;
-            // Interpolates tan(elevation) between the neighbouring fitted beams a and b,
-            // or extrapolates at the ends of the block.
-            const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
-            const std::size_t a = next[-1], b = *next;
-            const double along = (double(k) - double(a)) / double(b - a);
-            cones[k].slope = cones[a].slope + (cones[b].slope - cones[a].slope) * along;
-            if (samples_of_rings[k].size() >= 16)
-                cones[k].slope = tan_elevation_at(samples_of_rings[k], line, cones[k].slope);
-            cones[k].at_zero = line.height_at_m(cones[k].slope);
+/// Estimates the cone of a beam without enough points, or whose points all have similar
+/// distances.
+/// @param fitted  beams of the same block with a cone, ascending, at least two
+/// @param height_of_slope  height z0 of the beams of the block as a function of the slope
+/// @param points  points of the beam
+read::RingCone estimate_cone(const BeamCones& cones, std::size_t beam, const std::vector<std::size_t>& fitted,
+                             const read::RobustLine& height_of_slope, const std::vector<glm::dvec2>& points) {
+    // Interpolates the slope between the neighbouring fitted beams a and b, or
+    // extrapolates at the ends of the block.
+    const auto next = std::lower_bound(fitted.begin() + 1, fitted.end() - 1, beam);
+    const std::size_t a = next[-1], b = *next;
+    const double along = (double(beam) - double(a)) / double(b - a);
+    double slope = cones[a].slope + (cones[b].slope - cones[a].slope) * along;
+    if (points.size() >= kConeFit.min_points) {
+        // The median over the points is better. It needs the height, which depends on the
+        // slope, so it is repeated.
+        std::vector<double> slopes(points.size());
+        for (int pass = 0; pass < 3; ++pass) {
+            for (std::size_t i = 0; i < points.size(); ++i)
+                slopes[i] = (points[i].y - height_of_slope.at(slope)) / std::max(points[i].x, 0.1);
+            slope = compute_median(slopes);
         }
     }
+    return {height_of_slope.at(slope), slope};
 }
 
-/// Returns the ring of a group of consecutive points. Chooses the cone with the smallest
-/// median distance from the points.
-int find_nearest_ring(const RingScan& scan, std::size_t begin, std::size_t end, const BeamCones& cones) {
-    const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
-    int best = 0;
-    double least = INFINITY;
-    for (int k = 0; k < kRings; ++k) {
-        std::vector<double> error;
-        for (std::size_t i = begin; i < end; i += step)
-            error.push_back(std::abs(cones[std::size_t(k)].residual(to_cone_point(scan.points[i]))));
-        if (const double middle = compute_median(std::move(error)); middle < least) {
-            least = middle;
+/// Estimates the cones that could not be fitted, whose slope is NaN. Each half of the 64
+/// beams is one laser block, in which the heights of the cones are linear in their slopes.
+void fill_missing_cones(BeamCones& cones, const ConePoints& points, const std::string& where) {
+    constexpr std::size_t kBlock = kRings / 2;
+    for (const std::size_t first : {std::size_t{0}, kBlock}) {  // first beam of a block
+        std::vector<std::size_t> fitted, missing;
+        std::vector<glm::dvec2> slopes_and_heights;
+        for (std::size_t k = first; k < first + kBlock; ++k) {
+            (std::isnan(cones[k].slope) ? missing : fitted).push_back(k);
+            if (!std::isnan(cones[k].slope)) slopes_and_heights.emplace_back(cones[k].slope, cones[k].z0_m);
+        }
+        const read::RobustLine height_of_slope =
+            read::fit_line(slopes_and_heights, {}, INFINITY, {.min_points = 2});
+        if (height_of_slope.n == 0)
+            fail(
+                "{}: fewer than two beams of a block of 32 beams have enough returns, expected a log of an "
+                "HDL-64E",
+                where);
+        for (const std::size_t k : missing)
+            cones[k] = estimate_cone(cones, k, fitted, height_of_slope, points[k]);
+    }
+}
+
+/// Returns the beam whose cone has the smallest median distance from some points of one
+/// beam.
+std::size_t find_nearest_cone(std::span<const glm::vec3> points, const BeamCones& cones) {
+    // About 32 points are enough.
+    const std::size_t step = std::max<std::size_t>(points.size() / 32, 1);
+    std::size_t best = 0;
+    double least_m = INFINITY;
+    for (std::size_t k = 0; k < kRings; ++k) {
+        std::vector<double> errors_m;
+        for (std::size_t i = 0; i < points.size(); i += step)
+            errors_m.push_back(height_error_m(cones[k], points[i]));
+        if (const double median_m = compute_median(std::move(errors_m)); median_m < least_m) {
+            least_m = median_m;
             best = k;
         }
     }
@@ -118,62 +109,62 @@ int find_nearest_ring(const RingScan& scan, std::size_t begin, std::size_t end, 
 
 }  // namespace
 
-RingScan split_rings(std::vector<glm::vec4> points) {
-    RingScan scan;
-    scan.points = std::move(points);
-    scan.ring.resize(scan.points.size());
+RingScan split_rings(LidarPoints points) {
+    RingScan scan{.points = std::move(points)};
     int ring = 0;
     bool fourth = false;  // true if the previous point is in the 4th quadrant (x >= 0, y < 0)
-    for (std::size_t i = 0; i < scan.points.size(); ++i) {
-        const glm::vec4& p = scan.points[i];
+    for (const glm::vec3& p : scan.points.position_m) {
         if (fourth && p.x > 0.0f && p.y >= 0.0f) ++ring;
         fourth = p.x >= 0.0f && p.y < 0.0f;
-        scan.ring[i] = std::uint8_t(std::min(ring, 255));
+        scan.points.ring.push_back(std::uint16_t(std::min(ring, 255)));
     }
     scan.n_rings = ring + 1;
     return scan;
 }
 
 BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where) {
-    std::array<std::vector<glm::dvec2>, kRings> samples;
+    ConePoints points;
     int most = 0;
     for (const RingScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // A stray point can look like the start of a 65th ring.
-        if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
+        if (!scan->is_complete()) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i)
-            samples[std::min<int>(scan->ring[i], kRings - 1)].push_back(to_cone_point(scan->points[i]));
+            points[std::min<int>(scan->points.ring[i], kRings - 1)].push_back(
+                to_cone_point(scan->points.position_m[i]));
     }
     // No scan is complete, because a complete scan has points in ring 0.
-    if (samples[0].empty())
+    if (points[0].empty())
         fail(
             "{}: found {} rings in the order of the file, expected 64 rings of an HDL-64E, stored one after "
             "another",
             where, most);
     BeamCones cones;
-    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_robust_line(samples[k], kConeFit);
-    fill_missing_cones(cones, samples, where);
+    for (std::size_t k = 0; k < kRings; ++k) {
+        const read::RobustLine line = read::fit_robust_line(points[k], kConeFit);
+        cones[k] = {line.at_zero, line.n > 0 ? line.slope : NAN};
+    }
+    fill_missing_cones(cones, points, where);
     return cones;
 }
 
 void correct_rings(RingScan& scan, const BeamCones& cones) {
-    const std::size_t n = scan.points.size();
-    // After a wrong count of rings, each group gets the ring of the nearest cone.
+    const std::vector<glm::vec3>& points = scan.points.position_m;
+    std::vector<std::uint16_t>& ring = scan.points.ring;
+    // After a wrong count, the points that got the same number belong together. They get
+    // the ring of the nearest cone.
     if (scan.n_rings != kRings)
-        for (std::size_t begin = 0; begin < n;) {
-            std::size_t end = begin + 1;
-            while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
-            const auto ring = std::uint8_t(find_nearest_ring(scan, begin, end, cones));
-            std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
-                      scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
+        for (auto begin = ring.begin(); begin != ring.end();) {
+            const auto end = std::find_if(begin, ring.end(), [&](std::uint16_t r) { return r != *begin; });
+            const std::span group(&points[std::size_t(begin - ring.begin())], std::size_t(end - begin));
+            std::fill(begin, end, std::uint16_t(find_nearest_cone(group, cones)));
             begin = end;
         }
-    for (std::size_t i = 1; i < n; ++i) {
-        // Only a point at azimuth 0 can belong to the end of the previous ring.
-        if (scan.points[i].y != 0.0f || scan.ring[i] == scan.ring[i - 1]) continue;
-        const glm::dvec2 point = to_cone_point(scan.points[i]);
-        if (std::abs(cones[scan.ring[i - 1]].residual(point)) < std::abs(cones[scan.ring[i]].residual(point)))
-            scan.ring[i] = scan.ring[i - 1];
+    // The first point after the start of a ring can be the last of the ring before, but
+    // only if it has azimuth 0.
+    for (std::size_t i = 1; i < points.size(); ++i) {
+        if (points[i].y != 0.0f || ring[i] == ring[i - 1]) continue;
+        if (height_error_m(cones[ring[i - 1]], points[i]) < height_error_m(cones[ring[i]], points[i]))
+            ring[i] = ring[i - 1];
     }
 }
 

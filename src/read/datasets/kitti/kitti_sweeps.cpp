@@ -19,6 +19,7 @@
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/datasets/kitti/firing_lattice.hpp"
+#include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/fired_sweeps.hpp"
@@ -31,68 +32,39 @@ namespace {
 // scans to which elevations are fitted, and to which the grid of firings is fitted
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-/// Returns at most `count` scans, evenly spread over the log, so that fits see different
-/// scenery.
-std::vector<const RingScan*> pick_even_scans(const std::vector<RingScan>& scans, std::size_t count) {
+/// Returns at most `most` scans, evenly spread over the log.
+std::vector<const RingScan*> pick_scans(const std::vector<RingScan>& scans, std::size_t most) {
     std::vector<const RingScan*> some;
-    count = std::min(count, scans.size());
-    for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
+    for (const std::size_t i : read::spread_indices(scans.size(), most)) some.push_back(&scans[i]);
     return some;
 }
 
-/// Reads a scan file and splits its points into rings.
-/// @param label_folder  folder of the label files; empty if the points have no labels
-RingScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& label_folder) {
-    ScanPoints scan = read_kitti_scan(file, label_folder.empty()
-                                                ? label_folder
-                                                : label_folder / file.filename().replace_extension(".label"));
-    RingScan raw = split_rings(std::move(scan.points));
-    raw.classes = std::move(scan.classes);
-    return raw;
-}
-
-LidarPoints to_lidar_points(const RingScan& raw_scan) {
-    LidarPoints points;
-    for (const glm::vec4& p : raw_scan.points) {
-        points.position_m.emplace_back(p);
-        points.intensity.push_back(p.w);
-    }
-    points.ring.assign(raw_scan.ring.begin(), raw_scan.ring.end());
-    points.classes = raw_scan.classes;
-    points.time_offset_s = raw_scan.time_offset_s;
-    return points;
-}
-
 /// Corrects the ring numbers of all scans. Returns the cones of the beams.
-BeamCones correct_rings(std::vector<RingScan>& scans, const std::string& where) {
-    const BeamCones cones = fit_ring_cones(pick_even_scans(scans, kFitScans), where);
+BeamCones correct_all_rings(std::vector<RingScan>& scans, const std::string& where) {
+    const BeamCones cones = fit_ring_cones(pick_scans(scans, kFitScans), where);
     parallel_for(int(scans.size()), [&](int index) { correct_rings(scans[std::size_t(index)], cones); });
     return cones;
 }
 
 /// Moves the points of motion-compensated scans back to their firing times, if they show
 /// how the head turned. Adds a note and sets the rolling shutter then.
-std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<RingScan>& raw_scans,
+std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<RingScan>& scans,
                                                    const std::string& scan_folder, bool has_poses) {
-    // The motion of a sweep needs the right beams. Compensation moves points by less than
-    // the distance of two beams.
-    correct_rings(raw_scans, scan_folder);
+    // The search needs rings. They are corrected again afterwards with cones of the moved
+    // points, but compensation moves points by less than the distance of two beams.
+    correct_all_rings(scans, scan_folder);
     std::vector<read::CompensatedSweep> samples;
-    for (const RingScan* scan : pick_even_scans(raw_scans, kFitScans))
-        if (scan->n_rings == kRings || scan->n_rings == kRings + 1)
-            samples.push_back(
-                {to_lidar_points(*scan), sequence.frames[std::size_t(scan - raw_scans.data())].time_s});
-    read::CompensatedSensor sensor{read::find_sweep_s(sequence, {.lidars = {{}}}, 0), {}, kEncoderTicks};
+    for (const std::size_t i : read::spread_indices(scans.size(), kFitScans))
+        if (scans[i].is_complete()) samples.push_back({scans[i].points, sequence.frames[i].time_s});
+    const read::ScanLayout unknown_sweep{.lidars = {{}}};
+    read::CompensatedSensor sensor{.period_s = read::find_sweep_s(sequence, unknown_sweep, 0),
+                                   .n_ticks = kEncoderTicks};
     if (has_poses) sensor.world_from_sensor = sequence.lidar_track(0);
-    std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
+    const std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
     if (!recovery) return recovery;
-    parallel_for(int(raw_scans.size()), [&](int index) {
-        RingScan& scan = raw_scans[std::size_t(index)];
-        LidarPoints points = to_lidar_points(scan);
-        read::restore_firings(points, *recovery, sequence.frames[std::size_t(index)].time_s);
-        for (std::size_t i = 0; i < points.size(); ++i)
-            scan.points[i] = glm::vec4(points.position_m[i], scan.points[i].w);
-        scan.time_offset_s = std::move(points.time_offset_s);
+    parallel_for(int(scans.size()), [&](int index) {
+        const auto i = std::size_t(index);
+        read::restore_firings(scans[i].points, *recovery, sequence.frames[i].time_s);
     });
     sequence.rolling_shutter = true;
     sequence.lidars[0].sensor.period_s = sensor.period_s;
@@ -104,13 +76,13 @@ std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<Ri
 /// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
 /// azimuths increase from 0, so a complete scan ends near 360.
 double last_azimuth_deg(const RingScan& scan) {
-    if (scan.points.empty()) return 0.0;
-    // A complete scan has 64 rings. If there are more, a stray point after the last ring
-    // was counted as the start of another ring. So the scan is complete.
+    if (scan.points.size() == 0) return 0.0;
+    // With more than 64 rings, the last point was counted as the start of another ring,
+    // so the 64th ring is complete.
     if (scan.n_rings > kRings) return 360.0;
-    const double azimuth =
-        std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
-    return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
+    const glm::dvec3 last(scan.points.position_m.back());
+    const double azimuth_deg = std::atan2(last.y, last.x) * 180.0 / kPi;
+    return azimuth_deg < 0.0 ? azimuth_deg + 360.0 : azimuth_deg;
 }
 
 /// What a truncated file lacks: points, rings, or the end of the last ring.
@@ -118,8 +90,9 @@ struct ScanExtent {
     double n_points = 0.0, n_rings = 0.0, end_deg = 0.0;
 };
 
-/// Returns the median extent of up to five scans before and after a scan. Ignores values
-/// of 0, which unreadable scans have.
+/// Returns the median extent of up to five scans before and five after a scan. Ignores
+/// values of 0, which unreadable scans have. Without others, returns the extent of the
+/// scan.
 ScanExtent median_extent(const std::vector<ScanExtent>& extents, std::size_t scan_index) {
     constexpr std::size_t kNeighboursPerSide = 5;
     const std::size_t begin = scan_index < kNeighboursPerSide ? 0 : scan_index - kNeighboursPerSide,
@@ -133,8 +106,8 @@ ScanExtent median_extent(const std::vector<ScanExtent>& extents, std::size_t sca
     return {median(&ScanExtent::n_points), median(&ScanExtent::n_rings), median(&ScanExtent::end_deg)};
 }
 
-/// Records scans that are much smaller than their neighbours. Points that a damaged file
-/// lacks are no dropped rays.
+/// Records scans that are much smaller than the scans before and after them, because the
+/// points that a damaged file lacks are no dropped rays.
 /// @param name_of  returns the name of a scan
 template <class Name>
 void record_truncated(const std::vector<RingScan>& scans, const Name& name_of, ScanErrorCollector& broken) {
@@ -172,28 +145,31 @@ std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::strin
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
     for (const RingScan& scan : raw_scans)
-        for (const glm::vec4& p : scan.points) {
-            lowest = std::min(lowest, p.w);
-            highest = std::max(highest, p.w);
-            are_integers = are_integers && p.w == std::floor(p.w);
+        for (const float intensity : scan.points.intensity) {
+            lowest = std::min(lowest, intensity);
+            highest = std::max(highest, intensity);
+            are_integers = are_integers && intensity == std::floor(intensity);
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
     if (lowest < 0.0f || highest > kMaxByte || (!are_integers && highest <= kMaxPercent))
         fail("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder_name,
              lowest, highest);
     for (RingScan& scan : raw_scans)
-        for (glm::vec4& p : scan.points) p.w /= kMaxByte;
+        for (float& intensity : scan.points.intensity) intensity /= kMaxByte;
     return fmt::format("intensities are {} up to {}, so they are divided by 255",
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the number of rays before memory is allocated for them.
+/// Checks the number of rays before memory is allocated for them. Points that are far
+/// apart show small steps by chance, and many rays would follow.
 /// @throws DataError if there are too many rays per point
 void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid, const std::string& where) {
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
+    // With an encoder, only ticks at which points were measured have rays.
+    if (!grid.every_tick) return;
     std::size_t n_points = 0;
     for (const RingScan& scan : scans) n_points += scan.points.size();
-    const std::size_t n_rays = scans.size() * kRings * std::size_t(grid.every_tick ? grid.head.n_ticks : 1);
+    const std::size_t n_rays = scans.size() * kRings * std::size_t(grid.head.n_ticks);
     if (n_rays > kMostRaysAPoint * n_points)
         fail(
             "{}: found only {} points in {} sweeps with {} rays each, which follow from the steps between "
@@ -212,7 +188,12 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     };
     std::vector<RingScan> raw(sequence.frames.size());
     progress_for(raw.size(), progress, "reading scans", [&](std::size_t frame) {
-        broken.guard(frame, [&] { raw[frame] = read_raw_scan(file_of(frame), label_folder); });
+        broken.guard(frame, [&] {
+            const std::filesystem::path file = file_of(frame);
+            const std::string label_name = file.stem().string() + ".label";
+            raw[frame] = split_rings(
+                read_kitti_scan(file, label_folder.empty() ? label_folder : label_folder / label_name));
+        });
     });
     record_truncated(
         raw, [&](std::size_t frame) { return file_of(frame).string(); }, broken);
@@ -232,8 +213,8 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
                 "the scans are motion-compensated, so all rays start at the position of the sensor at the "
                 "time of the frame");
     }
-    const BeamCones cones = correct_rings(raw, scan_folder.string());
-    const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
+    const BeamCones cones = correct_all_rings(raw, scan_folder.string());
+    const FiringGrid lattice = fit_firing_grid(pick_scans(raw, kLatticeScans));
     check_ray_counts(raw, lattice, scan_folder.string());
 
     const std::vector<Beam> beams = lattice.make_beams(cones);
@@ -246,7 +227,7 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
                     "{}: found {} points that cannot be assigned to firings of the sensor, expected a sweep "
                     "of an HDL-64E",
                     file_of(frame).string(), raw[frame].points.size());
-            sweeps[frame] = {to_lidar_points(raw[frame]), {lattice.head, std::move(firings)}};
+            sweeps[frame] = {std::move(raw[frame].points), {lattice.head, std::move(firings)}};
             if (recovery) read::set_head_times(sweeps[frame].points, beams, lattice.head, *recovery);
         });
         raw[frame] = {};
