@@ -16,6 +16,7 @@
 #include "base/files.hpp"
 #include "log/sequence/match_sweeps.hpp"
 #include "read/datasets/ncore/ncore_scans.hpp"
+#include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/sweep_poses.hpp"
 
@@ -211,22 +212,17 @@ private:
         log_.boxes = build_tracks(labels);
     }
 
-    /// Reads a few frames of a LiDAR. Skips unreadable frames, because reading their
-    /// scans reports the error.
     std::vector<RayBundle> read_samples(std::size_t l) const {
-        std::vector<const ScanLocation*> frames;
+        std::vector<const ScanLocation*> scans;
         for (const ScanLocation& scan : scans_)
-            if (scan.lidar == l) frames.push_back(&scan);
+            if (scan.lidar == l) scans.push_back(&scan);
         std::vector<RayBundle> samples;
-        const std::size_t n = std::min(kSampleFrames, frames.size());
-        for (std::size_t k = 0; k < n; ++k) {
-            const ScanLocation& scan = *frames[k * frames.size() / n];
-            try {
-                samples.push_back(read_rays(lidars_[l].component, scan.frame, scan.time_us));
-            } catch (const DataError&) {
-                continue;
-            }
-        }
+        read::read_samples(
+            scans.size(),
+            [&](std::size_t i) {
+                samples.push_back(read_rays(lidars_[l].component, scans[i]->frame, scans[i]->time_us));
+            },
+            kSampleFrames);
         return samples;
     }
 
@@ -240,7 +236,8 @@ private:
         std::optional<SpinningModel> model = read_model(sequence_, name);
         if (!model) return std::nullopt;
         const FittedBeams fitted = fit_beam_origins(read_samples(l), *model);
-        const std::optional<SpinningSensor> model_sensor = to_sensor(*model, fitted.beams);
+        model->beams = fitted.beams;
+        const std::optional<SpinningSensor> model_sensor = to_sensor(*model);
         const bool fits = model_sensor && fitted.n_returns > 0 &&
                           std::min(fitted.model_misfit_rad, fitted.misfit_rad) < kMaxMisfit_rad;
         log_.notes.push_back(fmt::format(

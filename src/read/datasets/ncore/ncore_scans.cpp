@@ -49,109 +49,112 @@ std::vector<bool> read_valid(const Component& lidar, const std::string& frame, s
 /// Returns the number of columns in a full turn of the head, or nothing if the columns of
 /// the model are not in nearly equal steps. A model can cover only a part of the turn.
 std::optional<int> count_columns(const SpinningModel& model) {
-    const double sign = model.is_clockwise ? -1.0 : 1.0, first_rad = model.azimuth_rad.front();
     const std::size_t n_columns = model.azimuth_rad.size();
     std::vector<double> steps_rad;
     for (std::size_t j = 1; j < n_columns; ++j)
         steps_rad.push_back(
-            std::remainder(sign * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
+            std::remainder(model.turn_sign() * (model.azimuth_rad[j] - model.azimuth_rad[j - 1]), 2.0 * kPi));
     const double step_rad = steps_rad.empty() ? 0.0 : compute_median(std::move(steps_rad));
     // With smaller steps, the image of a full turn would have more than kMaxRays rays.
-    const double least_step_rad = 2.0 * kPi * double(model.elevation_rad.size()) / double(kMaxRays);
+    const double least_step_rad = 2.0 * kPi * double(model.beams.size()) / double(kMaxRays);
     if (!(step_rad > least_step_rad)) return std::nullopt;
     const int turn_columns = int(std::lround(2.0 * kPi / step_rad));
     if (n_columns > std::size_t(turn_columns)) return std::nullopt;
-    const double even_step_rad = 2.0 * kPi / turn_columns;
     for (std::size_t j = 0; j < n_columns; ++j) {
-        const double expected_rad = first_rad + sign * double(j) * even_step_rad;
-        const double error_rad = std::remainder(model.azimuth_rad[j] - expected_rad, 2.0 * kPi);
-        if (std::abs(error_rad) > kMostUneven * even_step_rad) return std::nullopt;
+        const double error_rad =
+            std::remainder(model.azimuth_rad[j] - model.even_azimuth_rad(j, turn_columns), 2.0 * kPi);
+        if (std::abs(error_rad) > kMostUneven * 2.0 * kPi / turn_columns) return std::nullopt;
     }
     return turn_columns;
 }
 
-/// Limits the field of view of a sensor to the azimuths of the model, unless the model
-/// has a full turn. The rays of row r in a column point to the azimuth of the column plus
-/// the azimuth offset of row r. The field of view contains the rays of all rows.
+/// Limits the field of view of a sensor to the azimuths of the rays of all rows, unless
+/// the model has a full turn. A ray points to the azimuth of its column plus the azimuth
+/// offset of its row, rounded to columns.
 void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
-    const double sign = model.is_clockwise ? -1.0 : 1.0, step_rad = 2.0 * kPi / sensor.columns;
-    const auto [low, high] = std::ranges::minmax_element(
+    const double step_rad = 2.0 * kPi / sensor.columns;
+    const auto [right, left] = std::ranges::minmax(
         sensor.beams, {}, [&](const Beam& beam) { return offset_columns(beam, sensor.columns); });
-    const double least_offset_rad = step_rad * offset_columns(*low, sensor.columns),
-                 most_offset_rad = step_rad * offset_columns(*high, sensor.columns);
-    const double width_rad =
-        double(model.azimuth_rad.size() - 1) * step_rad + most_offset_rad - least_offset_rad;
-    // From the first to the last column, a full turn is one step less than 2 pi.
-    const bool is_full_turn = width_rad >= 2.0 * kPi - 1.5 * step_rad;
-    if (is_full_turn) return;
-    const double begin_rad =
-        model.azimuth_rad.front() + (model.is_clockwise ? most_offset_rad : least_offset_rad);
-    sensor.azimuth_rad = {{begin_rad, begin_rad + sign * width_rad}};
+    const double right_rad = step_rad * offset_columns(right, sensor.columns),
+                 left_rad = step_rad * offset_columns(left, sensor.columns);
+    // angle between the first and the last ray; in a full turn, a step less than 2 pi
+    const double width_rad = double(model.azimuth_rad.size() - 1) * step_rad + left_rad - right_rad;
+    constexpr double kFullTurnSteps = 1.5;
+    if (width_rad >= 2.0 * kPi - kFullTurnSteps * step_rad) return;
+    // A clockwise head reaches the azimuths of the rays that are farthest left first.
+    const double begin_rad = model.azimuth_rad.front() + (model.is_clockwise ? left_rad : right_rad);
+    sensor.azimuth_rad = {{begin_rad, begin_rad + model.turn_sign() * width_rad}};
 }
 
-/// Returns the delay of each column in seconds: the mean of its rays' measured minus
-/// nominal times, positive if they were late.
-/// A column without a ray gets the delay of the column before, or of the first column
-/// with a ray. Returns an empty list if no column has a ray.
-/// @param delay_sum_s, n_rays  [columns] sum over the rays of a column, and their number
-std::vector<double> fill_column_delays(const std::vector<double>& delay_sum_s,
-                                       const std::vector<double>& n_rays) {
-    const auto first = std::ranges::find_if(n_rays, [](double n) { return n > 0.0; });
-    if (first == n_rays.end()) return {};
+/// Measured minus nominal times of the rays of a column, positive if they were late.
+struct ColumnDelay {
+    double sum_s = 0.0, n_rays = 0.0;
+};
+
+/// Returns the mean delay of each column. A column without a ray gets the delay of the
+/// column before, or of the first column with a ray. Returns an empty list if no column
+/// has a ray.
+std::vector<double> fill_column_delays(const std::vector<ColumnDelay>& columns) {
+    auto last_with_ray =
+        std::ranges::find_if(columns, [](const ColumnDelay& column) { return column.n_rays > 0.0; });
+    if (last_with_ray == columns.end()) return {};
     std::vector<double> delay_s;
-    auto last_with_ray = std::size_t(first - n_rays.begin());
-    for (std::size_t column = 0; column < n_rays.size(); ++column) {
-        if (n_rays[column] > 0.0) last_with_ray = column;
-        delay_s.push_back(delay_sum_s[last_with_ray] / n_rays[last_with_ray]);
+    for (auto column = columns.begin(); column != columns.end(); ++column) {
+        if (column->n_rays > 0.0) last_with_ray = column;
+        delay_s.push_back(last_with_ray->sum_s / last_with_ray->n_rays);
     }
     return delay_s;
 }
 
 }  // namespace
 
+std::vector<std::size_t> SpinningModel::rows_by_height() const {
+    std::vector<std::size_t> rows(beams.size());
+    std::iota(rows.begin(), rows.end(), std::size_t(0));
+    std::ranges::stable_sort(rows, std::greater{}, [&](std::size_t row) { return beams[row].elevation_rad; });
+    return rows;
+}
+
 std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name) {
     for (const Component& component : sequence.list_components("intrinsics")) {
         const ZarrJson attributes = component.attributes("lidars/" + lidar_name);
         if (attributes.json.empty()) continue;
         const JsonField root = attributes.root(), type = root.at("lidar_model_type"),
-                        head = root.at("lidar_model_parameters");
+                        parameters = root.at("lidar_model_parameters");
         if (type.short_text(99) != "row-offset-spinning")
             type.reject("found '" + quote(type.short_text(99)) + "'", "expected 'row-offset-spinning'");
+        const auto n_rows = std::size_t(parameters.at("n_rows").integer_in(1, 65535)),
+                   n_columns =
+                       std::size_t(parameters.at("n_columns").integer_in(1, std::int64_t(kMaxRays / n_rows)));
+        const std::vector<double> elevation_rad = read_angles(parameters.at("row_elevations_rad"), n_rows),
+                                  offset_rad = read_angles(parameters.at("row_azimuth_offsets_rad"), n_rows);
+        if (!std::ranges::is_sorted(elevation_rad, std::greater{}))
+            parameters.at("row_elevations_rad")
+                .reject("found another order", "expected the highest row first");
         SpinningModel model;
-        const auto rows = std::size_t(head.at("n_rows").integer_in(1, 65535)),
-                   columns = std::size_t(head.at("n_columns").integer_in(1, std::int64_t(kMaxRays / rows)));
-        model.elevation_rad = read_angles(head.at("row_elevations_rad"), rows);
-        model.offset_rad = read_angles(head.at("row_azimuth_offsets_rad"), rows);
-        model.azimuth_rad = read_angles(head.at("column_azimuths_rad"), columns);
-        if (!std::ranges::is_sorted(model.elevation_rad, std::greater{}))
-            head.at("row_elevations_rad").reject("found another order", "expected the highest row first");
-        model.period_s = 1.0 / head.at("spinning_frequency_hz").number_in(0.01, 1e4);
-        model.is_clockwise = head.at("spinning_direction").short_text(9) == "cw";
+        for (std::size_t row = 0; row < n_rows; ++row)
+            model.beams.push_back(
+                {.elevation_rad = elevation_rad[row], .azimuth_offset_rad = offset_rad[row]});
+        model.azimuth_rad = read_angles(parameters.at("column_azimuths_rad"), n_columns);
+        model.period_s = 1.0 / parameters.at("spinning_frequency_hz").number_in(0.01, 1e4);
+        model.is_clockwise = parameters.at("spinning_direction").short_text(9) == "cw";
         return model;
     }
     return std::nullopt;
 }
 
-std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams) {
+std::optional<SpinningSensor> to_sensor(const SpinningModel& model) {
     const std::optional<int> columns = count_columns(model);
     if (!columns) return std::nullopt;
     SpinningSensor sensor;
     sensor.clockwise = model.is_clockwise;
     sensor.period_s = model.period_s;
     sensor.columns = *columns;
-    // Column 0 is the first column at or below +180 degrees: less than a step below.
+    // The columns of a sensor begin at azimuth +180 degrees. The first one at or below it
+    // whose azimuth is a whole number of steps from the columns of the model is column 0.
     const double step_rad = 2.0 * kPi / sensor.columns, below_rad = kPi - model.azimuth_rad.front();
     sensor.first_azimuth_rad = kPi - (below_rad - step_rad * std::floor(below_rad / step_rad));
-
-    // The sensor has its beams from the highest to the lowest.
-    std::vector<std::size_t> rows(beams.size());
-    std::iota(rows.begin(), rows.end(), std::size_t(0));
-    std::ranges::stable_sort(rows, std::greater{}, [&](std::size_t row) { return beams[row].elevation_rad; });
-    model.beam_of_row.resize(rows.size());
-    for (const std::size_t row : rows) {
-        model.beam_of_row[row] = sensor.beams.size();
-        sensor.beams.push_back(beams[row]);
-    }
+    for (const std::size_t row : model.rows_by_height()) sensor.beams.push_back(model.beams[row]);
     limit_view(sensor, model);
     return sensor;
 }
@@ -173,10 +176,11 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar) {
 
 namespace {
 
-/// Reads the directions and times of all rays of a frame. Times become seconds after
-/// `time_us`, the reference time of the frame in the log.
+/// Reads the directions and times of all rays of a frame. Checks that the times are at
+/// most kMostLate_us outside of the sweep.
 /// @param rays  name of the group in the store
 /// @param n  number of rays
+/// @param time_us  reference time of the frame in the log, to which times become relative
 void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::string& rays, std::size_t n,
                      const StoredFrame& frame, std::int64_t time_us, const std::string& where) {
     const auto directions = read_zarr_array<float>(store, rays + "/direction", {n, 3});
@@ -187,13 +191,12 @@ void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::strin
             fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
                  d.z);
         bundle.direction.push_back(glm::normalize(d));
-        // Unsigned numbers wrap, so the value of a ray before `time_us` becomes negative.
-        const auto offset_us = std::int64_t(times_us[i] - std::uint64_t(time_us));
-        if (times_us[i] > std::uint64_t(frame.end_us + kMostLate_us) ||
-            std::int64_t(times_us[i]) < frame.start_us - kMostLate_us)
+        // A time of 2^63 or more becomes negative, which is too early.
+        const auto ray_us = std::int64_t(times_us[i]);
+        if (ray_us < frame.start_us - kMostLate_us || ray_us > frame.end_us + kMostLate_us)
             fail("{}: the time of ray {} is {}, expected {} to {}", where, i, times_us[i], frame.start_us,
                  frame.end_us);
-        bundle.time_offset_s.push_back(float(1e-6 * double(offset_us)));
+        bundle.time_offset_s.push_back(float(1e-6 * double(ray_us - time_us)));
     }
 }
 
@@ -242,11 +245,7 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
 }
 
 // NCore's model has no origins of beams, but beams of some LiDARs start 20 cm beside the
-// centre. Seen from the centre, the direction of such a beam depends on the range. With
-// the horizontal distance rho of a point and its height z, both
-//   z / rho = tan(elevation) + (origin_up / cos(elevation)) / rho   and
-//   azimuth - azimuth of the column = azimuth_offset + origin_left / rho
-// are lines over 1 / rho, which are fitted to the points of each row.
+// centre. Seen from the centre, the direction of such a beam depends on the range.
 namespace {
 
 constexpr double kLeastRho_m = 1.0;         // Nearer points have inaccurate directions
@@ -286,11 +285,11 @@ double median_misfit(const std::vector<Beam>& beams, const std::vector<std::vect
 /// near points, and rays without an element of the model.
 std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundle>& bundles,
                                                       const SpinningModel& model) {
-    std::vector<std::vector<RowPoint>> rows(model.elevation_rad.size());
+    std::vector<std::vector<RowPoint>> rows(model.beams.size());
     for (const RayBundle& bundle : bundles) {
-        if (bundle.range_m.empty()) continue;
-        for (std::size_t i = 0; i < bundle.element.size() / 2; ++i) {
-            const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
+        if (bundle.range_m.empty() || !bundle.has_elements()) continue;
+        for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
+            const std::size_t row = bundle.row_of(i), column = bundle.column_of(i);
             if (row >= rows.size() || column >= model.azimuth_rad.size()) continue;
             const RowPoint point{double(bundle.range_m[0][i]) * bundle.direction[i],
                                  model.azimuth_rad[column]};
@@ -300,9 +299,10 @@ std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundl
     return rows;
 }
 
-/// Fits the direction and the origin of a beam to its points: the lines over 1 / rho
+/// Fits the direction and the origin of a beam to its points. With the horizontal
+/// distance rho and the height z of a point, these are lines over 1 / rho:
 ///   z / rho = tan(elevation) + (origin_up / cos(elevation)) / rho,
-///   azimuth = azimuth_offset + origin_left / rho.
+///   azimuth - azimuth of the column = azimuth_offset + origin_left / rho.
 /// Keeps the values of a line that is not determined well.
 void fit_beam(Beam& beam, const std::vector<RowPoint>& points) {
     std::vector<glm::dvec2> heights, azimuths;
@@ -325,68 +325,51 @@ void fit_beam(Beam& beam, const std::vector<RowPoint>& points) {
 }  // namespace
 
 FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const SpinningModel& model) {
-    std::vector<Beam> model_beams;
-    for (std::size_t row = 0; row < model.elevation_rad.size(); ++row)
-        model_beams.push_back(
-            {.elevation_rad = model.elevation_rad[row], .azimuth_offset_rad = model.offset_rad[row]});
     const std::vector<std::vector<RowPoint>> rows = collect_row_points(bundles, model);
-    FittedBeams fitted{.beams = model_beams};
+    FittedBeams fitted{.beams = model.beams};
     for (std::size_t row = 0; row < rows.size(); ++row) {
         fit_beam(fitted.beams[row], rows[row]);  // changes the beam
         fitted.n_returns += rows[row].size();
     }
-    fitted.model_misfit_rad = median_misfit(model_beams, rows);
+    fitted.model_misfit_rad = median_misfit(model.beams, rows);
     fitted.misfit_rad = median_misfit(fitted.beams, rows);
     fitted.is_better =
         fitted.model_misfit_rad > kLeastMisfit_rad && fitted.misfit_rad < kClearly * fitted.model_misfit_rad;
-    if (!fitted.is_better) fitted.beams = model_beams;
+    if (!fitted.is_better) fitted.beams = model.beams;
     return fitted;
+}
+
+ModelImage::ModelImage(SpinningModel spinning_model, const SpinningSensor& sensor)
+    : model(std::move(spinning_model)), rays(make_rays(sensor)) {
+    for (const Beam& beam : model.beams) beams.emplace_back(beam);
+    const std::vector<std::size_t> row_of_beam = model.rows_by_height();
+    const int turn_columns = sensor.columns;
+    ray_of_element.assign(model.beams.size() * model.azimuth_rad.size(), -1);
+    for (std::size_t ray = 0; ray < rays.size(); ++ray) {
+        // Without the offset of the beam, the azimuth of the ray is that of the head. Its
+        // turn since column 0 of the model gives the column.
+        const std::size_t row = row_of_beam[rays.channel[ray]];
+        const glm::dvec3 direction(rays.direction[ray]);
+        const double head_rad = std::atan2(direction.y, direction.x) - model.beams[row].azimuth_offset_rad;
+        const double turned_rad = model.turn_sign() * (head_rad - model.azimuth_rad.front());
+        const auto turned_columns = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
+        const auto column = std::size_t((turned_columns % turn_columns + turn_columns) % turn_columns);
+        if (column >= model.azimuth_rad.size()) continue;  // the model does not cover this azimuth
+        ray_of_element[row * model.azimuth_rad.size() + column] = int(ray);
+        // The columns of the sensor are in equal steps, those of the model only nearly.
+        // The small rotation from one to the other corrects the ray.
+        const double uneven_rad = model.azimuth_rad[column] - model.even_azimuth_rad(column, turn_columns);
+        const glm::dquat correction = make_rotation(std::remainder(uneven_rad, 2.0 * kPi), 0.0, 0.0);
+        rays.direction[ray] = glm::vec3(correction * direction);
+        rays.origin[ray] = glm::vec3(correction * glm::dvec3(rays.origin[ray]));
+    }
 }
 
 NcoreScans::NcoreScans(const Log& log, std::vector<Component> lidars, std::vector<ScanLocation> scans,
                        std::vector<std::optional<SpinningModel>> models)
-    : lidars_(std::move(lidars)),
-      scans_(std::move(scans)),
-      models_(std::move(models)),
-      beams_(lidars_.size()),
-      images_(lidars_.size()),
-      ray_of_element_(lidars_.size()) {
+    : lidars_(std::move(lidars)), scans_(std::move(scans)), images_(lidars_.size()) {
     for (std::size_t l = 0; l < lidars_.size(); ++l)
-        if (models_[l]) make_image(l, log.lidars[l].sensor);
-}
-
-// An element is a pixel (row, column) of the model. The image has the same rows, sorted
-// by elevation (beams), but the columns of a full turn, of which the model has a part.
-void NcoreScans::make_image(std::size_t lidar, const SpinningSensor& sensor) {
-    const SpinningModel& model = *models_[lidar];
-    const std::size_t model_columns = model.azimuth_rad.size();  // maybe not a full turn
-    const int turn_columns = sensor.columns;
-    const double sign = model.is_clockwise ? -1.0 : 1.0, first_rad = model.azimuth_rad.front();
-    std::vector<std::size_t> row_of_beam(sensor.beams.size());
-    for (std::size_t row = 0; row < row_of_beam.size(); ++row) row_of_beam[model.beam_of_row[row]] = row;
-
-    beams_[lidar] = make_generators(sensor.beams);
-    RayTable& image = images_[lidar] = make_rays(sensor);
-    std::vector<int>& ray_of_element = ray_of_element_[lidar];
-    ray_of_element.assign(model.elevation_rad.size() * model_columns, -1);
-    for (std::size_t ray = 0; ray < image.size(); ++ray) {
-        // The column of the model follows from the azimuth without the beam's offset.
-        const std::size_t beam = image.channel[ray];
-        const glm::dvec3 direction(image.direction[ray]);
-        const double turned_rad =  // of the head, since column 0 of the model
-            sign * (std::atan2(direction.y, direction.x) - sensor.beams[beam].azimuth_offset_rad - first_rad);
-        const auto turned_columns = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
-        const auto column = std::size_t((turned_columns % turn_columns + turn_columns) % turn_columns);
-        if (column >= model_columns) continue;  // the model does not cover this azimuth
-        ray_of_element[row_of_beam[beam] * model_columns + column] = int(ray);
-        // The columns of the sensor are in equal steps, those of the model only nearly.
-        // The small rotation from one to the other corrects the ray.
-        const double even_rad = first_rad + sign * 2.0 * kPi * double(column) / turn_columns;
-        const glm::dquat correction =
-            make_rotation(std::remainder(model.azimuth_rad[column] - even_rad, 2.0 * kPi), 0.0, 0.0);
-        image.direction[ray] = glm::vec3(correction * direction);
-        image.origin[ray] = glm::vec3(correction * glm::dvec3(image.origin[ray]));
-    }
+        if (models[l]) images_[l].emplace(std::move(*models[l]), log.lidars[l].sensor);
 }
 
 std::string NcoreScans::frame_name(std::size_t frame) const {
@@ -408,89 +391,86 @@ LidarPoints NcoreScans::read_points(std::size_t frame) const {
             points.position_m.emplace_back(double(bundle.range_m[r][i]) * bundle.direction[i]);
             points.intensity.push_back(bundle.intensity[r][i]);
             points.time_offset_s.push_back(bundle.time_offset_s[i]);
-            if (!bundle.element.empty()) points.ring.push_back(bundle.element[2 * i]);
+            if (bundle.has_elements()) points.ring.push_back(std::uint16_t(bundle.row_of(i)));
             if (bundle.range_m.size() > 1) points.return_number.push_back(std::uint8_t(r + 1));
         }
     return points;
 }
 
-Scan NcoreScans::read_rays(std::size_t frame) const {
-    const RayBundle bundle = read_bundle(frame);
-    const std::size_t lidar = scans_[frame].lidar;
-    Scan scan;
-    scan.rays = images_[lidar];
-    scan.range_m.assign(scan.rays.size(), 0.0f);
-    scan.intensity.assign(scan.rays.size(), 0.0f);
-    if (bundle.element.size() != 2 * bundle.direction.size())
-        fail("{}: the array model_element is missing, but other frames have it", frame_name(frame));
-    place_rays(scan, bundle, lidar, frame_name(frame));
-    return scan;
+namespace {
+
+/// Copies the returns of a stored ray to a ray of the image, which starts at the origin
+/// of its beam and ends at the first return. The other returns get the distances of their
+/// points from this origin.
+void place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
+                   const BeamRays& beam) {
+    const auto point_of = [&](std::size_t r) {
+        return double(bundle.range_m[r][stored_ray]) * bundle.direction[stored_ray];
+    };
+    if (bundle.range_m.empty() || !(bundle.range_m[0][stored_ray] > 0.0f)) return;
+    // The beam has another origin for each azimuth. It must face the point.
+    const glm::dvec3 point = point_of(0), origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
+    const double range_m = glm::distance(point, origin);
+    if (!(range_m > kNearest_m)) return;
+    scan.rays.origin[ray] = glm::vec3(origin);
+    scan.rays.direction[ray] = glm::vec3((point - origin) / range_m);
+    scan.range_m[ray] = float(range_m);
+    scan.intensity[ray] = bundle.intensity[0][stored_ray];
+    for (std::size_t r = 1; r < bundle.range_m.size() && bundle.range_m[r][stored_ray] > 0.0f; ++r) {
+        const std::size_t n = scan.rays.size();
+        if (scan.second_returns.size() < r)
+            scan.second_returns.push_back({std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
+        AdditionalReturns& further = scan.second_returns[r - 1];
+        further.range_m[ray] = float(glm::distance(point_of(r), glm::dvec3(scan.rays.origin[ray])));
+        further.intensity[ray] = bundle.intensity[r][stored_ray];
+    }
 }
 
-/// Copies the stored rays to their places in the image: row and column in the model give
-/// the ray (ray_of_element_). A ray that is not stored was dropped. Its time is the
-/// nominal one plus the delay of its column. Of two stored rays in the same place, the
-/// ray with a return stays.
-void NcoreScans::place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar,
-                            const std::string& where) const {
-    const std::size_t n_rows = models_[lidar]->elevation_rad.size(),
-                      n_columns = models_[lidar]->azimuth_rad.size();
+/// Copies the stored rays to their places in the image. A ray that is not stored was
+/// dropped. Its time is the nominal one plus the delay of its column. Of two stored rays
+/// in the same place, the ray with a return stays.
+void place_rays(Scan& scan, const RayBundle& bundle, const ModelImage& image, const std::string& where) {
+    const std::size_t n_rows = image.model.beams.size(), n_columns = image.model.azimuth_rad.size();
     std::vector<bool> is_stored(scan.rays.size(), false);
-    std::vector<double> delay_sum_s(n_columns, 0.0), n_rays(n_columns, 0.0);  // [columns]
+    std::vector<ColumnDelay> delays(n_columns);
     for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
-        const std::size_t row = bundle.element[2 * i], column = bundle.element[2 * i + 1];
+        const std::size_t row = bundle.row_of(i), column = bundle.column_of(i);
         if (row >= n_rows || column >= n_columns)
             fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row,
                  column, n_rows, n_columns);
-        const int image_ray = ray_of_element_[lidar][row * n_columns + column];
-        if (image_ray < 0) continue;
-        const auto ray = std::size_t(image_ray);
-        if (is_stored[ray] && scan.range_m[ray] > 0.0f) continue;
-        const double nominal_s = images_[lidar].time_offset_s[ray];
-        delay_sum_s[column] += double(bundle.time_offset_s[i]) - nominal_s;
-        n_rays[column] += 1.0;
+        if (image.ray_of(row, column) < 0) continue;
+        const auto ray = std::size_t(image.ray_of(row, column));
+        if (scan.range_m[ray] > 0.0f) continue;
+        delays[column].sum_s += double(bundle.time_offset_s[i]) - double(image.rays.time_offset_s[ray]);
+        delays[column].n_rays += 1.0;
         is_stored[ray] = true;
         scan.rays.direction[ray] = glm::vec3(bundle.direction[i]);
         scan.rays.time_offset_s[ray] = bundle.time_offset_s[i];
-        place_returns(scan, ray, bundle, i, beams_[lidar][models_[lidar]->beam_of_row[row]]);
+        place_returns(scan, ray, bundle, i, image.beams[row]);
     }
 
-    const std::vector<double> delay_s = fill_column_delays(delay_sum_s, n_rays);
+    const std::vector<double> delay_s = fill_column_delays(delays);
     for (std::size_t column = 0; column < delay_s.size(); ++column)
         for (std::size_t row = 0; row < n_rows; ++row) {
-            const int ray = ray_of_element_[lidar][row * n_columns + column];
+            const int ray = image.ray_of(row, column);
             if (ray >= 0 && !is_stored[std::size_t(ray)])
                 scan.rays.time_offset_s[std::size_t(ray)] += float(delay_s[column]);
         }
 }
 
-/// Copies the returns of a stored ray to a ray of the image, which starts at the origin
-/// of its beam and ends at the first return. The other returns get the distances of their
-/// points from this origin.
-void NcoreScans::place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
-                               const BeamRays& beam) {
-    for (std::size_t r = 0; r < bundle.range_m.size(); ++r) {
-        const float stored_range_m = bundle.range_m[r][stored_ray];
-        if (!(stored_range_m > 0.0f)) break;
-        const glm::dvec3 point = double(stored_range_m) * bundle.direction[stored_ray];
-        if (r == 0) {
-            // The beam has another origin for each azimuth. It must face the point.
-            const glm::dvec3 origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
-            const double range_m = glm::distance(point, origin);
-            if (!(range_m > kNearest_m)) break;
-            scan.rays.origin[ray] = glm::vec3(origin);
-            scan.rays.direction[ray] = glm::vec3((point - origin) / range_m);
-            scan.range_m[ray] = float(range_m);
-            scan.intensity[ray] = bundle.intensity[0][stored_ray];
-            continue;
-        }
-        const std::size_t n = scan.rays.size();
-        if (scan.second_returns.size() < r)
-            scan.second_returns.push_back({std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
-        AdditionalReturns& further = scan.second_returns[r - 1];
-        further.range_m[ray] = float(glm::distance(point, glm::dvec3(scan.rays.origin[ray])));
-        further.intensity[ray] = bundle.intensity[r][stored_ray];
-    }
+}  // namespace
+
+Scan NcoreScans::read_rays(std::size_t frame) const {
+    const RayBundle bundle = read_bundle(frame);
+    const ModelImage& image = *images_[scans_[frame].lidar];
+    if (!bundle.has_elements() && !bundle.direction.empty())
+        fail("{}: the array model_element is missing, but other frames have it", frame_name(frame));
+    Scan scan;
+    scan.rays = image.rays;
+    scan.range_m.assign(scan.rays.size(), 0.0f);
+    scan.intensity.assign(scan.rays.size(), 0.0f);
+    place_rays(scan, bundle, image, frame_name(frame));
+    return scan;
 }
 
 }  // namespace relidar::ncore

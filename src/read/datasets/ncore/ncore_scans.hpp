@@ -15,26 +15,30 @@
 
 namespace relidar::ncore {
 
-/// NCore's model "row-offset-spinning": the ray of row i and column j has
-///   elevation = row_elevations[i],  azimuth = column_azimuths[j] + row_azimuth_offsets[i].
+/// NCore's model "row-offset-spinning": the ray of row i and column j has the elevation of
+/// the beam of the row, and
+///   azimuth = column_azimuths[j] + azimuth offset of the beam.
 struct SpinningModel {
-    std::vector<double> elevation_rad, offset_rad;  ///< [rows] highest first
-    std::vector<double> azimuth_rad;                ///< [columns] in the order of firing
+    std::vector<Beam> beams;          ///< [rows]
+    std::vector<double> azimuth_rad;  ///< [columns] in the order of firing
     double period_s = 0.1;
     bool is_clockwise = true;
-    /// [rows] beam of the sensor of the log. Beams are sorted from the highest to the
-    /// lowest.
-    std::vector<std::size_t> beam_of_row;
+
+    double turn_sign() const { return is_clockwise ? -1.0 : 1.0; }
+    /// Azimuth of a column if the columns were in equal steps, `turn_columns` in a turn.
+    double even_azimuth_rad(std::size_t column, int turn_columns) const {
+        return azimuth_rad.front() + turn_sign() * 2.0 * kPi * double(column) / turn_columns;
+    }
+    /// Returns the rows from the highest to the lowest beam, the order in a sensor.
+    std::vector<std::size_t> rows_by_height() const;
 };
 
 /// Reads the model of a LiDAR, or nothing if the sequence has none.
 std::optional<SpinningModel> read_model(const NcoreSequence& sequence, const std::string& lidar_name);
 
 /// Converts a model to a sensor without a name and range limits. Returns nothing if the
-/// columns of the model are not in equal steps. Sets model.beam_of_row, because the
-/// sensor has the beams in the order of their elevations.
-/// @param beams  [rows] beams of the rows of the model
-std::optional<SpinningSensor> to_sensor(SpinningModel& model, const std::vector<Beam>& beams);
+/// columns of the model are not in nearly equal steps.
+std::optional<SpinningSensor> to_sensor(const SpinningModel& model);
 
 /// Rays and returns of a frame, as they are stored.
 struct RayBundle {
@@ -43,6 +47,10 @@ struct RayBundle {
     std::vector<std::uint16_t> element;       ///< [rays * 2] row and column in the model; may be empty
     std::vector<std::vector<float>> range_m;  ///< [returns][rays] 0: no such return
     std::vector<std::vector<float>> intensity;
+
+    bool has_elements() const { return !element.empty(); }
+    std::size_t row_of(std::size_t ray) const { return element[2 * ray]; }
+    std::size_t column_of(std::size_t ray) const { return element[2 * ray + 1]; }
 };
 
 /// A sweep of a LiDAR.
@@ -59,7 +67,7 @@ RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64
 
 /// Beams that were fitted to returns, and how well they and the model fit.
 struct FittedBeams {
-    std::vector<Beam> beams;        ///< [rows] beams of the model unless the fit is clearly better
+    std::vector<Beam> beams;        ///< [rows] those of the model unless the fit is clearly better
     double model_misfit_rad = 0.0;  ///< median angle between rays of the model and returns
     double misfit_rad = 0.0;        ///< the same for the fitted beams
     bool is_better = false;
@@ -76,6 +84,21 @@ struct ScanLocation {
     std::int64_t time_us = 0;  ///< reference time of the frame in the log
 };
 
+/// The image of a LiDAR with a model. An element is a pixel (row, column) of the model.
+/// The image has the same rows, sorted by elevation, but the columns of a full turn, of
+/// which the model may have a part.
+struct ModelImage {
+    SpinningModel model;
+    std::vector<BeamRays> beams;      ///< [rows of the model]
+    RayTable rays;                    ///< in image order, without returns
+    std::vector<int> ray_of_element;  ///< [row * columns + column] -1: not in the image
+
+    ModelImage(SpinningModel model, const SpinningSensor& sensor);
+    int ray_of(std::size_t row, std::size_t column) const {
+        return ray_of_element[row * model.azimuth_rad.size() + column];
+    }
+};
+
 /// Converts rays of frames to scans. A LiDAR with a model becomes an image, in which rays
 /// that are not stored were dropped. Other LiDARs become points.
 class NcoreScans : public read::ScanProvider {
@@ -85,28 +108,16 @@ public:
                std::vector<std::optional<SpinningModel>> models);
 
     std::string frame_name(std::size_t frame) const override;
-    bool stores_points(std::size_t frame) const override { return !models_[scans_[frame].lidar]; }
+    bool stores_points(std::size_t frame) const override { return !images_[scans_[frame].lidar]; }
     LidarPoints read_points(std::size_t frame) const override;
     Scan read_rays(std::size_t frame) const override;
 
 private:
     std::vector<Component> lidars_;
     std::vector<ScanLocation> scans_;
-    std::vector<std::optional<SpinningModel>> models_;
-    std::vector<std::vector<BeamRays>> beams_;  ///< [lidars][beams]
-    /// [lidars] rays of the model in image order, without returns
-    std::vector<RayTable> images_;
-    /// [lidars][row * columns + column] ray of an element; -1 if it is not in the image
-    std::vector<std::vector<int>> ray_of_element_;
+    std::vector<std::optional<ModelImage>> images_;  ///< [lidars]
 
-    /// Computes the rays of a LiDAR's image (images_), and which of them is the ray of an
-    /// element of the model (ray_of_element_). Turns the rays of each column to its
-    /// azimuth in the model.
-    void make_image(std::size_t lidar, const SpinningSensor& sensor);
     RayBundle read_bundle(std::size_t frame) const;
-    void place_rays(Scan& scan, const RayBundle& bundle, std::size_t lidar, const std::string& where) const;
-    static void place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
-                              const BeamRays& beam);
 };
 
 }  // namespace relidar::ncore

@@ -43,19 +43,20 @@ std::vector<fs::path> find_stores(const fs::path& path) {
     // Keeps the name of a link, because the file that it names can have any name.
     fs::path full = fs::absolute(path).lexically_normal();
     if (!full.has_filename()) full = full.parent_path();
-    std::optional<std::string> found_name = sequence_name(full);  // no value for a folder of stores
-    const bool is_store = found_name.has_value(), is_folder = fs::is_directory(full);
+    const std::optional<std::string> requested = sequence_name(full);  // no value for a folder of stores
+    // A folder can have the same sequence as files and as folders. Of a store, the other
+    // stores of the sequence have the same form.
+    const auto is_requested = [&](const fs::path& entry) {
+        return !requested ||
+               (sequence_name(entry) == requested && fs::is_directory(entry) == fs::is_directory(full));
+    };
     std::vector<fs::path> stores;
-    for (const fs::path& entry : list_folder(is_store ? full.parent_path() : full)) {
-        const auto name = sequence_name(entry);
-        if (!name) continue;
-        // A folder can have the same sequence as files and as folders. Only one is read.
-        const bool is_same_form = fs::is_directory(entry) == is_folder;
-        if (is_store && !(name == found_name && is_same_form)) continue;
-        if (found_name && name != found_name)
-            fail("{} has the sequences {} and {}; select one of its files", path.string(), quote(*found_name),
-                 quote(*name));
-        found_name = name;
+    for (const fs::path& entry : list_folder(requested ? full.parent_path() : full)) {
+        const std::optional<std::string> name = sequence_name(entry);
+        if (!name || !is_requested(entry)) continue;
+        if (!stores.empty() && name != sequence_name(stores[0]))
+            fail("{} has the sequences {} and {}; select one of its files", path.string(),
+                 quote(*sequence_name(stores[0])), quote(*name));
         stores.push_back(entry);
     }
     if (stores.empty()) fail("{} contains no store of NCore, expected *{}", path.string(), kArchiveEnding);
