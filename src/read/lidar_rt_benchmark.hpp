@@ -4,9 +4,12 @@
 #pragma once
 
 #include <algorithm>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
+
+#include <fmt/format.h>
 
 #include <relidar/read/dataset.hpp>
 
@@ -47,6 +50,7 @@ struct DriveFrames {
     /// Test frames of the LiDAR-RT paper in `frames`. Empty if the user named no
     /// sequence.
     std::vector<int> test_frames = {};
+    Notes notes = {};
 };
 /// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
@@ -66,6 +70,29 @@ inline DriveFrames find_drive(const DatasetOptions& options, std::span<const Ben
     for (int k = 0, frame = part->test_first; k < kBenchmarkTestFrames; ++k, frame += part->test_every)
         if (frame >= begin && frame < end) test_frames.push_back(frame);
     return {part->drive, {begin, end}, true, test_frames};
+}
+
+/// Returns one of the drives of a dataset, and which of its frames to read: the first
+/// drive that find_drive() describes, or nothing without such a drive. If the user named
+/// no drive, returns the first one, and a note.
+/// @param kind  plural of the dataset's word for a drive
+/// @param is_called  is_called(drive, name) returns true if `name` describes a drive
+template <class IsCalled>
+std::optional<DriveFrames> choose_drive(const std::vector<std::string>& drives, const char* kind,
+                                        const DatasetOptions& options,
+                                        std::span<const BenchmarkSequence> sequences,
+                                        const IsCalled& is_called) {
+    DriveFrames chosen = find_drive(options, sequences);
+    auto drive = drives.begin();
+    if (!chosen.drive.empty())
+        drive = std::find_if(drives.begin(), drives.end(),
+                             [&](const std::string& name) { return is_called(name, chosen.drive); });
+    else if (drives.size() > 1)
+        chosen.notes = {fmt::format("the first of {} {} is read; use dataset.sequence to select another one",
+                                    drives.size(), kind)};
+    if (drive == drives.end()) return std::nullopt;
+    chosen.drive = *drive;
+    return chosen;
 }
 
 }  // namespace relidar

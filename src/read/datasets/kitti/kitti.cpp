@@ -70,7 +70,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         fail("{} is a drive of KITTI-360; use {} with dataset.sequence={}", folder.string(),
              drive.parent_path().parent_path().string(), drive.filename().string());
     const std::vector<int> frames = list_scans(points / "data", options.frames.begin, options.frames.end);
-    Log sequence;
+    Log sequence;  // with one LiDAR
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
     sequence.conventions = fmt::format(
@@ -86,6 +86,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     std::vector<Pose> poses(frames.size());
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
+    // Tracklets are relative to the vehicle, so they are read when its poses are final.
     replace_poses(sequence, options.poses_file);
     centre_log(sequence);
     if (options.poses_file.empty()) sequence.georeference = read_oxts_place(drive);

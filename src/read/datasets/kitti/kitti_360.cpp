@@ -180,13 +180,6 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-struct DriveRequest {
-    std::string name;  ///< name of its folders
-    FrameRange frames;
-    std::vector<int> test_frames = {};  ///< see DriveFrames
-    Notes notes = {};
-};
-
 std::vector<std::string> list_drives(const fs::path& folder) {
     std::vector<std::string> names;
     for (const fs::path& drive : list_folder(folder))
@@ -199,19 +192,14 @@ std::vector<std::string> list_drives(const fs::path& folder) {
 /// Selects the drive that the setting dataset.sequence names, or the first drive. The
 /// setting may also name a part of the benchmark of the LiDAR-RT paper (ks1, kd1, ...),
 /// which is a range of frames of a drive.
-DriveRequest choose_drive(const fs::path& folder, const DatasetOptions& options) {
+DriveFrames choose_360_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const DriveFrames part = find_drive(options, kKitti360Benchmark);
-    if (part.drive.empty()) {
-        DriveRequest drive{drives.front(), part.frames};
-        if (drives.size() > 1)
-            drive.notes = {fmt::format(
-                "the first of {} drives is read; use dataset.sequence to select another one", drives.size())};
-        return drive;
-    }
-    for (const std::string& drive : drives)
-        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos)
-            return {drive, part.frames, part.test_frames};
+    // A drive has a name such as 2013_05_28_drive_0000_sync.
+    const auto is_called = [](const std::string& drive, const std::string& name) {
+        return drive == name || drive.find("_drive_" + name + "_") != std::string::npos;
+    };
+    if (const auto drive = choose_drive(drives, "drives", options, kKitti360Benchmark, is_called))
+        return *drive;
     fail<UsageError>(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
         "kd1 to kd6, which are the static and dynamic parts of drive 0000 in the LiDAR-RT paper",
@@ -283,18 +271,18 @@ fs::path find_box_file(const fs::path& dataset_folder, const std::string& drive_
 
 /// Adds the frames, poses and boxes of a drive. Boxes are in the world of the dataset, so
 /// they are omitted if the user gives poses and the dataset has none.
-void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveRequest& drive,
+void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveFrames& drive,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(
-        dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", numbers, sequence);
-    const bool has_poses = does_path_exist(dataset_folder / "data_poses" / drive.name);
+        dataset_folder / "data_3d_raw" / drive.drive / "velodyne_points/timestamps.txt", numbers, sequence);
+    const bool has_poses = does_path_exist(dataset_folder / "data_poses" / drive.drive);
     if (!user_pose_file.empty() && !has_poses) {
         for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], {});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
         return;
     }
-    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.name));
-    const fs::path box_file = find_box_file(dataset_folder, drive.name);
+    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.drive));
+    const fs::path box_file = find_box_file(dataset_folder, drive.drive);
     if (box_file.empty()) sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
     else sequence.boxes = read_360_boxes(box_file, sequence.frames);
 }
@@ -305,12 +293,12 @@ void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const D
 Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
-    const DriveRequest drive = choose_drive(folder / "data_3d_raw", options);
-    const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
+    const DriveFrames drive = choose_360_drive(folder / "data_3d_raw", options);
+    const fs::path points = folder / "data_3d_raw" / drive.drive / "velodyne_points";
     const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
 
     Log sequence;
-    sequence.name = drive.name;
+    sequence.name = drive.drive;
     sequence.source = log_folder.string();
     sequence.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
@@ -323,7 +311,8 @@ Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     add_kitti_360_frames(sequence, folder, drive, frames, options.poses_file);
     replace_poses(sequence, options.poses_file);
     centre_log(sequence);
-    read_hdl64_sweeps(sequence, points / "data", 10, options);
+    constexpr int kFileNameDigits = 10;
+    read_hdl64_sweeps(sequence, points / "data", kFileNameDigits, options);
     return sequence;
 }
 

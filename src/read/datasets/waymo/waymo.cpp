@@ -43,21 +43,13 @@ using namespace waymo;
 /// [numbers in Waymo's enum LaserName] Name of each LiDAR; number 0 is unused.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
-/// The .tfrecord file to read. Waymo calls a log a segment.
-struct RequestedSegment {
-    fs::path file;
-    FrameRange frames;
-    bool top_alone = false;
-    std::vector<int> test_frames = {};  ///< see DriveFrames
-    Notes notes = {};
-};
-
-std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
-    std::vector<fs::path> files;
+/// Lists the .tfrecord files of a folder, or returns the file. Waymo calls a log a segment.
+std::vector<std::string> list_segments(const fs::path& file_or_folder) {
+    std::vector<std::string> files;
     std::error_code failed;
-    if (!fs::is_directory(file_or_folder, failed)) return {file_or_folder};
+    if (!fs::is_directory(file_or_folder, failed)) return {file_or_folder.string()};
     for (const fs::path& file : list_folder(file_or_folder))
-        if (file.extension() == ".tfrecord") files.push_back(file);
+        if (file.extension() == ".tfrecord") files.push_back(file.string());
     if (files.empty()) fail("{} contains no segment, expected files *.tfrecord", file_or_folder.string());
     return files;
 }
@@ -65,22 +57,14 @@ std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
 /// Selects the file that the setting dataset.sequence names by the beginning of its name,
 /// or the first file. The setting may also name a part of the benchmark of the LiDAR-RT
 /// paper (ws1, wd1, ...), which is a range of frames of a segment.
-RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
-    const std::vector<fs::path> files = list_segments(file_or_folder);
-    const DriveFrames part = find_drive(options, kWaymoBenchmark);
-    const bool is_unnamed = part.drive.empty();
-    if (is_unnamed) {
-        RequestedSegment segment{files.front(), part.frames};
-        if (files.size() > 1)
-            segment.notes = {fmt::format(
-                "the first of {} segments is read; select another one with dataset.sequence", files.size())};
-        return segment;
-    }
-    for (const fs::path& file : files) {
-        const std::string name = file.filename().string();
-        if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
-            return {file, part.frames, part.is_benchmark, part.test_frames};
-    }
+DriveFrames choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
+    const std::vector<std::string> files = list_segments(file_or_folder);
+    const auto is_called = [](const fs::path& file, const std::string& name) {
+        const std::string file_name = file.filename().string();
+        return file_name.starts_with(name) || file_name.starts_with("segment-" + name);
+    };
+    if (const auto segment = choose_drive(files, "segments", options, kWaymoBenchmark, is_called))
+        return *segment;
     fail<UsageError>(
         "dataset.sequence: found '{}', which selects none of the {} segments in {}; expected the beginning "
         "of a segment's name; ws1 to ws4 and wd1 to wd4 (parts of the LiDAR-RT paper) need the segments that "
@@ -423,18 +407,19 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
 /// Loads a segment of Waymo Open: poses, LiDARs, boxes and scans. A frame number is the
 /// index of a record in the file.
 Log load_waymo(const fs::path& path, const DatasetOptions& options) {
-    const RequestedSegment segment = choose_segment(path, options);
-    const TfRecordReader records(segment.file);
+    const DriveFrames segment = choose_segment(path, options);
+    const fs::path file = segment.drive;
+    const TfRecordReader records(file);
     // Frame numbers are int. A real segment has about 200 records.
     const int n_records = int(std::min<std::size_t>(records.size(), 1 << 30));
-    const FrameRange loaded = limit_frames(segment.frames, n_records, segment.file.string());
+    const FrameRange loaded = limit_frames(segment.frames, n_records, segment.drive);
     std::vector<WaymoFrameHeader> headers(std::size_t(loaded.end - loaded.begin));
     progress_for(headers.size(), options.progress, "reading poses", [&](std::size_t index) {
         headers[index] = read_header(records, loaded.begin + int(index));
     });
 
     Log sequence;
-    sequence.name = segment.file.stem().string();
+    sequence.name = file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
         "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first firing. At the "
@@ -444,7 +429,8 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
-    add_segment_frames(sequence, records, headers, loaded.begin, segment.top_alone);
+    const bool only_top = segment.is_benchmark;  // as in the LiDAR-RT paper
+    add_segment_frames(sequence, records, headers, loaded.begin, only_top);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     // The scans need the poses of the dataset, so the user's poses replace them later.
     read_record_scans(sequence, records, options);
