@@ -54,24 +54,24 @@ std::vector<Beam> nominal_beams() {
     return std::get<SpinningSensor>(find_built_in(kVlp32cName, 1, kRate_hz)->pattern).beams;
 }
 
-/// Properties of a laser: its row in the range image (0 is the highest), and its firing
-/// time after the first pair of lasers in a firing cycle.
-struct LaserRow {
-    std::uint16_t row = 0;
-    double after_first_ns = 0.0;
+struct Laser {
+    std::uint16_t row = 0;        ///< in the range image; 0 is the highest
+    double fires_after_ns = 0.0;  ///< time since the start of the firing cycle
     double elevation_rad = 0.0;
 };
-using LaserTable = std::array<LaserRow, kLasersPerLidar>;
 
-/// Returns the lasers of a VLP-32C by their number in the files, modulo 32.
-LaserTable make_laser_table() {
-    LaserTable laser_table;
-    const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
-    const std::vector<Beam> beams = nominal_beams();
-    for (std::size_t row = 0; row < firings.size(); ++row)
-        laser_table[std::size_t(kLaserNumbers[std::size_t(firings[row].channel)])] = {
-            std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
-    return laser_table;
+/// Returns a laser of a VLP-32C by its number in the files, 0 to 63.
+const Laser& find_laser(std::int64_t number) {
+    static const std::array<Laser, kLasersPerLidar> kLasers = [] {
+        std::array<Laser, kLasersPerLidar> lasers;
+        const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
+        const std::vector<Beam> beams = nominal_beams();
+        for (std::size_t row = 0; row < firings.size(); ++row)
+            lasers[std::size_t(kLaserNumbers[std::size_t(firings[row].channel)])] = {
+                std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
+        return lasers;
+    }();
+    return kLasers[std::size_t(number % kLasersPerLidar)];
 }
 
 /// The points of a sweep with the values and units of the file.
@@ -84,10 +84,9 @@ struct RawSweep {
 
 /// Returns the mean absolute difference between the elevation of a point and of its
 /// laser, if a LiDAR with this pose measured the points. Each difference counts at most
-/// one degree, so that outliers have little influence.
+/// one degree, so that outliers have little influence. Without points, returns 0.
 /// @param laser_group  0: points of lasers 0 to 31, 1: points of lasers 32 to 63
 double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
-    const LaserTable laser_table = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
     constexpr double kLargestDifference_rad = kPi / 180.0;
     double sum = 0.0, n = 0.0;
@@ -95,8 +94,8 @@ double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& v
         if (sweep.laser[i] / kLasersPerLidar != laser_group) continue;
         const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
         const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
-        const LaserRow& laser = laser_table[std::size_t(sweep.laser[i] % kLasersPerLidar)];
-        sum += std::min(std::abs(elevation - laser.elevation_rad), kLargestDifference_rad);
+        sum +=
+            std::min(std::abs(elevation - find_laser(sweep.laser[i]).elevation_rad), kLargestDifference_rad);
         n += 1.0;
     }
     return n > 0.0 ? sum / n : 0.0;
@@ -148,33 +147,31 @@ std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Po
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-/// Returns the points of one LiDAR and their firings. A firing (all lasers at one
-/// azimuth) follows from the time and the laser of a point. Keeps firings without points,
-/// for example where the vehicle blocks all beams.
+/// Returns the points of one LiDAR, and in which firing cycle each was measured. In a
+/// cycle, all lasers fire once. Keeps cycles without points, for example where the
+/// vehicle blocks all beams.
 /// @param laser_group  lasers of this LiDAR; 0: numbers 0 to 31, 1: numbers 32 to 63
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
 read::FiredSweep extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
                                const PoseTrack& world_from_sensor, double sweep_time_s) {
-    const LaserTable laser_table = make_laser_table();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
     read::FiredSweep result;
-    std::vector<double> first_pair_ns;
+    std::vector<double> cycle_starts_ns;  // [points of the LiDAR]
     for (std::size_t i = 0; i < raw_sweep.point_m.size(); ++i) {
         if (raw_sweep.laser[i] / kLasersPerLidar != laser_group) continue;
-        const LaserRow& laser = laser_table[std::size_t(raw_sweep.laser[i] % kLasersPerLidar)];
+        const Laser& laser = find_laser(raw_sweep.laser[i]);
         result.points.position_m.emplace_back(lidar_from_vehicle * raw_sweep.point_m[i]);
         result.points.intensity.push_back(float(raw_sweep.intensity[i] / 255.0));
         result.points.ring.push_back(laser.row);
         result.points.time_offset_s.push_back(float(double(raw_sweep.offset_ns[i]) * 1e-9));
-        // Time of the first pair of lasers in the cycle of this point.
-        first_pair_ns.push_back(double(raw_sweep.offset_ns[i]) - laser.after_first_ns);
+        cycle_starts_ns.push_back(double(raw_sweep.offset_ns[i]) - laser.fires_after_ns);
     }
     if (result.points.size() == 0) return result;
     undo_deskew(result.points, world_from_sensor, sweep_time_s);
-    // Azimuth step of the head from firing cycle to firing cycle.
+    // The head rotates by this azimuth in a firing cycle.
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kFiringCycle_ns * 1e-9;
-    result.sweep = arrange_firings(result.points, number_cycles(first_pair_ns), lidar.sensor, step_rad);
+    result.sweep = arrange_firings(result.points, number_cycles(cycle_starts_ns), lidar.sensor, step_rad);
     return result;
 }
 
