@@ -94,35 +94,42 @@ double score_motion(const read::DrivingDirection& driving, const ForwardDirectio
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
+/// The poses with one meaning of the angles, and how the vehicle then drives.
+struct AngleReading {
+    const EulerAngleConvention* order;
+    PoseTrack track;
+    read::DrivingDirection driving = {};
+    double forward_score = 0.0;  ///< see score_motion()
+};
+
+/// Returns true if the vehicle clearly drives more exactly forward than with the best
+/// reading so far, or equally well forward and clearly less up and down.
+bool is_clearly_better(const AngleReading& reading, const AngleReading& best) {
+    const double gain = reading.forward_score - best.forward_score;
+    const bool is_more_level = reading.driving.n_steps >= kFewestSteps &&
+                               reading.driving.rise_spread < kClearlyLevel * best.driving.rise_spread;
+    return gain > kClearlyForward || (gain >= -kClearlyForward && is_more_level);
+}
+
 /// Reads the LiDAR poses. Uses another meaning of the angles than the documented one only
-/// if the vehicle then clearly drives more exactly forward, or equally well forward and
-/// clearly less up and down.
+/// if it is clearly better.
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
-    // Starts with the documented convention. A better one replaces it.
-    const EulerAngleConvention* best_order = &kAngleOrders[0];
-    PoseTrack best_track = make_lidar_track(rows, log, *best_order);
-    read::DrivingDirection best = read::driving_direction(best_track);
-    for (const EulerAngleConvention& order : kAngleOrders) {
-        PoseTrack track = make_lidar_track(rows, log, order);
-        const read::DrivingDirection driving = read::driving_direction(track);
-        const double gain = score_motion(driving, forward_direction) - score_motion(best, forward_direction);
-        const bool is_more_level =
-            driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * best.rise_spread;
-        const bool is_better = gain > kClearlyForward || (gain >= -kClearlyForward && is_more_level);
-        if (!is_better) continue;
-        best_order = &order;
-        best_track = std::move(track);
-        best = driving;
+    std::optional<AngleReading> best;
+    for (const EulerAngleConvention& order : kAngleOrders) {  // the documented one first
+        AngleReading reading{.order = &order, .track = make_lidar_track(rows, log, order)};
+        reading.driving = read::driving_direction(reading.track);
+        reading.forward_score = score_motion(reading.driving, forward_direction);
+        if (!best || is_clearly_better(reading, *best)) best = std::move(reading);
     }
-    if (best_order != &kAngleOrders[0])
+    if (best->order != &kAngleOrders[0])
         notes.push_back(
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
-                        best_order->name));
-    if (best.n_steps > 0) read::note_driving(notes, score_motion(best, forward_direction));
-    return best_track;
+                        best->order->name));
+    if (best->driving.n_steps > 0) read::note_driving(notes, best->forward_score);
+    return std::move(best->track);
 }
 
 }  // namespace
