@@ -321,11 +321,10 @@ constexpr double kGoldenAngle_rad = 2.399963229728653;
 // A second return needs at least this distance. The minimum intensity prevents a division
 // by zero for black surfaces.
 constexpr float kMinSeparation_m = 0.5f, kMinIntensity = 1e-3f;
-// The weakest surfaces that fill a beam and return, at the maximum range and nearby.
-constexpr double kFarReflectivity = 0.8, kNearReflectivity = 0.0025;
 
 /// A hit of a thin ray, or a return of a beam: its range, and its light as the sum of the
-/// intensities of the thin rays.
+/// intensities of the thin rays. A white surface that fills the beam has the light
+/// kConeRays.
 struct ConeHit {
     float range_m = 0.0f, light = 0.0f;
     auto operator<=>(const ConeHit&) const = default;
@@ -357,21 +356,25 @@ std::vector<ConeHit> group_hits(const std::vector<ConeHit>& hits) {
     return returns;
 }
 
-/// Chooses the second return of a beam: the last one, or the next strongest one if the
-/// strongest return is the last. Returns an empty hit if its light is below
-///   kConeRays * max(0.8 (range / maximum range)^2, 0.0025).
-/// @param returns  sorted by range; `strongest` is the index of the first return
-ConeHit choose_second(const std::vector<ConeHit>& returns, std::size_t strongest, double max_range_m) {
-    ConeHit second;
-    if (strongest + 1 < returns.size()) {
-        second = returns.back();
-    } else {
-        for (std::size_t r = 0; r < returns.size(); ++r)
-            if (r != strongest && returns[r].light > second.light) second = returns[r];
-    }
-    const double range_share = double(second.range_m) / max_range_m;
+/// Returns true if a receiver detects a return. Data sheets give the maximum range for a
+/// reflectivity of 80 %. The received power falls with the square of the range, so the
+/// weakest reflectivity grows with it, from 0.25 % at a short range.
+bool is_detected(const ConeHit& hit, double max_range_m) {
+    constexpr double kFarReflectivity = 0.8, kNearReflectivity = 0.0025;
+    const double range_share = double(hit.range_m) / max_range_m;
     const double weakest = std::max(kFarReflectivity * range_share * range_share, kNearReflectivity);
-    return double(second.light) >= weakest * kConeRays ? second : ConeHit{};
+    return double(hit.light) >= weakest * kConeRays;
+}
+
+/// Returns the second of the two returns that a receiver reports: the last one, or the
+/// next strongest one if the strongest is the last. Empty without another return.
+/// @param returns  sorted by range; `strongest` is an index
+ConeHit find_second(const std::vector<ConeHit>& returns, std::size_t strongest) {
+    if (strongest + 1 < returns.size()) return returns.back();
+    ConeHit second;
+    for (std::size_t r = 0; r < strongest; ++r)
+        if (returns[r].light > second.light) second = returns[r];
+    return second;
 }
 
 }  // namespace
@@ -390,8 +393,9 @@ RayTable make_cone_rays(const RayTable& rays) {
             const double angle = 0.5 * rays.divergence_of_rad(i) * std::sqrt((k + 0.5) / kConeRays);
             // Direction from the beam axis to thin ray k. Steps of the golden angle
             // spread the rays evenly around the axis.
-            const glm::dvec3 outward = std::cos(1.0 + k * kGoldenAngle_rad) * side +
-                                       std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);
+            const double around_rad = 1.0 + k * kGoldenAngle_rad;  // any start is as good
+            const glm::dvec3 outward =
+                std::cos(around_rad) * side + std::sin(around_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * outward);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -411,10 +415,11 @@ Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double ma
         if (2 * int(hits.size()) <= kConeRays) continue;
         const std::vector<ConeHit> returns = group_hits(hits);
         const auto strongest = std::ranges::max_element(returns, {}, &ConeHit::light);
-        const ConeHit second = choose_second(returns, std::size_t(strongest - returns.begin()), max_range_m);
         // The intensity is the mean light of all thin rays of the beam.
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
+        const ConeHit second = find_second(returns, std::size_t(strongest - returns.begin()));
+        if (!is_detected(second, max_range_m)) continue;
         second_returns.range_m[i] = second.range_m;
         second_returns.intensity[i] = second.light / kConeRays;
     }

@@ -137,14 +137,12 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 /// divergence).
 RayTable make_cone_rays(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
-/// differ by less than 0.5 m from the next hit form one return. The range of the return
-/// is their mean, weighted by light.
-///
-/// The first return is the strongest one. The second return is the last one, or the next
-/// strongest one if the strongest return is the last. The second return needs the power
-/// of a surface of 80 % at the maximum range, and of 0.25 % at its range. If at most half
-/// of the thin rays have hits, the ray is dropped.
+/// Computes two returns per ray from the hits in the cone of the beam, as a receiver does.
+/// - If at most half of the thin rays have hits, the ray is dropped.
+/// - Hits whose ranges differ by less than 0.5 m from the next hit form one return, at
+///   their mean range, weighted by light.
+/// - The first return is the strongest one. The second is the last one, or the next
+///   strongest one if the strongest is the last, if it is bright enough to be detected.
 /// @param scan_of_cone_rays  scan with the hits of the rays from make_cone_rays(rays)
 Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double max_range_m);
 

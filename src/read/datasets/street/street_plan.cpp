@@ -182,18 +182,22 @@ MovingStreetActor make_moving_car(const StreetOptions& options, double x_at_midd
 }
 
 /// Adds a car that drives towards the sensor and is 14 m ahead of it in the middle of the
-/// log. A long street has one oncoming car per 120 m.
+/// log. On a long street, the sensor meets one more every 120 m of its path.
 void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOptions& options) {
-    constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
-    street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
+    constexpr double kSpeed_mps = 9.0, kLane_m = 3.2, kFirstAhead_m = 14.0, kFirstPaint = 0.35;
+    const auto add_car = [&](double x_at_middle_time_m, double paint_reflectance) {
+        street.cars.push_back(make_moving_car(options, x_at_middle_time_m, kLane_m, /*yaw_rad=*/kPi,
+                                              kSpeed_mps, paint_reflectance));
+    };
+    add_car(kFirstAhead_m, kFirstPaint);
     if (driven_m(options) <= kLongDrive_m) return;
-    // Both vehicles approach each other, so a car that meets the sensor at x is farther
-    // away than x in the middle of the log.
-    const double approach_ratio = 1.0 + kSpeed_mps / options.speed_mps;
-    for (double met_m = kBetweenCars_m; met_m < 0.5 * driven_m(options); met_m += kBetweenCars_m)
-        for (const double x : {met_m, -met_m})
-            street.cars.push_back(make_moving_car(options, x * approach_ratio, kLane_m, kPi, kSpeed_mps,
-                                                  random.sample_uniform(0.15, 0.8)));
+    // The sensor is at x = 0 in the middle of the log, and at x when both vehicles meet.
+    // In between, the sensor drives x, and the car drives x * (its speed / speed of the
+    // sensor) in the other direction.
+    const double start_ratio = 1.0 + kSpeed_mps / options.speed_mps;
+    for (double x = kBetweenCars_m; x < 0.5 * driven_m(options); x += kBetweenCars_m)
+        for (const double meeting_m : {x, -x})
+            add_car(meeting_m * start_ratio, random.sample_uniform(0.15, 0.8));
 }
 
 /// Adds a bush: 60 small cubes, so that most rays pass between its leaves.
@@ -202,67 +206,90 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& positio
         const double z_m = random.sample_uniform(0.1, 1.6);
         const double y_m = position_m.y + random.sample_uniform(-0.5, 0.5);
         const double x_m = position_m.x + random.sample_uniform(-1.0, 1.0);
-        street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
-                                 glm::dvec3(random.sample_uniform(0.03, 0.08)),
-                                 random.sample_uniform(0.0, 1.5), false, 0.4, SurfaceClass::vegetation});
+        const double half_m = random.sample_uniform(0.03, 0.08);
+        const double yaw_rad = random.sample_uniform(0.0, 1.5);
+        constexpr double kReflectance = 0.4;
+        street.shapes.push_back(
+            make_box({x_m, y_m, z_m}, glm::dvec3(half_m), kReflectance, SurfaceClass::vegetation, yaw_rad));
     }
 }
 
-/// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
-/// the ground, so that it contains the feet but no ground.
+constexpr double kLegs_m = 0.8;  // length of legs
+constexpr double kLegReflectance = 0.35, kBodyReflectance = 0.5;
+
+/// Returns a person without legs, who walks or rides straight: a body in the upper part of
+/// a box. The box begins 0.05 m above the ground, so that it contains the feet but no
+/// ground.
 /// @param position_at_middle_time_m  x, y in the street frame in the middle of the log
-MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
-                                  double yaw_rad, double speed_mps) {
-    constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
-    MovingStreetActor walker;
-    walker.category = "Pedestrian";
-    walker.yaw_rad = yaw_rad;
-    walker.speed_mps = speed_mps;
-    walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
+MovingStreetActor make_person(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
+                              double yaw_rad, double speed_mps) {
+    constexpr double kTall_m = 1.75, kBottom_m = 0.05, kWidth_m = 0.6, kHalf_m = 0.5 * (kTall_m - kBottom_m);
+    constexpr double kBody_m = 0.9, kBodyRadius_m = 0.175;
+    MovingStreetActor person;
+    person.category = "Pedestrian";
+    person.yaw_rad = yaw_rad;
+    person.speed_mps = speed_mps;
+    person.size_m = {kWidth_m, kWidth_m, 2.0 * kHalf_m};
     const glm::dvec2 start = position_at_middle_time_m - speed_mps * middle_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
-    walker.start_m = {start, kBottom_m + kHalf_m};
-    // The bottom of the box is at z = -kHalf_m. The legs are 0 to 0.8 m above it, the
-    // body 0.8 to 1.7 m.
-    const StreetShape legs = make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, 0.35),
-                      body = make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, 0.5);
-    walker.shapes = {legs, body};
-    return walker;
+    person.start_m = {start, kBottom_m + kHalf_m};
+    // The bottom of the box, where legs begin, is at z = -kHalf_m.
+    person.shapes = {make_cylinder({0.0, 0.0, kLegs_m + 0.5 * kBody_m - kHalf_m}, kBodyRadius_m,
+                                   0.5 * kBody_m, kBodyReflectance)};
+    return person;
 }
 
-/// Replaces the legs of a pedestrian by arms and legs that swing: capsules that hang from
-/// a joint, in the frame of the box (origin at its centre, x forward, y left). Feet on
-/// the ground do not slide: they swing backward as far as the body moves forward.
-void add_swinging_limbs(MovingStreetActor& pedestrian) {
+/// Adds a shape below the body of a person. Shapes are sorted from bottom to top.
+void add_below_body(MovingStreetActor& person, const StreetShape& shape) {
+    person.shapes.insert(person.shapes.begin(), shape);
+}
+
+/// Adds legs that do not move, as one cylinder.
+void add_stiff_legs(MovingStreetActor& person) {
+    constexpr double kRadius_m = 0.125;
+    const glm::dvec3 centre(0.0, 0.0, 0.5 * kLegs_m - 0.5 * person.size_m.z);
+    add_below_body(person, make_cylinder(centre, kRadius_m, 0.5 * kLegs_m, kLegReflectance));
+}
+
+/// Adds arms and legs that swing: capsules that hang from a joint, in the frame of the box
+/// (origin at its centre, x forward, y left). Feet on the ground do not slide: they swing
+/// backward as far as the body moves forward.
+void add_swinging_limbs(MovingStreetActor& person) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
-    constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
+    constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35, kMargin_m = 0.02;
     // The capsule of a straight leg ends at the bottom of the box.
-    const double half_height_m = 0.5 * pedestrian.size_m.z, hip_z_m = -half_height_m + kLeg_m + kLegRadius_m;
-    pedestrian.shapes.erase(pedestrian.shapes.begin());  // the legs, see make_pedestrian()
+    const double half_height_m = 0.5 * person.size_m.z, hip_z_m = -half_height_m + kLeg_m + kLegRadius_m;
     // An arm swings opposite to the leg of its side.
     for (const double side : {1.0, -1.0}) {  // left, right
         const double phase_rad = side > 0.0 ? 0.0 : kPi;
-        const glm::dvec3 hip(0.0, side * kHip_m, hip_z_m),
-            shoulder(0.0, side * kShoulder_m, half_height_m - kShoulderBelowTop_m);
-        // joint, length, radius, largest angle, phase, reflectance
-        pedestrian.limbs.push_back({hip, kLeg_m, kLegRadius_m, kSwing_rad, phase_rad, 0.35});
-        pedestrian.limbs.push_back({shoulder, kArm_m, kArmRadius_m, kSwing_rad, phase_rad + kPi, 0.5});
+        person.limbs.push_back({.joint_m = {0.0, side * kHip_m, hip_z_m},
+                                .length_m = kLeg_m,
+                                .radius_m = kLegRadius_m,
+                                .swing_rad = kSwing_rad,
+                                .phase_rad = phase_rad,
+                                .reflectance = kLegReflectance});
+        person.limbs.push_back({.joint_m = {0.0, side * kShoulder_m, half_height_m - kShoulderBelowTop_m},
+                                .length_m = kArm_m,
+                                .radius_m = kArmRadius_m,
+                                .swing_rad = kSwing_rad,
+                                .phase_rad = phase_rad + kPi,
+                                .reflectance = kBodyReflectance});
     }
     // The foot on the ground moves from foot_forward_m before the hip to as far behind
     // it. The body moves this distance forward, once for each foot in a stride.
     const double foot_forward_m = kLeg_m * std::sin(kSwing_rad);
-    pedestrian.stride_m = 4.0 * foot_forward_m;
-    // The box contains both feet at their largest distance, and 2 cm on each side.
-    pedestrian.size_m.x = 2.0 * (foot_forward_m + kLegRadius_m) + 0.04;
+    person.stride_m = 2.0 * (2.0 * foot_forward_m);
+    // The box contains both feet at their largest distance.
+    person.size_m.x = 2.0 * (foot_forward_m + kLegRadius_m) + 2.0 * kMargin_m;
 }
 
 MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& middle_m, double speed_mps) {
-    MovingStreetActor rider = make_pedestrian(options, middle_m, 0.0, speed_mps);
+    MovingStreetActor rider = make_person(options, middle_m, 0.0, speed_mps);
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
-    for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;
-    rider.shapes[0] = make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.4);
+    rider.shapes[0].centre.x -= 0.2;
+    add_below_body(rider, make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.4));
     return rider;
 }
 
@@ -277,8 +304,10 @@ void add_people(SyntheticStreet& street, Random& random, const StreetOptions& op
     for (const Walk& walk : {kRightPavement, kLeftPavement, kAcross}) {
         const double speed_mps = random.sample_uniform(1.0, 1.6);
         const double x_m = random.sample_uniform(walk.min_x_m, walk.max_x_m);
-        street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
-        if (options.gait) add_swinging_limbs(street.cars.back());
+        MovingStreetActor& person =
+            street.cars.emplace_back(make_person(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
+        if (options.gait) add_swinging_limbs(person);
+        else add_stiff_legs(person);
     }
     const double cyclist_speed_mps = random.sample_uniform(4.0, 6.0);
     const double cyclist_x_m = random.sample_uniform(6.0, 9.0);
@@ -304,13 +333,16 @@ SyntheticStreet make_street(const StreetOptions& options) {
     if (options.moving_cars) {
         // The car ahead is 5 % faster. Its distance in the middle of the log is so large
         // that it is ahead of the sensor from the beginning.
-        const double ahead_m = is_long ? 12.0 + 0.05 * 0.5 * driven_m(options) : 12.0;
-        street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
+        constexpr double kAhead_m = 12.0, kLane_m = 0.1, kPaint = 0.6;
+        const double ahead_m = is_long ? kAhead_m + 0.05 * 0.5 * driven_m(options) : kAhead_m;
+        street.cars.push_back(
+            make_moving_car(options, ahead_m, kLane_m, /*yaw_rad=*/0.0, 1.05 * options.speed_mps, kPaint));
         add_oncoming_cars(street, random, options);
     }
     if (options.people) {
         add_yard(street, random);
-        for (const double x : {-14.0, -4.0, 18.0}) add_bush(street, random, {x, kRightKerb_m - 0.9});
+        const double pavement_y_m = kRightKerb_m - 0.9;
+        for (const double x_m : {-14.0, -4.0, 18.0}) add_bush(street, random, {x_m, pavement_y_m});
         add_people(street, random, options);
     }
     return street;
