@@ -245,6 +245,7 @@ std::vector<bool> find_kept_lidars(const Log& sequence, const std::vector<std::s
             const std::string& lidar = sequence.lidars[l].name;
             if (lidar == name || lidar.starts_with(name + ":")) is_kept[l] = is_found = true;
         }
+        // Throws for an unknown name. An empty name means the first LiDAR.
         if (!is_found) is_kept[std::size_t(find_lidar(sequence, name))] = true;
     }
     return is_kept;
@@ -292,7 +293,7 @@ std::pair<std::string, fs::path> split_dataset(const std::string& dataset) {
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// Returns the kind of a dataset and the function that reads it.
+/// Returns the kind of a dataset.
 /// @param requested_drive  name of the recording (drive) that the user requested; may be
 /// empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive

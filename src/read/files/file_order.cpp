@@ -19,12 +19,13 @@ constexpr double kRingStepBack_rad = 3.0 * kPi / 180.0;
 constexpr double kMinSameSignFraction = 0.9;
 // The search for the start of rings uses only every fourth point, to save time.
 constexpr std::size_t kSearchStride = 4;
+// Points in another order can give any number of rings, but no LiDAR has more than 256.
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // Share of elevation steps from ring to ring with the same sign, if rings are sorted.
 constexpr double kMinSortedShare = 0.9;
 // Points are in the correct rings if the median elevation difference between a point and
 // its ring is below this fraction of the step between rings.
-constexpr double kInRing = 0.5;
+constexpr double kMaxRingErrorShare = 0.5;
 
 double azimuth_of_rad(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
 double elevation_of_rad(const glm::vec3& point) {
@@ -176,28 +177,30 @@ bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>
         double(std::max(n_up, n_down)) >= kMinSortedShare * double(ring_elevations_rad.size() - 1);
     if (steps_rad.empty() || !are_sorted) return false;
     return compute_median(ring_errors(points, ring_of_point, ring_elevations_rad)) <
-           kInRing * compute_median(steps_rad);
+           kMaxRingErrorShare * compute_median(steps_rad);
 }
 
 }  // namespace
 
 RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
+    // The scan with the most points shows the direction of rotation, and the azimuth at
+    // which rings begin.
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
     const std::optional<double> rotation_sign = rotation_sign_of(*fullest);
     if (!rotation_sign) return;
     rotation_sign_ = *rotation_sign;
     const std::vector<double> azimuths_rad = unwrap_azimuths(*fullest, rotation_sign_);
-    const double all_rings_rad = azimuths_rad.back() - azimuths_rad.front();  // one turn per ring
-    if (all_rings_rad < 2.0 * kPi * double(kFewestRings - 1)) return;
+    const double n_turns = (azimuths_rad.back() - azimuths_rad.front()) / (2.0 * kPi);  // one per ring
+    if (n_turns < double(kFewestRings - 1)) return;
     first_azimuth_rad_ = find_ring_start_rad(*fullest, azimuths_rad);
+    // The scan with the most rings shows their elevations, because it is most likely to
+    // have returns of every beam.
     for (const LidarPoints& scan : scans) {
         if (rotation_sign_of(scan) != rotation_sign) continue;
         const std::vector<std::uint16_t> ring =
             count_turns(unwrap_azimuths(scan, rotation_sign_), first_azimuth_rad_);
         std::vector<double> elevations = ring_elevations(scan, ring);
-        // Keeps the scan with the most rings, because it is most likely to have returns
-        // of every beam.
         if (elevations.size() > elevation_rad_.size() && are_rings_clear(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }

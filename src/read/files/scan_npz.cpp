@@ -119,9 +119,12 @@ RayTable match_sensor_rays(const NpzArrays& arrays, const ImageContext& image_co
     return rays;
 }
 
-/// Reverses the order of the image rows, if row 0 of the file is the lowest beam. In
-/// relidar, row 0 is the highest beam.
-void reverse_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
+/// Reverses the order of the image rows, so that row 0 becomes the highest beam. An image
+/// is an array with as many rows as the image of ranges.
+void reverse_rows(std::vector<NamedArray>& arrays) {
+    const NamedArray* range = find_array(arrays, "range");
+    if (!range || range->shape.size() != 2) return;
+    const std::size_t n_rows = range->shape[0];
     for (NamedArray& array : arrays) {
         const bool is_image = array.shape.size() >= 2 && array.shape[0] == n_rows;
         const std::size_t row_bytes = is_image && n_rows > 0 ? array.bytes.size() / n_rows : 0;
@@ -219,10 +222,9 @@ std::uint16_t convert_ring(double file_value, const std::string& where) {
 
 Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
                       const ImageContext& context) {
+    // Without ray directions, the rays are those of the sensor, whose row 0 is the highest.
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
-    const NamedArray* range = find_array(stored_arrays, "range");
-    if (!has_rays && context.lowest_first && range && range->shape.size() == 2)
-        reverse_rows(stored_arrays, range->shape[0]);
+    if (!has_rays && context.lowest_first) reverse_rows(stored_arrays);
     const NpzArrays arrays(where, std::move(stored_arrays));
     const NamedArray* flag = arrays.find_optional("deskewed");
     const bool is_deskewed = flag && flag->element_count() == 1 && flag->to_floats()[0] != 0.0f;
