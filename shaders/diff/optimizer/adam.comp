@@ -3,7 +3,7 @@
 // row on a CPU, and a single float (ONE_THREAD_PER_FLOAT) on a GPU. The gradient of a row
 // that is not marked in `touched` is zero; its entry in the gradient array is not used.
 // If a list of rows exists (list_touched.comp), other rows stay unchanged.
-// Input: gradients, touched or rows and n_listed, bounds, model_scale, models. In place:
+// Input: gradients, touched or rows and n_listed, bounds, model_factors, models. In place:
 // values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -17,8 +17,8 @@ RELIDAR_PARAMS(AdamParams);
 /// example one block per channel.
 /// @param block_begin position of the block's first value in the row
 /// @param index_in_block position of the value in the block
-/// @param model_scale factor on the learning rate for the model of the row
-void update_value(uint row, uint block_begin, uint index_in_block, bool has_gradient, float model_scale) {
+/// @param model_factor factor on the learning rate for the model of the row
+void update_value(uint row, uint block_begin, uint index_in_block, bool has_gradient, float model_factor) {
     uint i = row * params.stride + block_begin + index_in_block;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
     // slower.
@@ -28,9 +28,9 @@ void update_value(uint row, uint block_begin, uint index_in_block, bool has_grad
     float v = mix(g * g, params.moment2.at[i], params.beta2);
     params.moment1.at[i] = m;
     params.moment2.at[i] = v;
-    float rate = params.learning_rate * (index_in_block == 0u ? params.first_scale : 1.0) *
-                 (block_begin == 0u ? params.block_scale : 1.0) *
-                 (block_begin >= params.first_scaled_block * params.block ? model_scale : 1.0);
+    float rate = params.learning_rate * (index_in_block == 0u ? params.first_value_factor : 1.0) *
+                 (block_begin == 0u ? params.first_block_factor : 1.0) *
+                 (block_begin >= params.first_model_block * params.block ? model_factor : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
     // Limits the value by a comparison instead of min(), because min() could replace a
@@ -47,19 +47,20 @@ void update_row(uint row_or_value) {
          row = ONE_THREAD_PER_FLOAT ? row_or_value / n_updated : row_or_value;
     if (!is_null(params.rows)) row = params.rows.at[row];
     bool has_gradient = is_null(params.touched) || params.touched.at[row] != 0u;
-    float model_scale = 1.0;
-    if (!is_null(params.model_scale))
-        model_scale =
-            params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
+    float model_factor = 1.0;
+    if (!is_null(params.model_factors))
+        model_factor =
+            params.model_factors.at[find_model(params.models, params.n_models, params.first_row + row)];
     if (ONE_THREAD_PER_FLOAT) {
         uint k = row_or_value % n_updated;
-        update_value(row, k / params.n_active * params.block, k % params.n_active, has_gradient, model_scale);
+        update_value(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
+                     model_factor);
         return;
     }
     // Uses nested loops instead of integer divisions, which are slow on a CPU.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
-            update_value(row, block, within, has_gradient, model_scale);
+            update_value(row, block, within, has_gradient, model_factor);
 }
 
 void main() {

@@ -23,7 +23,7 @@ struct AdamParams {
     RELIDAR_OF(Floats, ScaleBounds) bounds;
     // Input [n_models]: factor on the learning rate of each model. Address 0 means that
     // all factors are 1.
-    RELIDAR_OF(Floats, ModelRates) model_scale;
+    RELIDAR_OF(Floats, ModelRates) model_factors;
     Models models;  // input [n_models], if there are factors
     float learning_rate;
     float beta1;
@@ -34,13 +34,13 @@ struct AdamParams {
     // Factor on the learning rate of the first value of each block. Each row of `values`
     // (one surfel) is divided into blocks of `block` values. For spherical harmonics, a
     // block is a channel, and its first value is the constant coefficient.
-    float first_scale;
+    float first_value_factor;
     // Factor on the learning rate of the first block of each surfel's values. For
     // spherical harmonics, it is the block of the intensity channel.
-    float block_scale;
+    float first_block_factor;
     uint n_models;
-    uint first_scaled_block;  // `model_scale` applies to this block and the blocks after it.
-    uint first_row;           // surfel of row 0
+    uint first_model_block;  // `model_factors` applies to this block and the blocks after it.
+    uint first_row;          // surfel of row 0
     uint n_rows;
     uint stride;    // floats per row
     uint block;     // Number of columns per block. Column 0 of each block has a separate learning rate.

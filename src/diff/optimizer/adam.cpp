@@ -35,8 +35,8 @@ float moment_correction(double beta, int step_number) {
     return float(1.0 / (1.0 - std::pow(beta, step_number)));
 }
 
-/// Returns kernel parameters with the constants of Adam for one step. The addresses and
-/// the layout of the rows are not set.
+/// Returns kernel parameters with the constants of Adam for one step. All factors on the
+/// learning rate are 1. The addresses and the layout of the rows are not set.
 shared::AdamParams make_adam_params(const AdamOptions& options, int step_number) {
     shared::AdamParams params{};
     params.beta1 = float(options.beta1);
@@ -44,6 +44,7 @@ shared::AdamParams make_adam_params(const AdamOptions& options, int step_number)
     params.epsilon = float(options.epsilon);
     params.correction1 = moment_correction(options.beta1, step_number);
     params.correction2 = moment_correction(options.beta2, step_number);
+    params.first_value_factor = params.first_block_factor = 1.0f;
     return params;
 }
 
@@ -63,36 +64,35 @@ struct Adam::Impl {
     Device& device;
     AdamOptions options;
     SurfelArrays moment1, moment2;
-    bool per_float = should_coalesce(device);
+    bool thread_per_float = should_coalesce(device);
     Array<float, shared::ScaleBounds> max_log_scale{device, 0, "bounds of scales"};
-    Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(per_float)};
+    Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(thread_per_float)};
     std::vector<float> logit_factors = {};       ///< [models] or empty
-    std::optional<TouchedSurfelList> list = {};  ///< set if only the rows that have a gradient are updated
+    std::optional<TouchedSurfelList> list = {};  ///< set with AdamOptions::only_touched
 
     void set_rates(shared::AdamParams& params, const SurfelParameterGroup& group, const LearningRates& rates,
                    Stream& stream) const;
 };
 
-/// Sets the learning rates of a parameter group, and their factors for single models.
+/// Sets the learning rate of a parameter group, and the factors on it for parts of a row
+/// and for single models. Only the means and the harmonics have such factors.
 void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGroup& group,
                            const LearningRates& rates, Stream& stream) const {
-    // All spherical harmonics except the constant one have a lower learning rate. The
-    // kernel multiplies that of the constant one by `first_scale`, and those of the first
-    // channel (the intensity) by `block_scale`.
-    const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
-    params.learning_rate = float(rates.*group.rate * rest_factor);
-    params.first_scale = float(1.0 / std::max(rest_factor, 1e-12));
-    params.block_scale = float(group.harmonics ? rates.intensity_factor : 1.0);
-
-    // Each model may have a factor: in harmonics for the channels after the intensity
-    // (the logits), in other groups for all values.
-    params.first_scaled_block = group.harmonics ? 1u : 0u;
-    const bool is_mean = group.rate == &LearningRates::mean;
-    const std::vector<float> none;
-    const std::vector<float>& model_factors =
-        group.harmonics ? logit_factors : (is_mean ? rates.mean_factors : none);
+    double rate = rates.*group.rate;
+    std::vector<float> model_factors;
+    if (group.rate == &LearningRates::mean) model_factors = rates.mean_factors;
+    if (group.harmonics) {
+        // A row has one block per channel: intensity, hit logit, drop logit. The first
+        // value of a block is the constant harmonic. The others have a lower rate.
+        rate *= rates.sh_rest_factor;
+        params.first_value_factor = float(1.0 / std::max(rates.sh_rest_factor, 1e-12));
+        params.first_block_factor = float(rates.intensity_factor);
+        params.first_model_block = 1;  // the factors of models apply only to the logits
+        model_factors = logit_factors;
+    }
+    params.learning_rate = float(rate);
     if (model_factors.empty()) return;
-    params.model_scale = stream.impl().stage_values(model_factors).cast_tag<shared::ModelRates>();
+    params.model_factors = stream.impl().stage_values(model_factors).cast_tag<shared::ModelRates>();
     params.models = rates.models->address();
     params.n_models = std::uint32_t(model_factors.size());
 }
@@ -137,15 +137,22 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_EQ(adam.max_log_scale.size() == 0 || adam.max_log_scale.size() == parameters.n, true);
     // Surfels without a gradient are skipped either by a list of the other surfels, or by
     // a flag that each thread reads.
+    shared::AdamParams all_groups = make_adam_params(adam.options, step_number);
+    all_groups.first_row = first;
+    all_groups.n_rows = n_rows;
     const bool uses_list = adam.list && touched_flags;
-    if (uses_list) adam.list->compact(stream, touched_flags->address(first), n_rows);
+    if (uses_list) {
+        adam.list->compact(stream, touched_flags->address(first), n_rows);
+        all_groups.rows = adam.list->rows_address();
+        all_groups.n_listed = adam.list->count_address();
+    } else if (touched_flags) {
+        all_groups.touched = touched_flags->address(first);
+    }
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
-        shared::AdamParams params = make_adam_params(adam.options, step_number);
+        shared::AdamParams params = all_groups;
         set_row_layout(params, group, sh_degree);
         adam.set_rates(params, group, learning_rates, stream);
-        params.first_row = first;
-        params.n_rows = n_rows;
         // The moments have no rows for the fixed surfels at the start.
         const std::size_t first_float = std::size_t(first) * params.stride;
         params.values = group.device(parameters).address_as<float, shared::AdamValues>(first_float);
@@ -153,14 +160,9 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
         params.moment1 = group.device(adam.moment1).address_as<float, shared::FirstMoments>();
         params.moment2 = group.device(adam.moment2).address_as<float, shared::SecondMoments>();
         if (group.scales && adam.max_log_scale.size() > 0) params.bounds = adam.max_log_scale.address(first);
-        if (uses_list) {
-            params.rows = adam.list->rows_address();
-            params.n_listed = adam.list->count_address();
-        } else if (touched_flags) {
-            params.touched = touched_flags->address(first);
-        }
-        const std::uint32_t threads_per_row = adam.per_float ? params.n_blocks * params.n_active : 1u;
-        const std::size_t n_threads = std::size_t(n_rows) * threads_per_row;
+        const std::size_t threads_per_row = adam.thread_per_float ? params.n_blocks * params.n_active : 1;
+        const std::size_t n_threads = n_rows * threads_per_row;
+        // The host does not know the length of the list, so the list limits the threads.
         run(stream, adam.kernel, uses_list ? adam.list->choose_threads(n_threads) : n_threads, params);
     }
 }
@@ -196,8 +198,6 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
     params.moment1 = a.moment1.address();
     params.moment2 = a.moment2.address();
     params.learning_rate = float(learning_rate);
-    // Each row has one value, so it has no blocks with different learning rates.
-    params.first_scale = params.block_scale = 1.0f;
     params.n_rows = std::uint32_t(a.moment1.size());
     params.stride = params.block = params.n_blocks = params.n_active = 1;
     run(stream, a.kernel, a.moment1.size(), params);
