@@ -10,7 +10,7 @@
 #include "../../base/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
 RELIDAR_PARAMS(BvhCostParams);
-shared float sums[64];  // cost of each subgroup
+shared float subgroup_costs[64];
 
 /// Returns the cost of all leaf slots of a node: half the area of the box of the leaf
 /// times its number of surfels times SURFEL_COST.
@@ -37,10 +37,10 @@ void main() {
     if (node < min(params.bound, params.wide.count.at[0]))
         cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
     cost = subgroupAdd(cost);
-    if (subgroupElect()) sums[gl_SubgroupID] = cost;
+    if (subgroupElect()) subgroup_costs[gl_SubgroupID] = cost;
     barrier();
     if (ordered_thread() != 0u) return;
     // Thread 0 already has the sum of subgroup 0.
-    for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
-    if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
+    for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += subgroup_costs[s];
+    if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.sums.at[group] = cost;
 }

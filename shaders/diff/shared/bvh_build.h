@@ -145,7 +145,7 @@ struct BvhTopParams {
 struct BvhCostParams {
     BvhWide wide;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;  // input [n,6] boxes of the surfels
-    RELIDAR_OF(Floats, CostSums) partial;   // output [n_groups] m^2
+    RELIDAR_OF(Floats, CostSums) sums;      // output [n_groups] m^2
     uint bound;
 };
 

@@ -37,11 +37,11 @@ struct AccelerationStructure::Impl {
     }
 
     void build_tree(Stream& stream, const DeviceScene& scene) {
-        if (hardware) hardware->record_build(stream, scene, options, {{0, scene.size()}}, false);
+        if (hardware) hardware->record_build(stream, scene, options, {{0, scene.size()}}, BuildMode::build);
         else software->build_trees(stream, scene, options);
     }
     void refit_tree(Stream& stream, const DeviceScene& scene, const SurfelRanges& ranges) {
-        if (hardware) hardware->record_build(stream, scene, options, ranges, true);
+        if (hardware) hardware->record_build(stream, scene, options, ranges, BuildMode::refit);
         else software->refit_trees(stream, scene, options, ranges);
     }
 };
@@ -105,14 +105,14 @@ void AccelerationStructure::record_top_level(Stream& stream, const DeviceScene& 
 void AccelerationStructure::append_model(Stream& stream, const DeviceScene& scene, const DeviceScene& added) {
     Impl& a = *impl_;
     if (a.hardware) {
+        // Builds the tree of this model. The other models keep their trees.
         const SurfelModel& model = scene.layout().models.back();
         a.hardware->append_model(scene);
-        const bool refit_only = false;  // builds the new model; the others keep their trees
-        a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, refit_only);
+        a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, BuildMode::build);
         stream.submit_and_wait();
         return;
     }
-    // Builds the tree of this model alone, then copies it behind the other trees.
+    // Builds a separate tree, then copies it behind the other trees.
     Bvh tree(stream.device(), added);
     tree.build_trees(stream, added, a.options);
     stream.submit_and_wait();
@@ -120,7 +120,7 @@ void AccelerationStructure::append_model(Stream& stream, const DeviceScene& scen
 }
 
 void AccelerationStructure::append_instances(const DeviceScene& scene) {
-    if (impl_->hardware) impl_->hardware->append_instances(scene);
+    if (impl_->hardware) impl_->hardware->reserve_instances(scene);
     else impl_->software->append_instances(scene);
 }
 
@@ -138,9 +138,9 @@ void AccelerationStructure::record_cost(Stream& stream) {
 }
 
 AccelAddresses AccelerationStructure::addresses() const {
+    if (impl_->hardware) return impl_->hardware->addresses();
     AccelAddresses addresses;
-    if (impl_->software) addresses.bvh = impl_->software->bvh_addresses();
-    else impl_->hardware->write_addresses(addresses);
+    addresses.bvh = impl_->software->bvh_addresses();
     return addresses;
 }
 

@@ -73,7 +73,19 @@ constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
-constexpr std::uint32_t kOffsetsAt = kKeysAt, kWideNodeIndicesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
+constexpr std::uint32_t kOffsetsAt = kKeysAt, kWideNodeIndicesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1,
+                        kSecondKeysAt = kCostsAt, kSecondValuesAt = kCostsAt + 2;
+
+/// Array in scratch memory. Has the type that a kernel parameter expects.
+struct ScratchArray {
+    const Array<std::uint32_t>& memory;
+    std::size_t first_word;
+
+    template <class T, class Meaning>
+    operator Address<T, Meaning>() const {
+        return memory.address_as<T, Meaning>(first_word);
+    }
+};
 
 struct Bvh::Impl {
     Device& device;
@@ -93,15 +105,15 @@ struct Bvh::Impl {
                                              "diff/accel/bvh_cluster",
                                              {{WORKGROUP_SIZE, subgroup_size(device)}},
                                              SubgroupRequirement::full};
-    Kernel<shared::BvhWideParams> wide_mark{device, "diff/accel/bvh_wide_mark"};
-    Kernel<shared::BvhWideParams> wide_mark_rest{
+    Kernel<shared::BvhWideParams> choose_level{device, "diff/accel/bvh_wide_mark"};
+    Kernel<shared::BvhWideParams> choose_remaining{
         device, "diff/accel/bvh_wide_mark", {kWorkgroupConstant, {UNTIL_DONE, 1u}}};
-    Kernel<shared::BvhWideParams> wide_count{
+    Kernel<shared::BvhWideParams> sum_tiles{
         device, "diff/accel/bvh_wide_count", {kWorkgroupConstant}, SubgroupRequirement::full};
-    Kernel<shared::BvhWideParams> wide_scan{
+    Kernel<shared::BvhWideParams> sum_earlier_tiles{
         device, "diff/accel/bvh_wide_scan", {kWorkgroupConstant}, SubgroupRequirement::full};
-    Kernel<shared::BvhWideParams> wide_place{device, "diff/accel/bvh_wide_place"};
-    Kernel<shared::BvhWideParams> wide_emit{device, "diff/accel/bvh_wide_emit"};
+    Kernel<shared::BvhWideParams> number_nodes{device, "diff/accel/bvh_wide_place"};
+    Kernel<shared::BvhWideParams> write_nodes{device, "diff/accel/bvh_wide_emit"};
     Kernel<shared::BvhRefitParams> refit_kernel{
         device, "diff/accel/bvh_refit", {{LANES, subgroup_size(device)}}, SubgroupRequirement::full};
     Kernel<shared::BvhTopParams> top{
@@ -111,7 +123,7 @@ struct Bvh::Impl {
     /// [models] root node of each model's tree. A build numbers the roots like the
     /// models.
     std::vector<std::uint32_t> model_roots;
-    /// [n_instances] root node of each instance's model
+    /// [n_instances] the same for the model of each instance
     Array<std::uint32_t, shared::ModelRoots> root_of{device, n_instances, "roots of models"};
     Array<float, shared::SurfelBoxes> boxes{device, 6 * std::size_t(n), "surfel boxes"};
     /// [n_models,6] bounds of the box centres
@@ -135,7 +147,7 @@ struct Bvh::Impl {
     /// [bound] number of children whose boxes are finished
     Array<std::uint32_t, shared::Arrivals> arrivals{device, bound, "wide node arrivals"};
     Array<std::uint32_t, shared::WideCount> count{device, 1, "wide node count"};  ///< number of nodes in use
-    /// [n_instances] root node of each instance's model
+    /// [n_instances] like `root_of`, but RELIDAR_BVH_NO_NODE for an absent instance
     Array<std::uint32_t, shared::InstanceRoots> roots{device, n_instances, "instance roots"};
     Array<std::uint32_t, shared::TopOrder> top_order{device, n_instances, "instances in leaf order"};
     Array<shared::BvhNode> top_node_array{device, count_top_nodes(n_instances), "top nodes"};
@@ -166,14 +178,9 @@ struct Bvh::Impl {
     void append_nodes(const Impl& added, std::uint32_t first_node, std::uint32_t first_surfel);
     shared::BvhBinary binary_bvh() const;
     shared::BvhWide wide_bvh() const;
-    template <class T, class Meaning>
-    Address<T, Meaning> scratch_at(std::uint32_t offset_words_per_surfel) const {
-        return scratch.address_as<T, Meaning>(offset_words_per_surfel * std::size_t(round_up_4(n)));
+    ScratchArray scratch_at(std::uint32_t words_per_surfel) const {
+        return {scratch, words_per_surfel * std::size_t(round_up_4(n))};
     }
-    /// Returns the offset of one of the two buffers of sort keys in scratch memory. The
-    /// radix sort reads one buffer and writes the other. The sorted keys are in buffer 0.
-    std::uint32_t keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
-    SortBuffers sort_buffers(int set_index) const;
     std::uint32_t max_levels() const;
     void collapse_tree(Stream& stream, const DeviceScene& scene);
     std::uint32_t n_key_bits() const {
@@ -192,7 +199,7 @@ struct Bvh::Impl {
              .first_surfel = range.first,
              .n_surfels = range.count});
     }
-    SortBuffers sort_surfels(Stream& stream, const DeviceScene& scene);
+    void sort_surfels(Stream& stream, const DeviceScene& scene);
     void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
         run(stream, refit_kernel, n_refitting,
             {.wide = wide_bvh(),
@@ -212,11 +219,11 @@ std::uint32_t Bvh::Impl::max_levels() const {
 }
 
 shared::BvhBinary Bvh::Impl::binary_bvh() const {
-    return {.children = scratch_at<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
-            .boxes = scratch_at<float, shared::BinaryBoxes>(kBoxesAt),
-            .costs = scratch_at<float, shared::BinaryCosts>(kCostsAt),
-            .decisions = scratch_at<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
-            .spares = scratch_at<std::uint32_t, shared::SpareNodes>(kSparesAt)};
+    return {.children = scratch_at(kChildrenAt),
+            .boxes = scratch_at(kBoxesAt),
+            .costs = scratch_at(kCostsAt),
+            .decisions = scratch_at(kDecisionsAt),
+            .spares = scratch_at(kSparesAt)};
 }
 
 shared::BvhWide Bvh::Impl::wide_bvh() const {
@@ -228,86 +235,83 @@ shared::BvhWide Bvh::Impl::wide_bvh() const {
             .count = count.address()};
 }
 
-SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
-    return {.keys = scratch_at<std::uint32_t, shared::SortKeys>(keys_offset(set_index)),
-            .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
-}
-
 /// Sorts the surfels by model and by the Morton codes of their box centres. Neighbours in
-/// space are then neighbours in the list.
-SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
-    stream.fill(bounds, 0xffffffffu);  // the kernel computes minima with atomics
+/// space are then neighbours in the list. The sorted keys are at kKeysAt, and the surfels
+/// in this order at kValuesAt.
+void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
+    // A Morton code is relative to the bounds of its model. They are minima, which the
+    // kernel computes with atomics, so they start at the largest number.
+    stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,
         {.boxes = boxes.address(),
          .models = scene.model_table().address(),
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the radix sort moves the keys from one of two buffers to the other.
-    // The number of passes decides which buffer is first, so that the sorted keys end in
-    // buffer 0.
-    const int first_set = int(RadixSort::pass_count(n_key_bits()) % 2);
+    // Each pass of the radix sort moves the keys from one of two buffers to the other. An
+    // odd number of passes starts in the second buffer, so that the result is in the first.
+    const SortBuffers first{.keys = scratch_at(kKeysAt), .order = scratch_at(kValuesAt)};
+    const SortBuffers second{.keys = scratch_at(kSecondKeysAt), .order = scratch_at(kSecondValuesAt)};
+    const bool starts_in_second = RadixSort::pass_count(n_key_bits()) % 2 == 1;
+    // The kernel also initialises two arrays for the next kernels: `other_ends`, `demands`.
     run(stream, keys_kernel, n,
         {.records = scene.surfel_records().address(),
          .models = scene.model_table().address(),
          .bounds = bounds.address(),
-         .keys = scratch_at<glm::uvec2, shared::MortonKeys>(keys_offset(first_set)),
-         .other_ends = scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .demands = scratch_at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+         .keys = scratch_at(starts_in_second ? kSecondKeysAt : kKeysAt),
+         .other_ends = scratch_at(kOtherEndsAt),
+         .demands = scratch_at(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, sort_buffers(first_set), sort_buffers(1 - first_set), n_key_bits());
+    if (starts_in_second) sort.run(stream, second, first, n_key_bits());
+    else sort.run(stream, first, second, n_key_bits());
 }
 
 /// Converts the binary trees of all models to wide trees (up to eight children per node).
-/// First selects the binary nodes that become wide nodes, from the roots down. `queue`
-/// lists them, level by level. Then numbers these nodes and writes them.
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
-    // The trees, and temporary arrays that the kernels below share. The binary trees have
-    // entries per surfel (n), the wide trees per wide node (at most `bound`).
     shared::BvhWideParams params{.tree = binary_bvh(),
                                  .wide = wide_bvh(),
                                  .queue = queue.address(),
-                                 .slots = scratch_at<std::uint32_t, shared::WideSlots>(kSlotsAt),
+                                 .slots = scratch_at(kSlotsAt),
                                  .level_sizes = level_sizes.address(),
-                                 .demands = scratch_at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
-                                 .offsets = scratch_at<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
+                                 .demands = scratch_at(kDemandsAt),
+                                 .offsets = scratch_at(kOffsetsAt),
                                  .tiles = tiles.address(),
-                                 .places = scratch_at<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
-                                 .surfels = scratch_at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
+                                 .places = scratch_at(kWideNodeIndicesAt),
+                                 .surfels = scratch_at(kValuesAt),
                                  .models = scene.model_table().address(),
                                  .n_surfels = n,
                                  .n_tiles = surfel_tiles(n),
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
-    // Chooses the children, one level per launch. The host does not know the number of
-    // nodes of a level, so each launch has enough threads for the largest possible level.
+    // Chooses which binary nodes become wide nodes, from the roots down, one level per
+    // launch, and lists them in `queue`. The host does not know the number of nodes of a
+    // level, so each launch has enough threads for the largest possible level.
     std::uint64_t max_level_nodes = n_models;
     while (params.level < max_levels() - 1) {
-        run(stream, wide_mark, max_level_nodes, params);
+        run(stream, choose_level, max_level_nodes, params);
         max_level_nodes = std::min<std::uint64_t>(max_level_nodes * RELIDAR_BVH_WIDTH, bound);
         ++params.level;
     }
-    run(stream, wide_mark_rest, kWorkgroupSize, params);  // all levels that remain in uneven trees
+    run(stream, choose_remaining, kWorkgroupSize, params);  // deeper levels of uneven trees
 
-    // Numbers the nodes (count, prefix sum, index of each node), and writes them.
-    run(stream, wide_count, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
-    run(stream, wide_scan, kWorkgroupSize, params);
-    run(stream, wide_place, bound, params);
-    run(stream, wide_emit, bound, params);
+    // Numbers these nodes by a prefix sum over tiles of binary nodes, and writes them.
+    run(stream, sum_tiles, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
+    run(stream, sum_earlier_tiles, kWorkgroupSize, params);
+    run(stream, number_nodes, bound, params);
+    run(stream, write_nodes, bound, params);
 }
 
-Bvh::Bvh(Device& device, const DeviceScene& scene) {
-    impl_ = std::make_unique<Impl>(device, scene);
+/// Makes all trees empty. A build does not change the tree of a model without surfels.
+Bvh::Bvh(Device& device, const DeviceScene& scene) : impl_(std::make_unique<Impl>(device, scene)) {
     Stream stream(device);
-    // Models without surfels keep these initial values.
     stream.fill(impl_->nodes);
     stream.fill(impl_->arrivals);
     stream.fill(impl_->count);
-    stream.fill(impl_->links.buffer(), RELIDAR_BVH_NO_NODE);
-    stream.fill(impl_->queue.buffer(), RELIDAR_BVH_NO_NODE);
+    stream.fill(impl_->links, RELIDAR_BVH_NO_NODE);
+    stream.fill(impl_->queue, RELIDAR_BVH_NO_NODE);
     stream.submit_and_wait();
 }
 
@@ -318,15 +322,15 @@ Bvh::~Bvh() = default;
 void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& bvh = *impl_;
     bvh.compute_boxes(stream, scene, options, {0, bvh.n});
-    const SortBuffers sorted = bvh.sort_surfels(stream, scene);
+    bvh.sort_surfels(stream, scene);
     run(stream, bvh.cluster, bvh.n,
         {.tree = bvh.binary_bvh(),
          .boxes = bvh.boxes.address(),
-         .keys = bvh.scratch_at<glm::uvec2, shared::MortonKeys>(kKeysAt),
-         .surfels = sorted.order.cast_tag<shared::SortedSurfels>(),
+         .keys = bvh.scratch_at(kKeysAt),
+         .surfels = bvh.scratch_at(kValuesAt),
          .models = scene.model_table().address(),
-         .other_ends = bvh.scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .clusters = bvh.scratch_at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .other_ends = bvh.scratch_at(kOtherEndsAt),
+         .clusters = bvh.scratch_at(kClustersAt),
          .roots = bvh.queue.address(),
          .n_surfels = bvh.n,
          .n_models = bvh.n_models});
@@ -402,20 +406,18 @@ void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
     constexpr std::size_t kBoxFloats = 6;  // two corners
     Impl& trees = *impl_;
     const Impl& tree = *added.impl_;
-    // `bound` is the number of nodes for which there is memory, `n` that of surfels.
     const std::uint32_t first_node = trees.bound, first_surfel = scene.layout().models.back().first;
     const std::uint32_t n_nodes = first_node + tree.bound, n_surfels = first_surfel + tree.n;
-    if (n_surfels > trees.order.size() || n_nodes > trees.nodes.size()) {
-        // Allocates spare memory for later models. n surfels need at most n / 4 nodes.
+    if (n_surfels > trees.order.size() || n_nodes > trees.nodes.size())
         reserve_spare(n_surfels, [&](std::size_t capacity) {
+            // The surfels of later models need at most a quarter as many nodes.
             trees.reserve_nodes(capacity, n_nodes + (capacity - n_surfels) / 4);
         });
-    }
-    // Arrays with an entry per node.
+    // Arrays with an entry per node. The counters `arrivals` are 0 between launches.
     trees.append_nodes(tree, first_node, first_surfel);
     trees.node_boxes.upload(tree.node_boxes.download(kBoxFloats * tree.bound), kBoxFloats * first_node);
     trees.arrivals.upload(std::vector<std::uint32_t>(tree.bound, 0u), first_node);
-    // Arrays with an entry per surfel.
+    // Arrays with an entry per surfel. Surfels count from the start of their model.
     trees.order.upload(tree.order.download(tree.n), first_surfel);
     trees.boxes.upload(tree.boxes.download(kBoxFloats * tree.n), kBoxFloats * first_surfel);
 
@@ -452,18 +454,18 @@ HostBvhCopy Bvh::download_bvh() const {
     return host;
 }
 
-/// Records a kernel that computes the cost of all trees in m^2, and the copy of its sums
-/// to the host. The cost is half the area of each node's box, plus the same of each leaf
-/// times the cost of testing its surfels. Each workgroup writes one sum. Nodes of
-/// appended trees have no sum, because append_tree() does not enlarge `cost_sums`.
+/// A ray enters a box with a probability proportional to its area. So the cost is the sum
+/// of the areas of all boxes, each times the cost of testing the node or the leaf in it.
 void Bvh::measure_cost(Stream& stream) {
     Impl& bvh = *impl_;
+    // A workgroup writes one sum. append_tree() does not enlarge the array of these sums,
+    // so the cost does not include the nodes of appended trees.
     const auto n_nodes =
         std::uint32_t(std::min<std::size_t>(bvh.bound, kWorkgroupSize * bvh.cost_sums.size()));
     run(stream, bvh.cost_kernel, n_nodes,
         {.wide = bvh.wide_bvh(),
          .boxes = bvh.boxes.address(),
-         .partial = bvh.cost_sums.address(),
+         .sums = bvh.cost_sums.address(),
          .bound = n_nodes});
     bvh.costs.record_copy(stream, bvh.cost_sums.buffer(), bvh.cost_sums.size() * sizeof(float));
 }

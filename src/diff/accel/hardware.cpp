@@ -135,6 +135,12 @@ VkAccelerationStructureInstanceKHR make_vk_instance(std::size_t index, const glm
     return result;
 }
 
+/// The instances for the driver, and those of them that move during a sweep.
+struct InstanceLists {
+    std::vector<VkAccelerationStructureInstanceKHR> all;
+    std::vector<shared::MovingInstance> moving;
+};
+
 }  // namespace
 
 struct RayQueryAccel::Impl {
@@ -225,7 +231,7 @@ struct RayQueryAccel::Impl {
              .first_surfel = range.first,
              .n_surfels = range.count});
     }
-    std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
+    InstanceLists list_instances(const DeviceScene& scene) const;
 };
 
 /// Describes the proxies of one model to the driver. They are a part of the array
@@ -267,32 +273,24 @@ void RayQueryAccel::Impl::set_instance_geometry() {
     tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
 }
 
-/// Writes the instances that the next build of the top-level structure reads. Leaves out
-/// absent instances and models without surfels. Also writes the list `moving`.
-/// @return address of the instances in temporary device memory
-std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
+/// Lists the instances at their current poses. Leaves out absent instances and models
+/// without surfels. Moving instances get masks with which kernels find each of them.
+InstanceLists RayQueryAccel::Impl::list_instances(const DeviceScene& scene) const {
     const std::vector<ModelInstance>& instances = scene.layout().instances;
-    std::vector<VkAccelerationStructureInstanceKHR> vk_instances;
-    std::vector<shared::MovingInstance> moving_instances;
+    InstanceLists lists;
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const InstancePose& pose = scene.poses()[i];
         const std::uint32_t model = instances[i].model;
         if (!blas[model] || !pose.present) continue;
         std::uint32_t mask = RELIDAR_STANDING_MASK;
         if (!pose.motion.is_stationary()) {
-            mask = moving_instance_mask(moving_instances.size());
-            moving_instances.push_back({std::uint32_t(i), model, mask});
+            mask = moving_instance_mask(lists.moving.size());
+            lists.moving.push_back({std::uint32_t(i), model, mask});
         }
         const glm::mat4 world_from_model(to_matrix(pose.world_from_model));
-        vk_instances.push_back(make_vk_instance(i, world_from_model, mask, blas[model]->address));
+        lists.all.push_back(make_vk_instance(i, world_from_model, mask, blas[model]->address));
     }
-    tlas_input.range.primitiveCount = std::uint32_t(vk_instances.size());
-    n_moving = std::uint32_t(moving_instances.size());
-    if (n_moving > 0)
-        stream.record_write(moving.buffer(), moving_instances.data(),
-                            moving_instances.size() * sizeof(moving_instances[0]));
-    if (vk_instances.empty()) return 0;
-    return stream.stage_bytes(vk_instances.data(), vk_instances.size() * sizeof(vk_instances[0])).address;
+    return lists;
 }
 
 /// Writes the triangle indices of `n_surfels` proxies, unless enough exist. All models
@@ -364,7 +362,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 RayQueryAccel::~RayQueryAccel() = default;
 
 void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                 const SurfelRanges& ranges, bool refit_only) {
+                                 const SurfelRanges& ranges, BuildMode mode) {
     Impl& a = *impl_;
     std::uint32_t n_updated = 0;
     for (const SurfelRange& range : ranges) n_updated += range.count;
@@ -383,18 +381,25 @@ void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const
             return range.contains_surfel(scene.layout().models[i].first);
         };
         if (!a.blas[i] || std::ranges::none_of(ranges, contains_model)) continue;
-        a.blas_input[i].set_target(*a.blas[i], refit_only, a.scratch_address + a.blas_scratch[i]);
+        a.blas_input[i].set_target(*a.blas[i], mode == BuildMode::refit,
+                                   a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_builds(stream.impl(), refit_only ? "accel/refit" : "accel/build", std::move(inputs));
+        record_builds(stream.impl(), mode == BuildMode::refit ? "accel/refit" : "accel/build",
+                      std::move(inputs));
     rebuild_top_level(stream, scene);
 }
 
 void RayQueryAccel::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     Stream::Impl& s = stream.impl();
-    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
+    const InstanceLists lists = a.list_instances(scene);
+    a.n_moving = std::uint32_t(lists.moving.size());
+    s.record_write(a.moving.buffer(), lists.moving.data(), a.n_moving * sizeof(lists.moving[0]));
+    a.tlas_input.range.primitiveCount = std::uint32_t(lists.all.size());
+    a.tlas_input.geometry.geometry.instances.data.deviceAddress =
+        s.stage_bytes(lists.all.data(), lists.all.size() * sizeof(lists.all[0])).address;
     a.tlas_input.set_target(*a.tlas, false, a.scratch_address);
     record_builds(s, "accel/top_level", {a.tlas_input});
 }
@@ -407,17 +412,17 @@ void RayQueryAccel::append_model(const DeviceScene& scene) {
             a.geometry.reserve(a.device, n * a.floats_per_surfel(), "proxies");
         });
     a.reserve_indices(models.back().count);
-    // The radius of a new model must be 0 before the kernel computes its maximum.
+    // A kernel computes the radius of a model as a maximum, so new radii start at 0.
     std::vector<std::uint32_t> radii = a.radii.download();
     radii.resize(models.size(), 0u);
     a.radii = {a.device, radii, "radii of models"};
     while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
-    // The array of the proxies may have moved, so all models get their new addresses.
+    // Updates the addresses of all models, because `geometry` or `indices` may have moved.
     for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
     a.allocate_scratch();
 }
 
-void RayQueryAccel::append_instances(const DeviceScene& scene) {
+void RayQueryAccel::reserve_instances(const DeviceScene& scene) {
     Impl& a = *impl_;
     const std::size_t n_instances = scene.layout().instances.size();
     if (n_instances <= a.moving.size()) return;
@@ -428,15 +433,17 @@ void RayQueryAccel::append_instances(const DeviceScene& scene) {
     a.allocate_scratch();
 }
 
-void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
+AccelAddresses RayQueryAccel::addresses() const {
     const Impl& a = *impl_;
+    AccelAddresses addresses;
     addresses.tlas = {a.tlas->address};
     addresses.moving = a.moving.address();
     addresses.n_moving = a.n_moving;
-    // The kernels that compute these two maxima store floats as integers, because atomic
-    // maxima need integers. Positive floats have the same order as their bits.
+    // Other kernels compute these two lengths as maxima of integers, because atomic maxima
+    // need integers. Positive floats have the same order as their bits.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();
+    return addresses;
 }
 
 }  // namespace relidar

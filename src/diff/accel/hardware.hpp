@@ -14,24 +14,27 @@
 
 namespace relidar {
 
+/// A refit keeps the structure of the trees and requires an earlier build.
+enum class BuildMode { build, refit };
+
 class RayQueryAccel {
 public:
     RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy);
     ~RayQueryAccel();
 
     /// Records commands that build or refit the bottom-level acceleration structures of
-    /// models, and then build the top-level structure. A refit requires an earlier build.
+    /// models, and then build the top-level structure.
     /// @param ranges surfels of the models to update. Other surfels must be unchanged
     void record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                      const SurfelRanges& ranges, bool refit_only);
+                      const SurfelRanges& ranges, BuildMode mode);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
     /// Allocates memory for the last model of the scene, which record_build() must build.
     void append_model(const DeviceScene& scene);
     /// Allocates memory for all instances of the scene.
-    void append_instances(const DeviceScene& scene);
+    void reserve_instances(const DeviceScene& scene);
 
-    /// Sets the addresses that kernels need for ray queries.
-    void write_addresses(AccelAddresses& addresses) const;
+    /// Returns the addresses that kernels need for ray queries.
+    AccelAddresses addresses() const;
 
 private:
     struct Impl;
