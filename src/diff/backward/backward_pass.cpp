@@ -50,19 +50,26 @@ TraceConstants backward_constants(const Device& device, const ImageModel& model,
     return constants;
 }
 
-std::vector<SpecialisationConstant> gather_constants(const ImageModel& model, const TraceOptions& options) {
-    return {{SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {PRIMITIVE, std::uint32_t(model.primitive)},
-            {LIKELIHOOD, options.likelihood ? 1u : 0u}};
-}
+/// Sort keys and values of hit records: the row of a hit's gradient, and the index of its
+/// record.
+struct HitSortArrays {
+    Array<std::uint32_t, shared::HitRows> rows;
+    Array<std::uint32_t, shared::HitSlots> slots;
+
+    SortBuffers buffers() const {
+        return {.keys = rows.address().cast_tag<shared::SortKeys>(),
+                .order = slots.address().cast_tag<shared::SortOrder>()};
+    }
+};
 
 /// Sums the gradients of hits by surfel without atomics. The backward pass writes one
 /// record per hit. Then kernels sort the records by surfel and sum them.
 class HitGather {
 public:
-    /// @param n number of hits per ray for which memory is allocated
-    HitGather(Device& device, const ImageModel& model, std::uint32_t n, const TraceOptions& options);
+    /// @param constants of the tracing kernels
+    /// @param hits_per_ray number of hits for which memory is allocated
+    HitGather(Device& device, const TraceConstants& constants, ShDirection sh_direction,
+              std::uint32_t hits_per_ray);
     /// Assigns a record index to each rendered hit, in the order of the rays. If the
     /// batch is larger than all earlier batches, waits for the device and allocates
     /// memory.
@@ -79,27 +86,26 @@ public:
 private:
     Device& device_;
     std::uint32_t hits_per_ray_, part_floats_;
-    Kernel<shared::GatherParams> gather_, heads_kernel_;
+    Kernel<shared::GatherParams> sum_blocks_, join_blocks_;
     Array<std::uint32_t, shared::MostHits> most_hits_{device_, std::vector<std::uint32_t>{0u},
                                                       "largest number of hits in a batch"};
     Array<std::uint32_t, shared::HitCount> n_hits_{device_, 1, "hits of a batch"};
     Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float, shared::RowParts> parts_;
-    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< sort key of each hit: the row of its gradient
-    Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< record index of each hit, in sorted order
-    PrefixSum prefix_sum_{device_};                    ///< counts the hits of earlier rays
-    std::unique_ptr<RadixSort> sort_;                  ///< sorts the hits by row
-    std::uint32_t n_rays_ = 0;                         ///< number of rays of the current batch
+    /// Each pass of the sort reads one of these and writes the other.
+    HitSortArrays unsorted_, sorted_;
+    PrefixSum prefix_sum_{device_};    ///< counts the hits of earlier rays
+    std::unique_ptr<RadixSort> sort_;  ///< sorts the hits by row
 };
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t n, const TraceOptions& options)
+HitGather::HitGather(Device& device, const TraceConstants& constants, ShDirection sh_direction,
+                     std::uint32_t hits_per_ray)
     : device_(device),
-      hits_per_ray_(n),
-      part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", atomic_variant(device), gather_constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", atomic_variant(device),
-                    gather_constants(model, options)) {}
+      hits_per_ray_(hits_per_ray),
+      part_floats_(sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
+      sum_blocks_(device, "diff/backward/gather", atomic_variant(device), constants),
+      join_blocks_(device, "diff/backward/gather_heads", atomic_variant(device), constants) {}
 
 void HitGather::reserve_records(std::uint64_t n_hits) {
     constexpr std::uint64_t kMaxRecords = 1ull << 31;  // record indices have 32 bits
@@ -107,10 +113,9 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
     sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
-    // Each pass of the sort reads one set of arrays and writes the other.
-    for (int set : {0, 1}) {
-        rows_[set] = {device_, capacity, "rows of hits"};
-        slots_[set] = {device_, capacity, "sorted hits"};
+    for (HitSortArrays* arrays : {&unsorted_, &sorted_}) {
+        arrays->rows = {device_, capacity, "rows of hits"};
+        arrays->slots = {device_, capacity, "sorted hits"};
     }
     hits_ = Array<shared::HitRecord>(device_, capacity, "gradients of hits");
     // A block stores up to two sums: of its first row and of its last row.
@@ -122,42 +127,35 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
 /// rays 0 to r - 1 (an exclusive prefix sum). Ray r writes its hits to the records from
 /// this index on. Also writes the total to `n_hits_`.
 void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
-    n_rays_ = batch.rays.n_rays;
-    if (n_rays_ > first_hit_.size()) {
+    const std::uint32_t n_rays = batch.rays.n_rays;
+    if (n_rays > first_hit_.size()) {
         stream.submit_and_wait();
-        first_hit_ = {device_, n_rays_, "slots of rays"};
-        prefix_sum_.reserve_scratch(device_, n_rays_);
-        reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
+        first_hit_ = {device_, n_rays, "first hit of each ray"};
+        prefix_sum_.reserve_scratch(device_, n_rays);
+        reserve_records(std::uint64_t(n_rays) * hits_per_ray_);
     }
-    // The forward pass has stored the counts in the field `n_hits` of each RenderedRay.
-    // Offset and stride select this field. They count 32-bit words.
+    // The field `n_hits` of each RenderedRay, as offset and distance in 32-bit words.
     const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                                    .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                                    .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hit_counts, first_hit_.address().cast_tag<shared::ScanPrefix>(), n_rays_,
+    prefix_sum_.run(stream, hit_counts, first_hit_.address().cast_tag<shared::ScanPrefix>(), n_rays,
                     n_hits_.address().cast_tag<shared::ScanTotal>());
 }
 
 void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
-    params.rows = rows_[0].address();
+    params.rows = unsorted_.rows.address();
     params.capacity = sort_->capacity();
 }
 
-/// Sorts the hit records by gradient row (a row is one surfel of one instance), and sums
-/// the records of each row. The sort keeps the order of hits, so that the sums are the
-/// same in every run.
+/// Sorts the hit records by gradient row (a row is one surfel of one instance), and adds
+/// the records of each row to `params.d_records` and `params.d_sh`. The sort keeps the
+/// order of hits, so that the sums are the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
-    // The passes of the sort read one set of arrays and write the other: the row of each
-    // hit (key), and the index of its record.
-    const auto sort_buffers = [&](int index) {
-        return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
-                           .order = slots_[index].address().cast_tag<shared::SortOrder>()};
-    };
-    // Unused records have the row n_rows, so the keys need bits for 0 to n_rows.
+    // Rows are numbers from 0 to n_rows - 1. Unused records have the row n_rows.
     const auto n_key_bits = std::uint32_t(std::bit_width(params.n_rows));
-    const SortBuffers sorted = sort_->run(stream, sort_buffers(0), sort_buffers(1), n_key_bits,
+    const SortBuffers sorted = sort_->run(stream, unsorted_.buffers(), sorted_.buffers(), n_key_bits,
                                           n_hits_.address().cast_tag<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
@@ -172,11 +170,11 @@ void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& para
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
     // A thread sums a block of sorted records, row by row. The first and the last row of
-    // a block may extend into its neighbours, so their sums are stored in `parts`. From
-    // them, the second kernel sums the rows that extend over several blocks.
+    // a block may extend into its neighbours, so their sums are stored in `parts`. The
+    // second kernel adds the parts of each row.
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
-    relidar::run(stream, gather_, n_blocks, gather);
-    relidar::run(stream, heads_kernel_, n_blocks, gather);
+    relidar::run(stream, sum_blocks_, n_blocks, gather);
+    relidar::run(stream, join_blocks_, n_blocks, gather);
 }
 
 }  // namespace
@@ -194,11 +192,16 @@ struct BackwardPass::Impl {
     /// null if gradients are added with atomics
     std::unique_ptr<HitGather> gather =
         uses_hit_records(device, backward.reduction, model.sh_direction)
-            ? std::make_unique<HitGather>(device, model, backward.hits_per_ray, options)
+            ? std::make_unique<HitGather>(device, trace_constants(device, proxy, options, model),
+                                          model.sh_direction, backward.hits_per_ray)
             : nullptr;
     /// Number of truncated rays. The kernel must write this number, but nothing reads it,
     /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap{device, 1, "number of truncated rays"};
+
+    shared::BackwardParams make_params(const DeviceScene& scene, const AccelerationStructure& accel,
+                                       const RenderedBatch& batch, const DeviceGradients& gradients,
+                                       bool marks_touched) const;
 };
 
 BackwardPass::BackwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
@@ -222,20 +225,15 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     impl_->gather->reserve_records(n_hits);
 }
 
-/// Records the backward pass: gradients of the surfel records per hit, then of the surfel
-/// parameters, and then of the poses (Eq. 9 of the paper).
-void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
-                                   const RenderedBatch& batch, const glm::vec3& view_origin_m,
-                                   DeviceGradients& gradients) {
-    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
-    RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
-    const ImageModel& model = impl_->model;
-    // If `marks_touched` is true, `trace` marks the surfels with a gradient, and
-    // activate_vjp() skips all other surfels.
-    const bool has_pose_gradients = gradients.poses.size() > 0,
-               marks_touched = scene.can_skip_surfels() && !gradients.zero_untouched;
+/// Returns the parameters of kernel diff/backward/trace. HitGather sets its own.
+/// @param marks_touched true: the kernel marks the surfels with a gradient
+shared::BackwardParams BackwardPass::Impl::make_params(const DeviceScene& scene,
+                                                       const AccelerationStructure& accel,
+                                                       const RenderedBatch& batch,
+                                                       const DeviceGradients& gradients,
+                                                       bool marks_touched) const {
     shared::BackwardParams params{};
-    params.scene = trace_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
+    params.scene = trace_params(scene, accel, batch.rays, model, options, pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
@@ -248,7 +246,22 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
         params.n_kept = batch.stored_hits->per_ray;
     }
     params.n_rows = scene.count_rows();
-    params.with_turn = has_pose_gradients ? 1u : 0u;
+    params.with_turn = gradients.poses.size() > 0 ? 1u : 0u;
+    return params;
+}
+
+/// Records the backward pass: gradients of the surfel records per hit, then of the surfel
+/// parameters, and then of the poses (Eq. 9 of the paper).
+void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
+                                   const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                                   DeviceGradients& gradients) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
+    const ImageModel& model = impl_->model;
+    const bool has_pose_gradients = gradients.poses.size() > 0;
+    // activate_vjp() then skips all surfels that are not marked.
+    const bool marks_touched = scene.can_skip_surfels() && !gradients.zero_untouched;
+    shared::BackwardParams params = impl_->make_params(scene, accel, batch, gradients, marks_touched);
     if (impl_->gather) {
         impl_->gather->assign_records(stream, batch);
         impl_->gather->set_addresses(params);

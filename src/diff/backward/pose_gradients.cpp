@@ -12,6 +12,7 @@ namespace {
 // Number of surfels per workgroup. The first kernel sums the gradients of each workgroup,
 // the second kernel sums over the workgroups.
 constexpr std::uint32_t kSurfelsPerBlock = 1024;
+constexpr std::size_t kRecordFloats = 16;  // of the values that kernels read for a surfel
 
 struct BlockTable {
     std::vector<shared::PoseBlock> blocks;
@@ -55,8 +56,6 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
-/// Creates the three kernels of reduce(): sums of surfels over blocks, of blocks over
-/// instances, and of instances over the scene.
 PoseGradientKernels::PoseGradientKernels(Device& device)
     : blocks_(device, "diff/backward/pose_blocks", {kWorkgroup}),
       poses_(device, "diff/backward/poses", {kWorkgroup}),
@@ -97,8 +96,8 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
 DeviceGradients::DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection,
                                  std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.surfel_parameters().parameters_used()),
-      records(device, 16 * std::size_t(scene.count_rows()), "record gradient"),  // 16 floats per row
-      touched(device, scene.size(), "list of surfels with a gradient") {
+      records(device, kRecordFloats * scene.count_rows(), "record gradient"),
+      touched(device, scene.size(), "flags of surfels with a gradient") {
     constexpr std::size_t kRayFloats = 6;   // dL/d(origin, direction)
     constexpr std::size_t kPoseFloats = 6;  // dL/d(translation, rotation)
     if (selection.rays) rays = {device, kRayFloats * n_rays, "ray gradient"};

@@ -33,9 +33,9 @@ private:
     static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
     static constexpr SpecialisationConstant kWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE, kThreads};
 
-    Kernel<shared::PoseBlocksParams> blocks_;
-    Kernel<shared::PosesParams> poses_;
-    Kernel<shared::SensorPoseParams> sensor_;
+    Kernel<shared::PoseBlocksParams> blocks_;  ///< sums surfels over blocks
+    Kernel<shared::PosesParams> poses_;        ///< sums blocks over instances
+    Kernel<shared::SensorPoseParams> sensor_;  ///< sums instances over the scene
 };
 
 }  // namespace relidar
