@@ -13,11 +13,11 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
-    // If `fresh` is set, new surfels start with zeros (moments of Adam). A split also
+    // If `zero_new` is set, new surfels start with zeros (moments of Adam). A split also
     // changes row 0, the original. A clone does not.
     bool changed = action == RELIDAR_DENSIFY_SPLIT;
     for (uint row = 0u; row < params.n_rows.at[i]; ++row) {
-        bool zero = params.fresh != 0u && (changed || row > 0u);
+        bool zero = params.zero_new != 0u && (changed || row > 0u);
         uint target = (params.starts.at[i] + row) * params.stride;
         for (uint k = 0u; k < params.stride; ++k)
             params.to.at[target + k] = zero ? 0u : params.from.at[i * params.stride + k];

@@ -93,7 +93,7 @@ struct MoveParams {
     uint stride;
     // Initial values of copies of cloned surfels and of all parts of split surfels. 1
     // selects zeros (for Adam moments). 0 selects the values of the original surfel.
-    uint fresh;
+    uint zero_new;
 };
 
 struct SpawnParams {

@@ -39,9 +39,15 @@ std::string allocation_error(Device& device, double n_bytes) {
     return {};
 }
 
+struct SurfelAllocation {
+    std::uint32_t n_surfels = 0;  ///< number of surfels for which memory is available
+    std::string error = {};       ///< the reason if they are fewer than requested
+};
+
 /// Purpose of random numbers. It is part of the seed, so that random numbers for
-/// different purposes are independent.
-enum class RandomPurpose : std::uint64_t { classify = 1, phase = 2 };
+/// different purposes are independent. Kernels classify and spawn use different numbers of
+/// the sequence that each surfel has.
+enum class RandomPurpose : std::uint64_t { surfels = 1, phase = 2 };
 
 // Opacity of a surfel after an opacity reset, divided by alpha_min (the lowest opacity
 // that the renderer blends). Above 1, because invisible surfels get no gradient.
@@ -57,8 +63,7 @@ struct Densifier::Impl {
     std::uint64_t seed = 0;
     std::vector<double> extents_m;
     SurfelReorderer arrays;
-    /// [n_models, RELIDAR_DENSIFY_COUNTERS] counters of each model
-    Array<std::uint32_t, shared::DensifyCounters> counters;
+    Array<ModelCounters> counters;  ///< [n_models]
     Kernel<shared::ObserveParams> observe{device, "diff/densify/observe"};
     Kernel<shared::ClassifyParams> classify{device, "diff/densify/classify"};
     Kernel<shared::SpawnParams> spawn{device, "diff/densify/spawn"};
@@ -72,7 +77,7 @@ struct Densifier::Impl {
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_logit(logit(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min)))),
           arrays(d, std::uint32_t(scene.surfels.size()), n_frames, scene.surfels.parameters_used()),
-          counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters") {
+          counters(d, scene.models.size(), "densification counters") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             extents_m.push_back(model_extent_m(scene, model));
     }
@@ -82,8 +87,9 @@ struct Densifier::Impl {
         return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
     ModelCounts choose_actions(Stream& stream, const DeviceScene& scene, int step);
-    std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
-                                   double reserved_bytes_per_surfel, std::string& error);
+    SurfelAllocation allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
+                                      double reserved_bytes_per_surfel);
+    double count_growth_bytes(const DeviceScene& scene, std::uint32_t capacity) const;
     std::string try_reserve(DeviceScene& scene, Adam& adam, std::uint32_t capacity, double reserved_bytes);
     void rearrange_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step, const GrowthPlan& plan);
 };
@@ -94,10 +100,9 @@ struct Densifier::Impl {
 /// ones split. Waits for it and returns how many surfels of each model got each action.
 ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
     const SurfelStatistics& statistics = arrays.statistics;
-    // Sizes of the models in metres, as floats for the kernel. A surfel is large if its
-    // standard deviation exceeds a share of its model's size.
-    const std::vector<float> model_extents(extents_m.begin(), extents_m.end());
+    // A surfel is large if its standard deviation exceeds a share of its model's extent.
     // Up to step `large_from`, no surfel is dropped because of its size.
+    const std::vector<float> model_extents(extents_m.begin(), extents_m.end());
     const float max_extent_share =
         step > options.large_from ? float(options.max_extent_share) : std::numeric_limits<float>::infinity();
     stream.fill(counters);
@@ -107,7 +112,7 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
                   .n_seen = statistics.n_observing_batches.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
-                  .counters = counters.address(),
+                  .counters = counters.address_as<std::uint32_t, shared::DensifyCounters>(),
                   .models = scene.model_table().address(),
                   .extents = stream.impl().stage_values(model_extents).cast_tag<shared::ModelExtents>(),
                   .min_opacity = min_opacity,
@@ -116,33 +121,32 @@ ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& s
                   .gradient_threshold = float(options.gradient_threshold),
                   .n_surfels = scene.size(),
                   .n_models = std::uint32_t(model_extents.size()),
-                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
+                  .key = std::uint32_t(random_key(RandomPurpose::surfels, step))});
     stream.submit_and_wait();
-    // One row per model: numbers of surfels by action, and the sum of growth weights.
-    const std::vector<std::uint32_t> values = counters.download();
-    ModelCounts counts(model_extents.size());
-    for (std::size_t model = 0; model < counts.size(); ++model)
-        for (std::size_t counter = 0; counter < RELIDAR_DENSIFY_COUNTERS; ++counter)
-            counts[model][counter] = values[model * RELIDAR_DENSIFY_COUNTERS + counter];
-    return counts;
+    return counters.download();
+}
+
+/// Returns the memory for a growth to `capacity` surfels, including temporary copies.
+double Densifier::Impl::count_growth_bytes(const DeviceScene& scene, std::uint32_t capacity) const {
+    const std::uint32_t old_capacity = arrays.capacity();
+    if (capacity <= old_capacity) return 0.0;
+    constexpr double kFloatBytes = 4.0, kFloatsPerRecord = 16.0;
+    // A surfel has its parameters, two Adam moments of each, and the record for kernels.
+    const double scene_floats =
+        3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + kFloatsPerRecord;
+    const double bytes_per_surfel = double(arrays.bytes_per_surfel()) + kFloatBytes * scene_floats;
+    // The old and the new SH coefficients, the largest array, exist at the same time
+    // during the copy.
+    return bytes_per_surfel * (capacity - old_capacity) + kFloatBytes * kShFloats * old_capacity;
 }
 
 /// Allocates memory for `capacity` surfels, if `reserved_bytes` of device memory stay
-/// free.
+/// free. After an error, some arrays may be larger than before, with the same content.
 /// @return an empty string, or the reason why there is not enough memory
 std::string Densifier::Impl::try_reserve(DeviceScene& scene, Adam& adam, std::uint32_t capacity,
                                          double reserved_bytes) {
-    const std::uint32_t old_capacity = arrays.capacity();
-    if (capacity <= old_capacity) return allocation_error(device, reserved_bytes);
-    // Floats of parameters and both Adam moments (3 x), and of the surfel record (16).
-    const double scene_floats = 3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0;
-    const double bytes_per_surfel = double(arrays.bytes_per_surfel()) + 4.0 * scene_floats;
-    // The old and the new SH coefficients, the largest array, exist at the same time
-    // during the copy.
-    const double copied_bytes = 4.0 * kShFloats * old_capacity;
-    const std::string error = allocation_error(
-        device, reserved_bytes + bytes_per_surfel * (capacity - old_capacity) + copied_bytes);
-    if (!error.empty()) return error;
+    const std::string error = allocation_error(device, reserved_bytes + count_growth_bytes(scene, capacity));
+    if (!error.empty() || capacity <= arrays.capacity()) return error;
     try {
         scene.reserve(device, capacity);
         adam.first_moments().reserve(device, capacity, "first moment");
@@ -157,12 +161,11 @@ std::string Densifier::Impl::try_reserve(DeviceScene& scene, Adam& adam, std::ui
 /// Allocates memory for the surfels after a densification. If there is not enough memory,
 /// halves the growth until it fits.
 /// @param reserved_bytes_per_surfel memory that must stay free for other objects
-/// @param error receives the reason if there is not enough memory
-/// @return number of surfels for which memory is available, at most `n_requested`
-std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
-                                                double reserved_bytes_per_surfel, std::string& error) {
+SurfelAllocation Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
+                                                   double reserved_bytes_per_surfel) {
     constexpr std::uint32_t kMinHalvedGrowth = 16;  // gives up instead of halving a smaller growth
     const std::uint32_t n_before = scene.size();
+    std::string error;
     std::uint32_t growth = n_requested > n_before ? n_requested - n_before : 0;
     while (growth > 0) {
         const std::uint32_t target = n_before + growth;
@@ -173,13 +176,13 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, 
             const std::uint32_t max_surfels = std::max(std::uint32_t(options.max_surfels), target);
             const auto generous = std::uint32_t(std::min(1.5 * arrays.capacity(), double(max_surfels)));
             error = try_reserve(scene, adam, std::max(target, generous), reserved_bytes);
-            if (error.empty()) return target;
+            if (error.empty()) return {target};
         }
         error = try_reserve(scene, adam, target, reserved_bytes);
-        if (error.empty()) return target;
+        if (error.empty()) return {target};
         growth = growth >= kMinHalvedGrowth ? growth / 2 : 0;
     }
-    return std::min(n_requested, n_before);
+    return {std::min(n_requested, n_before), error};  // the scene does not grow
 }
 
 /// Moves the surfels, their Adam moments and statistics to the new order, and computes
@@ -188,20 +191,17 @@ void Densifier::Impl::rearrange_surfels(Stream& stream, DeviceScene& scene, Adam
                                         const GrowthPlan& plan) {
     const std::uint32_t n_before = scene.size();
     arrays.compute_indices(stream, plan, n_before);
-    // New surfels are copies of their original, but their Adam moments start at zero.
-    constexpr bool kCopyOriginal = false, kZeroNew = true;
-    arrays.move_surfels(stream, scene.surfel_parameters(), kCopyOriginal, plan.size());
-    arrays.move_surfels(stream, adam.first_moments(), kZeroNew, plan.size());
-    arrays.move_surfels(stream, adam.second_moments(), kZeroNew, plan.size());
+    arrays.move_surfels(stream, scene.surfel_parameters(), NewRows::copy, plan.size());
+    arrays.move_surfels(stream, adam.first_moments(), NewRows::zero, plan.size());
+    arrays.move_surfels(stream, adam.second_moments(), NewRows::zero, plan.size());
     // Moves both halves of a split surfel to random points in it, and makes them smaller.
-    // Has the same key as choose_actions(), but takes other numbers from its sequence.
     relidar::run(stream, spawn, n_before,
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
                   .n_surfels = n_before,
-                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
+                  .key = std::uint32_t(random_key(RandomPurpose::surfels, step))});
     arrays.move_statistics(stream);
 }
 
@@ -248,9 +248,8 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
     const ModelCounts counts = d.choose_actions(stream, scene, step);
     GrowthPlan plan = plan_growth(counts, d.options, d.random_key(RandomPurpose::phase, step));
     plan = limit_growth(plan, d.memory_limit);
-    std::string error, note;
-    const std::uint32_t n_possible =
-        d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel, error);
+    const auto [n_possible, error] = d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel);
+    std::string note;
     if (n_possible < plan.size()) {
         // Remembers the limit, so that later steps do not try again.
         d.memory_limit = n_possible;
@@ -268,7 +267,8 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
 }
 
 /// Lowers all opacities to a small value at regular steps. Surfels that are needed become
-/// opaque again, and the others are removed later as too faint.
+/// opaque again, and the others are removed later as too faint. Also resets the Adam
+/// moments of the opacities, because old moments would restore the old values.
 void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;

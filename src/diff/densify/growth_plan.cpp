@@ -10,11 +10,12 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
 }
 
 /// Returns the models with their surfel ranges after surfels were added and removed. The
-/// copies of a model follow from the weights up to its start and up to its end.
+/// number of copies in a model is the difference of two sums over all surfels before its
+/// end and before its start, rounded as in kernel diff/densify/allot.
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
                                                    const ModelCounts& counts) const {
     std::uint32_t first_surfel = 0;
-    std::uint64_t weight_before = 0;  // sum over all earlier models
+    std::uint64_t weight_before = 0;  // of all earlier models
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t weight_after = weight_before + counts[i][RELIDAR_DENSIFY_WEIGHT];
         const std::uint32_t n_copies = cumulative_copies(weight_after) - cumulative_copies(weight_before);
@@ -33,10 +34,10 @@ GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::
         plan.total_weight += model[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    // If there are fewer copies than growing surfels, every n-th of these surfels gets
-    // one (systematic sampling). The random phase decides which is the first.
+    plan.n_new = plan.total_weight;  // each growing surfel has weight 1 and gets one copy
+    // If limit_growth() leaves fewer copies, about every n-th growing surfel gets one
+    // (systematic sampling). The random phase decides which is the first.
     plan.phase = std::uint32_t(random % plan.total_weight);
-    plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
     return limit_growth(plan, std::uint32_t(o.max_surfels));
 }
 

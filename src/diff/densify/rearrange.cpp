@@ -80,10 +80,9 @@ void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, st
 /// Copies the row of each surfel to its new index and to its copies.
 /// @param rows [surfels, stride], receives the new order
 /// @param spare array of the same size, receives the old order
-/// @param zero_new true: new and changed surfels get zeros instead of the old values
 template <class T>
 void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
-                                bool zero_new) {
+                                NewRows new_rows) {
     run(stream, move_, n_before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
          .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
@@ -92,20 +91,20 @@ void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare,
          .starts = starts.address(),
          .n_surfels = n_before_,
          .stride = stride,
-         .fresh = zero_new ? 1u : 0u});
+         .zero_new = new_rows == NewRows::zero ? 1u : 0u});
     std::swap(rows, spare);
 }
 
-void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new,
+void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfels, NewRows new_rows,
                                    std::uint32_t n_after) {
     for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used()))
         move_rows(stream, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
-                  group.count_floats(), zero_new);
+                  group.count_floats(), new_rows);
     surfels.n = n_after;
 }
 
 void SurfelReorderer::move_statistics(Stream& stream) {
-    move_rows<std::uint32_t>(stream, statistics.frames, scratch_frames_, statistics.n_words, false);
+    move_rows<std::uint32_t>(stream, statistics.frames, scratch_frames_, statistics.n_words, NewRows::copy);
     reset_sums(stream);
 }
 

@@ -12,6 +12,10 @@
 
 namespace relidar {
 
+/// Values of the copies of cloned surfels and of the parts of split surfels: those of the
+/// original surfel, or zeros.
+enum class NewRows { copy, zero };
+
 class SurfelReorderer {
 public:
     SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames, SurfelParameterSet used);
@@ -22,8 +26,9 @@ public:
     std::size_t bytes_per_surfel() const;
     /// Computes the new index of each surfel from `action` and `weight`.
     void compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before);
-    /// @param zero_new true: values of new and changed surfels are set to zero
-    void move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new, std::uint32_t n_after);
+    /// Moves the parameters of all surfels to the new indices.
+    /// @param n_after new number of surfels
+    void move_surfels(Stream& stream, SurfelArrays& surfels, NewRows new_rows, std::uint32_t n_after);
     /// Resets all statistics except the frames in which a surfel was visible.
     void move_statistics(Stream& stream);
     void reset_sums(Stream& stream);
@@ -50,7 +55,7 @@ private:
     std::uint32_t n_before_ = 0;  ///< number of surfels before the densification
 
     template <class T>
-    void move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool zero_new);
+    void move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, NewRows new_rows);
 };
 
 }  // namespace relidar
