@@ -44,9 +44,8 @@ struct ForwardPass::Impl {
     std::optional<HitListTracer> lists = {};  ///< set if rays write their hits to lists
 };
 
-/// Creates the kernels that render rays. There are two methods: kernel diff/forward/trace
-/// renders a ray with a small sorted buffer of hits. On GPUs, rays first write all hits
-/// to lists, and the kernel renders only rays whose lists overflow.
+/// Creates the kernel that renders rays with a small sorted buffer of hits (a chunk) and,
+/// if the options select hit lists, the kernels that fill and blend these lists.
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
                          const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > kMaxChunk)
@@ -100,10 +99,10 @@ RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
                                 const std::vector<shared::RenderedSurface>& surfaces) {
     RenderedRayValues result;
     for (const shared::RenderedRay& ray : rays) {
-        // Appends depth, intensity and the other blended values.
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) result.name.push_back(ray.name);
-        RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
-#undef RELIDAR_VALUES
+        // Appends depth, weight, intensity and the two logits, which the list names.
+#define RELIDAR_APPEND(name, ...) result.name.push_back(ray.name);
+        RELIDAR_IMAGE_VALUES(RELIDAR_APPEND)
+#undef RELIDAR_APPEND
         result.transmittance.push_back(ray.transmittance);
         result.median_depth.push_back(ray.median_depth);
         result.hits.push_back(ray.n_hits);

@@ -39,15 +39,19 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant, const
       sort_(make_sort_kernel(device)),
       hits_per_list_(std::min(std::uint32_t(capacity), max_hits_per_list_)) {}
 
-/// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
-/// memory. Allocates none if no memory is free.
-void HitListTracer::allocate_lists(std::size_t n_lists) {
+/// Ensures that `hits_` has enough lists. Halves the capacity of a list until all lists
+/// fit into the device memory. Allocates none if no memory is free.
+void HitListTracer::reserve_hits(Stream& stream, std::size_t n_lists) {
+    if (allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n_lists * hits_per_list_) return;
+    // Keeps as many lists as before, so that smaller batches cause no reallocation.
+    if (allocated_hits_per_list_ > 0) n_lists = std::max(n_lists, hits_.size() / allocated_hits_per_list_);
+    stream.submit_and_wait();  // the GPU may still use the old lists
+    hits_ = {};
     // All lists may use one eighth of the device's memory. Assumes 8 GiB of memory if the
     // size is unknown.
     const std::size_t memory_bytes = device_.info().memory_bytes;
     const std::size_t max_list_bytes = (memory_bytes ? memory_bytes : std::size_t(8) << 30) / 8;
     const std::uint32_t n_requested = hits_per_list_;
-    hits_ = {};
     for (; hits_per_list_ > 0; hits_per_list_ /= 2) {
         if (n_lists * hits_per_list_ * sizeof(shared::Hit) > max_list_bytes) continue;
         try {
@@ -60,62 +64,54 @@ void HitListTracer::allocate_lists(std::size_t n_lists) {
     if (hits_per_list_ < n_requested) grows_ = false;
 }
 
-/// Returns true if rays had more hits than their lists can hold. Such rays are slow,
-/// because kernel diff/forward/trace must render them again. Reads the count of an
-/// earlier submission that is already finished, so that the host never waits here.
-bool HitListTracer::has_overflowed(Stream& stream) {
+/// Returns how many rays had more hits than their lists can hold, since the last count
+/// that was read. Such rays are slow, because kernel diff/forward/trace must render them
+/// again. Returns 0 while the copy of the next count is pending, so that the host never
+/// waits here.
+std::uint32_t HitListTracer::count_overflows(Stream& stream) {
     // A stream has at most kMaxPending unfinished submissions. So the submission that
     // copied the count is finished if that many submissions followed.
-    const bool is_finished = stream.impl().last_ticket + 1 >= counted_until_ + Stream::Impl::kMaxPending;
-    if (!overflows_.is_pending() || !is_finished) return false;
+    const bool is_finished = stream.impl().last_ticket + 1 >= readback_ticket_ + Stream::Impl::kMaxPending;
+    if (!overflows_.is_pending() || !is_finished) return 0;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait_for_bytes(stream), sizeof count);
-    const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
-    return grows_ && hits_per_list_ < max_hits_per_list_ && n_overflows > 0;
+    return count - std::exchange(overflows_before_, count);
 }
 
-/// Doubles the capacity of new lists, after rays had more hits than their lists can hold.
+/// Doubles the capacity of new lists, and counts their overflows from zero.
 void HitListTracer::grow_lists(Stream& stream) {
     hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-    // Counts overflows of the new capacity from zero.
     stream.fill(n_overflows_);
     overflows_before_ = 0;
 }
 
-/// Returns memory for one hit list per thread, or empty lists if it is not available. It
-/// is the memory `kept`, the memory of the last batch (`hits_`), or new memory, in this
-/// order. The lengths of the lists always have separate memory, which only grows.
+/// Returns memory for one hit list per thread, or empty lists if it is not available. The
+/// lengths of the lists always have separate memory, which only grows.
 /// @param kept hits that the forward pass stores for the backward pass, or null. If a
 /// list fits into this memory, its hits need not be copied
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
                                               const StoredRayHits* kept) {
     const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
     if (n_lists > kMostLists) return {};
-    if (has_overflowed(stream)) grow_lists(stream);
+    if (count_overflows(stream) > 0 && can_grow()) grow_lists(stream);
     // The kept memory of a ray must have room for a full list, but not for more hits than
     // a subgroup can sort.
     const bool uses_kept =
         kept && kept->per_ray >= std::max(hits_per_list_, 1u) && kept->per_ray <= max_hits_per_list_;
-    const bool can_reuse_lists =
-        allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n_lists * hits_per_list_;
-    const bool frees_lists = uses_kept ? hits_.size() > 0 : !can_reuse_lists;
-    const bool frees_lengths = lengths_.size() < n_lists;
-    if (frees_lists || frees_lengths) stream.submit_and_wait();  // the GPU may still write to them
-
-    if (uses_kept) {
+    if (!uses_kept) {
+        reserve_hits(stream, n_lists);
+    } else if (hits_.size() > 0) {
+        stream.submit_and_wait();
         hits_ = {};
-    } else if (!can_reuse_lists) {
-        // Keeps as many lists as before, so that smaller batches cause no reallocation.
-        const std::size_t n_old_lists =
-            allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0;
-        allocate_lists(std::max(n_lists, n_old_lists));
     }
-    try {
-        if (frees_lengths)
+    if (lengths_.size() < n_lists) {
+        stream.submit_and_wait();
+        try {
             lengths_ =
                 Array<std::uint32_t, shared::ListLengths>(device_, n_lists, "lengths of lists of hits");
-    } catch (const OutOfDeviceMemory&) {  // not enough memory for lists
-        return {};
+        } catch (const OutOfDeviceMemory&) {
+            return {};
+        }
     }
     return {.hits = uses_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
@@ -124,11 +120,11 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
 }
 
 /// Starts to copy the number of overflows to the host, unless the capacity cannot grow or
-/// an earlier copy was not read yet. has_overflowed() reads it.
+/// an earlier copy was not read yet.
 void HitListTracer::record_readback(Stream& stream) {
-    if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
+    if (!can_grow() || overflows_.is_pending()) return;
     overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
-    counted_until_ = stream.impl().last_ticket + 1;
+    readback_ticket_ = stream.impl().last_ticket + 1;
 }
 
 /// Renders the rays with hit lists: fills the lists, sorts each list, and blends its
@@ -139,14 +135,13 @@ void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::Forwar
     const std::size_t n_threads = count_threads(batch);
     const shared::HitLists lists = reserve_lists(stream, n_threads, kept);
     if (lists.room == 0) return;
-    const bool has_separate_memory = hits_.size() > 0;
     params.lists = lists;
-    params.kept_in_lists = kept && !has_separate_memory ? 1 : 0;
+    params.kept_in_lists = kept && lists.hits == kept->hits.address() ? 1 : 0;
     relidar::run(stream, append_, n_threads,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     record_readback(stream);
-    const auto subgroup_size = std::size_t(device_.info().subgroup_size);
-    relidar::run(stream, sort_, n_threads * subgroup_size, {.lists = lists});
+    const auto threads_per_list = std::size_t(device_.info().subgroup_size);
+    relidar::run(stream, sort_, n_threads * threads_per_list, {.lists = lists});
     relidar::run(stream, blend_, n_threads, params);
 }
 

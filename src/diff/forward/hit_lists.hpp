@@ -52,13 +52,14 @@ private:
     Array<std::uint32_t, shared::OverflowCount> n_overflows_{
         device_, std::vector<std::uint32_t>{0u}, "number of rays with more hits than a hit list can store"};
     ReadbackBuffer overflows_{device_, sizeof(std::uint32_t), "number of rays with too many hits"};
-    std::uint64_t counted_until_ = 0;     ///< number of the submission that reads the count
+    std::uint64_t readback_ticket_ = 0;   ///< submission that copies the count to the host
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
-    void allocate_lists(std::size_t n_lists);
+    bool can_grow() const { return grows_ && hits_per_list_ < max_hits_per_list_; }
+    void reserve_hits(Stream& stream, std::size_t n_lists);
     void grow_lists(Stream& stream);
     shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept);
-    bool has_overflowed(Stream& stream);
+    std::uint32_t count_overflows(Stream& stream);
     void record_readback(Stream& stream);
 };
 

@@ -94,7 +94,7 @@ void Renderer::wait_for_device() noexcept {
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     if (r.appended) {
-        // append_model() has allocated memory to refit the trees, not to rebuild them.
+        // The trees have memory to refit the appended models, but not to rebuild them.
         r.appended = false;
         r.stream.submit_and_wait();
         r.accel.reset();
@@ -126,7 +126,8 @@ void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, con
     else r.accel->record_top_level(r.stream, r.scene);
 }
 
-/// Records the rendering of a batch. Allocates memory if it is the largest so far.
+/// Records the rendering of a batch. Allocates memory if it is the largest so far, after
+/// the commands that use the old memory are finished.
 void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed)
@@ -135,8 +136,7 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.submit_and_wait();
         r.allocate_rays(rays.n_rays);
     }
-    // The hit storage needs one entry per thread. An image can have more threads than
-    // rays.
+    // An image can have more threads than rays, and each thread stores hits.
     if (r.stored_hits && !r.stored_hits->can_store_hits(rays)) {
         r.stream.submit_and_wait();
         r.fit_hit_storage(count_threads(rays));
@@ -223,13 +223,14 @@ std::uint32_t Renderer::append_model(const Scene& added) {
     // If some models of the scene walk, all models need the parameters of a gait.
     if (r.scene.surfel_parameters().bends && !model.surfels.bends) model.surfels.add_still_gait();
     r.scene.surfel_parameters().check_group(model.surfels);
-    // The acceleration structure must be built before a model can be appended.
+    // A model can only be appended to trees that are built.
     if (!r.placed) update(r.scene.poses(), r.view_origin_m);
+    // The scene gets the records that kernels read, computed in a scene with this model.
     DeviceScene activated(r.device, model);
     activated.activate(r.stream, r.model, r.view_origin_m);
     r.stream.submit_and_wait();
     r.scene.append_model(r.device, activated);
-    r.appended = true;
+    r.appended = true;  // also if the next call fails, so that update() creates new trees
     r.accel->append_model(r.stream, r.scene, activated);
     return std::uint32_t(r.scene.layout().models.size() - 1);
 }
