@@ -85,7 +85,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
     }
     std::vector<KernelSetting> settings(std::begin(kKernelSettings), std::end(kKernelSettings));
     // The weight of each loss, which enables its kernels.
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
     settings.push_back({"loss." #setting, "0.1"});
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM

@@ -13,7 +13,7 @@ namespace relidar {
 /// Weights and options of the loss terms (relidar/diff/loss_terms.h). Each term is a mean
 /// over pixels, points or surfels.
 struct LossWeights {
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     /// If true, the range term uses the normalised range D / W, where D is the blended
@@ -34,7 +34,7 @@ struct LossWeights {
     bool operator==(const LossWeights&) const = default;
 };
 
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) #name,
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
 /// Names of the loss terms, in the order of their indices. The last term is the sum of
 /// the losses of a program (TrainSession::losses).
 inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM) "custom"};
@@ -44,7 +44,7 @@ static_assert(kLossTerms == RELIDAR_CUSTOM_TERM + 1);
 
 /// Index of each term in a row of loss terms, for example loss_term::depth.
 namespace loss_term {
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
     inline constexpr std::size_t name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // Defines one constant per term.
 #undef RELIDAR_TERM

@@ -4,7 +4,7 @@
 // to its nearest simulated point a, whose ray has the range r_a and the direction d_a:
 // dL/dr_a += 2 (a - b) . d_a. The gradients are summed in fixed-point numbers. Then the
 // result does not depend on the order of addition. One thread per ray. Input: rays,
-// points, nearest, counts. Accumulated: d_found, terms.
+// points, nearest, counts. Accumulated: d_nearest_simulated, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -29,7 +29,7 @@ void main() {
             vec3 difference = params.simulated.at[a] - params.measured.at[k];
             squares_m2 += dot(difference, difference);
             add_fixed(
-                params.d_found, a,
+                params.d_nearest_simulated, a,
                 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
         }
     }

@@ -4,7 +4,7 @@
 // the measured point nearest to a. The second comes from measured points whose nearest
 // point is a (kernel loss/chamfer). Adds both gradients and applies the derivative of the
 // range r = D / W or r = D. One thread per ray. Input: rays, rendered, points, nearest,
-// counts, d_found. Accumulated: upstream.
+// counts, d_nearest_simulated. Accumulated: upstream.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -22,7 +22,7 @@ void main() {
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);
     float d_range = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0) *
-                    (asked + read_fixed(params.d_found, k));
+                    (asked + read_fixed(params.d_nearest_simulated, k));
     RenderedRay r = params.rendered.at[k];
     float scale = params.normalised_depth != 0u ? 1.0 / r.weight : 1.0;
     params.upstream.at[k].depth += d_range * scale;

@@ -12,7 +12,7 @@
 RELIDAR_SHARED_BEGIN
 
 // Defines kTerm_depth, kTerm_intensity, ...: columns of the loss terms in array `terms`.
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
 
@@ -125,7 +125,7 @@ struct ChamferParams {
     // simulated point [n_rays,2]: derivative of the sum of their squared distances by the
     // simulated range, m, as a fixed-point number of two words. Kernel chamfer adds to
     // it, and kernel chamfer_vjp reads it.
-    RELIDAR_OF(Uints, FoundGradients) d_found;
+    RELIDAR_OF(Uints, FoundGradients) d_nearest_simulated;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer
     float weight;

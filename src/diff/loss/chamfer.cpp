@@ -4,7 +4,6 @@
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
 #include "gpu/stream.hpp"
 
@@ -125,9 +124,6 @@ struct ChamferLoss::Impl {
 
 ChamferLoss::ChamferLoss(Device& d, const LossWeights& w, std::uint32_t n) : impl_(new Impl{d, w, n}) {}
 ChamferLoss::~ChamferLoss() = default;
-std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
-    return std::make_unique<ChamferLoss>(device, weights, n_rays);
-}
 
 /// Records the Chamfer loss (Eq. 11 of the paper) and its gradient: the mean squared
 /// distance of simulated points to the nearest measured point, and the reverse.
@@ -138,9 +134,8 @@ void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered_b
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_batch.upstream->size());
     loss.n_rays = batch.n_rays;
     {
-        // Starts these sums at zero: the number of points of each cloud, and the
-        // gradients that simulated points get from measured points.
-        const ConcurrentLaunchScope fills(stream);
+        // The kernels add to these arrays. One barrier is enough for independent fills.
+        const ConcurrentLaunchScope zeros(stream);
         stream.fill(loss.counts);
         stream.fill(loss.d_nearest_simulated);
     }
@@ -149,7 +144,8 @@ void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered_b
     loss.add_losses(stream, rendered_batch, batch, terms);
 }
 
-/// Computes the simulated and the measured point of each ray, if any, and counts both.
+/// Computes the simulated and the measured point of each ray, if any, and counts both. A
+/// point is origin + range * direction, with the rendered or the measured range.
 void ChamferLoss::Impl::compute_points(Stream& stream, const RenderedBatch& rendered_batch,
                                        const TargetBatch& batch) const {
     relidar::run(stream, points, batch.n_rays,
@@ -165,10 +161,7 @@ void ChamferLoss::Impl::compute_points(Stream& stream, const RenderedBatch& rend
                   .normalised_depth = weights.normalised_depth ? 1u : 0u});
 }
 
-/// Adds the loss to `terms`, and its derivatives to the upstream gradients of the rays. A
-/// simulated point gets a derivative from its nearest measured point, and from each
-/// measured point whose nearest point it is. The first kernel sums the latter, the second
-/// adds both.
+/// Adds the loss to `terms`, and its derivatives to the upstream gradients of the rays.
 void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered_batch,
                                    const TargetBatch& batch, const LossTermRow& terms) const {
     const shared::ChamferParams params{
@@ -179,7 +172,7 @@ void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered
         .nearest_measured = nearest_measured.address(),
         .nearest_simulated = nearest_simulated.address(),
         .counts = counts.address(),
-        .d_found = d_nearest_simulated.address(),
+        .d_nearest_simulated = d_nearest_simulated.address(),
         .upstream = rendered_batch.upstream->address(),
         .terms = terms.row_address(),
         .weight = weights.chamfer,
@@ -187,7 +180,10 @@ void ChamferLoss::Impl::add_losses(Stream& stream, const RenderedBatch& rendered
         .first_ray = batch.first,
         .ray_stride = batch.stride,
         .normalised_depth = weights.normalised_depth ? 1u : 0u};
-    relidar::run(stream, chamfer, batch.n_rays, params);  // also sums `d_found`
+    // A simulated point gets a derivative from its nearest measured point, and from each
+    // measured point whose nearest point it is. The first kernel sums the latter in
+    // `d_nearest_simulated`, the second adds both.
+    relidar::run(stream, chamfer, batch.n_rays, params);
     relidar::run(stream, vjp, batch.n_rays, params);
 }
 

@@ -6,7 +6,6 @@
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
 #include "gpu/stream.hpp"
 
@@ -25,9 +24,6 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& d, const LossWeights& w, std::uint32_t n) : impl_(new Impl{d, w, n}) {}
 ImageLoss::~ImageLoss() = default;
-std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
-    return std::make_unique<ImageLoss>(device, weights, n_rays);
-}
 
 /// Records the losses of depth, intensity, drops and opacity of each ray, and the
 /// structural similarity (SSIM) of the intensity image if its weight is positive. Sums

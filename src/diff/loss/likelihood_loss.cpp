@@ -6,7 +6,6 @@
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "diff/loss/losses.hpp"
 #include "diff/shared/likelihood_loss.h"
 #include "gpu/stream.hpp"
 
@@ -20,9 +19,6 @@ struct LikelihoodLoss::Impl {
 
 LikelihoodLoss::LikelihoodLoss(Device& d, const LossWeights& w) : impl_(new Impl{d, w}) {}
 LikelihoodLoss::~LikelihoodLoss() = default;
-std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
-    return std::make_unique<LikelihoodLoss>(device, weights);
-}
 
 /// Records the loss -ln(f + (1 - f) S), averaged over the rays with a return. S is the
 /// rendered likelihood of the measured range. The floor f limits the loss of outliers.

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
-
-#include "diff/loss/losses.hpp"
+#include <relidar/diff/loss.hpp>
 
 namespace relidar {
 namespace {
 
 // Returns true if the table of loss terms numbers them 0, 1, 2, ... in this order.
 constexpr bool are_terms_sorted() {
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
+#define RELIDAR_TERM(index, ...) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
     std::size_t next = 0;
@@ -21,30 +19,15 @@ static_assert(are_terms_sorted(),
 
 }  // namespace
 
-/// Creates the losses with a positive weight. A loss can compute several terms, for
-/// example the image loss those of depth, intensity and drops.
+/// Creates the losses with a positive weight, and always the image loss. It must be first,
+/// because it overwrites the gradients of the rendered values. All others add to them.
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays) {
-    struct WeightedLossFactory {
-        float weight;
-        LossFactory* make_loss;
-    };
-    // The table has a row per term, with its weight and the loss that computes it.
-    const WeightedLossFactory terms[] = {
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
-    {weights.setting, make_##maker##_loss},
-        RELIDAR_LOSS_TERMS(RELIDAR_TERM)
-#undef RELIDAR_TERM
-    };
-    // The image loss must be first, because it overwrites the gradients. All other losses
-    // add to them.
-    std::vector<LossFactory*> factories{make_image_loss};
-    for (const WeightedLossFactory& term : terms) {
-        const bool is_listed = std::ranges::find(factories, term.make_loss) != factories.end();
-        if (term.weight > 0.0f && !is_listed) factories.push_back(term.make_loss);
-    }
     std::vector<std::unique_ptr<Loss>> losses;
-    for (LossFactory* make_loss : factories) losses.push_back(make_loss(device, weights, n_rays));
+    losses.push_back(std::make_unique<ImageLoss>(device, weights, n_rays));
+    if (weights.box > 0.0f) losses.push_back(std::make_unique<ActorBoxLoss>(device, weights));
+    if (weights.chamfer > 0.0f) losses.push_back(std::make_unique<ChamferLoss>(device, weights, n_rays));
+    if (weights.likelihood > 0.0f) losses.push_back(std::make_unique<LikelihoodLoss>(device, weights));
     return losses;
 }
 

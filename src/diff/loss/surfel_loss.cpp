@@ -5,7 +5,6 @@
 
 #include <relidar/scene/device_scene.hpp>
 
-#include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
 #include "gpu/stream.hpp"
 
@@ -19,9 +18,6 @@ struct ActorBoxLoss::Impl {
 
 ActorBoxLoss::ActorBoxLoss(Device& d, const LossWeights& w) : impl_(new Impl{d, w}) {}
 ActorBoxLoss::~ActorBoxLoss() = default;
-std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
-    return std::make_unique<ActorBoxLoss>(device, weights);
-}
 
 /// Records the loss of surfels that are outside the box of their actor or large compared
 /// with it, as a mean over the surfels of all models with a box. Adds its gradients to

@@ -198,7 +198,7 @@ void visit_settings(C& config, Visitor&& visitor) {
     RELIDAR_SETTING(image.primitive, accept_one_of(primitive_names()),
                     mark_expert("primitives of the scene: flat 2D Gaussians (as in the paper) or 3D "
                                 "Gaussians; ray query traces 3D Gaussians as icosahedra of triangles"));
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
     visitor("loss." #setting, config.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
