@@ -52,14 +52,14 @@ float score_scale(const HeadMatrices& query) { return 1.0f / std::sqrt(float(que
 
 }  // namespace
 
-/// Creates the kernels that multiply matrices and compute the softmax of their rows.
 Attention::Attention(Device& device, std::uint32_t heads)
     : device_(device),
       heads_(heads),
-      matmul_(device, "diff/network/matmul", constants_, SubgroupRequirement::full),
-      softmax_(device, "diff/network/softmax", constants_, SubgroupRequirement::full) {}
+      matmul_(device, "diff/network/matmul", subgroup_constants(lanes_), SubgroupRequirement::full),
+      softmax_(device, "diff/network/softmax", subgroup_constants(lanes_), SubgroupRequirement::full) {}
 
 AttentionState Attention::allocate_state(ImageBatchSize grid, bool with_gradients) const {
+    // Each head has a row of weights per pixel. As an image, each such row is a channel.
     const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
     AttentionState state{Tensor(device_, channels, grid, "attention"), {}};
     if (with_gradients) state.d_share = Tensor(device_, channels, grid, "gradient of attention");
@@ -72,7 +72,7 @@ void Attention::multiply(Stream& stream, std::uint32_t n_images, const HeadMatri
                          const HeadMatrices& c, float scale) const {
     const std::uint32_t n_tiles = div_ceil(c.columns, lanes_) * div_ceil(c.rows, RELIDAR_MATMUL_ROWS);
     const std::uint32_t n_subgroups = n_images * heads_ * n_tiles;
-    run(stream, matmul_, std::size_t(div_ceil(n_subgroups, kThreads / lanes_)) * kThreads,
+    run(stream, matmul_, count_threads(n_subgroups, lanes_),
         {.a = a.view,
          .b = b.view,
          .c = c.view,
@@ -84,19 +84,16 @@ void Attention::multiply(Stream& stream, std::uint32_t n_images, const HeadMatri
          .scale = scale});
 }
 
-/// Replaces each row of `values` (scores) by its softmax. If `gradients` is not empty,
-/// `values` already are softmax results. Then replaces the gradients of these results by
-/// the gradients of the scores. One subgroup processes a row.
-void Attention::run_softmax(Stream& stream, const Tensor& values, const Tensor& gradients) const {
-    const auto n_pixels = std::uint32_t(values.grid.n_image_pixels());
-    const std::uint32_t n_rows = values.grid.n * heads_ * n_pixels;
+/// Replaces each row of scores in `share` by its softmax. Or, if `d_share` is not null,
+/// `share` contains the softmax, and its gradients become gradients of the scores.
+void Attention::run_softmax(Stream& stream, const Tensor& share, const Tensor* d_share) const {
+    const auto n_pixels = std::uint32_t(share.grid.n_image_pixels());
     shared::SoftmaxParams params{};
-    params.values = values.values.address().cast_tag<shared::SoftmaxValues>();
-    if (gradients.values.size() > 0)
-        params.d_values = gradients.values.address().cast_tag<shared::SoftmaxGradients>();
-    params.n_rows = n_rows;
+    params.values = share.values.address().cast_tag<shared::SoftmaxValues>();
+    if (d_share) params.d_values = d_share->values.address().cast_tag<shared::SoftmaxGradients>();
+    params.n_rows = share.grid.n * heads_ * n_pixels;
     params.n = n_pixels;
-    run(stream, softmax_, std::size_t(div_ceil(n_rows, kThreads / lanes_)) * kThreads, params);
+    run(stream, softmax_, count_threads(params.n_rows, lanes_), params);  // a subgroup per row
 }
 
 void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output) {
@@ -106,7 +103,7 @@ void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, 
     const HeadMatrices weights = head_matrices(state.share, heads_);  // [pixels, pixels]
     // Scores of all pairs of pixels: one row per query, one column per key.
     multiply(stream, n_images, transpose(query), key, weights, score_scale(query));
-    run_softmax(stream, state.share, {});
+    run_softmax(stream, state.share, nullptr);
     // Adds the values, weighted by each row of weights.
     multiply(stream, n_images, value, transpose(weights), head_matrices(output, heads_), 1.0f);
 }
@@ -121,10 +118,11 @@ void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& sta
     const HeadMatrices weights = head_matrices(state.share, heads_);
     const HeadMatrices d_weights = head_matrices(state.d_share, heads_);
     const HeadMatrices d_output = head_matrices(d_out, heads_);
+    // output = value weights^T and scores = scale query^T key.
     multiply(stream, n_images, d_output, weights, d_value, 1.0f);
     multiply(stream, n_images, transpose(d_output), value, d_weights, 1.0f);
     // Now `d_share` becomes the gradient of the scores, which gives d_query and d_key.
-    run_softmax(stream, state.share, state.d_share);
+    run_softmax(stream, state.share, &state.d_share);
     multiply(stream, n_images, key, transpose(d_weights), d_query, score_scale(query));
     multiply(stream, n_images, query, d_weights, d_key, score_scale(query));
 }

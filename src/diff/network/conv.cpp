@@ -13,7 +13,6 @@ namespace {
 
 using enum SpecialisationConstantId;
 
-constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 // Number of image rows in one part of an image. A subgroup sums the gradients of the
 // weights over one part. Then the sums of all parts are added.
 constexpr std::uint32_t kLinesOfPart = 8;
@@ -61,7 +60,7 @@ Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t taps, 
              {PIXELS, count_lane_pixels(device)},
              {LANES, lanes},
              {STAGED, staged},
-             {WORKGROUP_SIZE, kConvThreads}},
+             {WORKGROUP_SIZE, kLayerThreads}},
             SubgroupRequirement::full};
 }
 
@@ -71,7 +70,7 @@ Kernel<shared::ConvWeightsParams> make_weights_kernel(Device& device, std::uint3
                                                       std::uint32_t lanes) {
     return {device,
             "diff/network/conv_weights",
-            {{TAPS, taps}, {LANES, lanes}, {WORKGROUP_SIZE, kConvThreads}},
+            {{TAPS, taps}, {LANES, lanes}, {WORKGROUP_SIZE, kLayerThreads}},
             SubgroupRequirement::full};
 }
 
@@ -91,10 +90,7 @@ void Convolution::run_conv_kernel(Stream& stream, const shared::ConvParams& para
     const std::uint32_t n_segments =
         params.n_images * params.rows * div_ceil(params.columns, lanes_ * pixels_);
     const std::uint32_t n_channel_groups = div_ceil(params.n_out, RELIDAR_CONV_OUT);
-    const std::uint32_t subgroups_per_workgroup = kConvThreads / lanes_;
-    const std::size_t n_workgroups =
-        std::size_t(div_ceil(n_segments, subgroups_per_workgroup)) * n_channel_groups;
-    run(stream, conv_, n_workgroups * kConvThreads, params);
+    run(stream, conv_, count_threads(n_segments, lanes_) * n_channel_groups, params);
 }
 
 /// Returns the number of threads that compute the gradient of the weights. A subgroup
@@ -104,10 +100,11 @@ std::size_t Convolution::n_weight_threads(const shared::ConvWeightsParams& param
     const std::uint32_t in_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
     const std::uint32_t n_subgroups = params.n_parts * div_ceil(params.n_in, in_channels_per_subgroup) *
                                       div_ceil(params.n_out, RELIDAR_CONV_OUT);
-    return std::size_t(div_ceil(n_subgroups, kConvThreads / lanes_)) * kConvThreads;
+    return count_threads(n_subgroups, lanes_);
 }
 
-/// Returns the parameters of a convolution without bias that overwrites `to`.
+/// Returns the parameters of a convolution. Without further changes, it has no bias and
+/// overwrites `to`.
 shared::ConvParams Convolution::make_params(const Slice& from, const Slice& to, Weights weights) {
     RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
     shared::ConvParams params{};
@@ -143,8 +140,9 @@ std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
     return count_weight_sums(grid, n) * n;
 }
 
-/// Computes the gradient of the weights: first a sum over each part of the images, then
-/// the total of all parts. Uses no atomics, whose order differs between runs.
+/// Computes the gradient of the weights: the sum over all pixels of input values times
+/// output gradients. The first kernel sums over each part of the images, the second adds
+/// the parts. Uses no atomics, whose order differs between runs.
 void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights) {
     RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_out.grid.n_pixels_total());
     const std::uint32_t n_weights = input.channels * d_out.channels * taps_;

@@ -57,9 +57,7 @@ std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std:
 }
 
 /// Copies the normalisation of the network to the device: scale and shift of each input
-/// channel. The last `n_fixed_` channels describe the sensor, so they do not rotate with
-/// the scene. Channel `logit_channel_` is the rendered drop probability p, as the logit
-/// log(p / (1 - p)).
+/// channel.
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(count_fixed_channels(network)),
@@ -74,7 +72,8 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
 
 void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> images) {
     samples_ = upload_all<decltype(samples_)>(device, images, &RayDropImage::channels, "scans to refine");
-    targets_ = upload_all<decltype(targets_)>(device, images, &RayDropImage::dropped, "measured drops");
+    all_targets_ =
+        upload_all<decltype(all_targets_)>(device, images, &RayDropImage::dropped, "measured drops");
 
     const auto is_known = [](float dropped) { return dropped >= 0.0f; };
     n_known_pixels_.clear();
@@ -82,35 +81,24 @@ void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> 
         n_known_pixels_.push_back(std::size_t(std::ranges::count_if(image.dropped, is_known)));
 }
 
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to) {
-    shared::DropInputsParams params{};
-    // Without measured drops, the addresses stay null, so that the kernel skips targets.
-    params.samples = samples_.address();
-    if (has_measured()) {
-        target_.reserve(stream.device(), to.grid.n_pixels_total(), "targets");
-        params.targets = targets_.address();
-        params.target = target_.address();
-    }
-    fill_batch(stream, chosen, params, to);
-}
-
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
-                               Address<float, shared::DropSamples> samples, const Tensor& to) {
-    shared::DropInputsParams params{};
-    params.samples = samples;
-    fill_batch(stream, chosen, params, to);
-}
-
-/// Submits the kernel, after the caller has set its addresses of images and targets.
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
-                               shared::DropInputsParams params, const Tensor& to) {
-    std::vector<std::uint32_t> samples, column_shifts;
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to,
+                               Address<float, shared::DropSamples> samples) {
+    std::vector<std::uint32_t> indices, column_shifts;
     for (const RotatedSample& image : chosen) {
-        samples.push_back(image.sample);
+        indices.push_back(image.sample);
         column_shifts.push_back(image.column_shift);
     }
-    start_.reserve(stream.device(), to.grid.n_pixels_total(), "rendered logits");
-    params.chosen = stream.impl().stage_values(samples).cast_tag<shared::ChosenSamples>();
+    const std::size_t n_pixels = to.grid.n_pixels_total();
+    start_.reserve(stream.device(), n_pixels, "rendered logits");
+    shared::DropInputsParams params{};
+    params.samples = samples;
+    if (samples == Address<float, shared::DropSamples>()) {
+        params.samples = samples_.address();
+        batch_targets_.reserve(stream.device(), n_pixels, "targets");
+        params.targets = all_targets_.address();
+        params.target = batch_targets_.address();
+    }
+    params.chosen = stream.impl().stage_values(indices).cast_tag<shared::ChosenSamples>();
     params.turn = stream.impl().stage_values(column_shifts).cast_tag<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = to.values.address();
@@ -121,7 +109,7 @@ void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> ch
     params.logit_channel = logit_channel_;
     params.rows = to.grid.rows;
     params.columns = to.grid.columns;
-    run(stream, kernel_, to.grid.n_pixels_total(), params);
+    run(stream, kernel_, n_pixels, params);
 }
 
 }  // namespace relidar::network

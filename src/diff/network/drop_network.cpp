@@ -23,15 +23,13 @@ struct NetworkPreset {
     std::uint32_t width;
     std::vector<std::uint32_t> factors;
     std::uint32_t heads = 0;  ///< attention heads
-    std::uint32_t taps = 9;   ///< weights per pair of channels: 9 (3x3) or 1 (1x1)
+    std::uint32_t taps = 9;   ///< pixels of a convolution kernel: 9 (3x3) or 1 (no neighbours)
     bool residual = true;     ///< true: predicts a correction of the rendered drop logits
     int batch = 1;            ///< images per training step
     NetworkRegularisation in_training = {};
 };
 
-/// Returns the architecture that the setting refine.network selects. `pixel` does not
-/// look at neighbouring pixels (1 weight or `tap` per pair of channels instead of 9).
-/// `residual` networks predict a correction of the rendered drops, not the drops.
+/// Returns the architecture that the setting refine.network selects.
 const NetworkPreset& find_preset(const std::string& name) {
     static const NetworkPreset small{.name = "small", .width = 8, .factors = {1, 2, 4, 4}};
     static const NetworkPreset pixel{.name = "pixel", .width = 16, .factors = {1}, .taps = 1};
@@ -133,29 +131,23 @@ void check_image(const RayDropNetwork& network, const RayDropImage& image, const
     }
 }
 
-/// Creates the loss of batches with up to `n_pixels` pixels. The pixels are split into
-/// parts, whose losses are summed separately and added on the host.
+/// Creates the loss of batches with up to `n_pixels` pixels. A subgroup sums one part of
+/// the pixels, and the host adds the parts.
 RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
     : n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
       lanes_(std::uint32_t(device.info().subgroup_size)),
-      kernel_(
-          device, "diff/network/drop_loss",
-          {{SpecialisationConstantId::LANES, lanes_}, {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}},
-          SubgroupRequirement::full),
-      partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
+      kernel_(device, "diff/network/drop_loss", subgroup_constants(lanes_), SubgroupRequirement::full),
+      sums_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
 void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                               std::size_t n_known) {
-    // `start` are rendered logits, which the kernel adds to the logits of the network.
-    // One subgroup processes one part.
-    const std::uint32_t n_workgroups = div_ceil(n_parts_, kThreads / lanes_);
-    relidar::run(stream, kernel_, std::size_t(n_workgroups) * kThreads,
+    relidar::run(stream, kernel_, count_threads(n_parts_, lanes_),
                  {.logit = arrays.logit,
                   .start = arrays.start,
                   .target = arrays.target,
                   .d_logit = arrays.d_logit,
                   .probability = arrays.probability,
-                  .partial = partial_.address(),
+                  .partial = sums_.address(),
                   .n = std::uint32_t(n_pixels),
                   .n_parts = n_parts_,
                   // The loss is a mean over the pixels whose drop is known.
@@ -164,15 +156,13 @@ void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDro
 
 RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {
     RayDropScore score;
-    const std::vector<float> partial = partial_.download();
-    // Each part has two sums: cross-entropies, and number of correct predictions.
+    const std::vector<float> sums = sums_.download();
     for (std::size_t part = 0; part < n_parts_; ++part) {
-        score.entropy += double(partial[2 * part]);
-        score.accuracy += double(partial[2 * part + 1]);
+        score.entropy += double(sums[2 * part]);
+        score.accuracy += double(sums[2 * part + 1]);
     }
-    score.entropy /= double(std::max<std::size_t>(n_known_pixels, 1));
-    score.accuracy /= double(std::max<std::size_t>(n_known_pixels, 1));
-    return score;
+    const double n = double(std::max<std::size_t>(n_known_pixels, 1));
+    return {score.entropy / n, score.accuracy / n};
 }
 
 }  // namespace network

@@ -63,16 +63,13 @@ public:
     /// is known.
     void upload_images(Device& device, std::span<const RayDropImage> images);
 
-    /// Submits the kernel that creates a batch from uploaded images.
+    /// Submits the kernel that creates a batch.
     /// @param chosen the images of the batch, and the rotation of each
     /// @param to receives the normalised images, [n, channels, rows, columns]
-    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to);
-    /// Submits the kernel that creates a batch from images that are already on the
-    /// device. Does not update measured_drops(), because it is unknown which rays of
-    /// these images were dropped (had no return).
-    /// @param samples device address of images, [samples, channels, rows, columns]
-    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
-                    Address<float, shared::DropSamples> samples, const Tensor& to);
+    /// @param samples device address of images, [samples, channels, rows, columns], or
+    /// null for the uploaded images. Only uploaded images have measured drops
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to,
+                    Address<float, shared::DropSamples> samples = {});
 
     /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
     /// columns]. A network with `residual` predicts a correction that is added to these
@@ -80,22 +77,20 @@ public:
     const Array<float, shared::StartLogits>& rendered_logits() const { return start_; }
     /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
     /// rows, columns]. Same values as RayDropImage::dropped.
-    const Array<float, shared::DropTargets>& measured_drops() const { return target_; }
-    bool has_measured() const { return targets_.size() > 0; }
+    const Array<float, shared::DropTargets>& measured_drops() const { return batch_targets_; }
     std::size_t count_known(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
 
 private:
-    std::uint32_t n_channels_, n_fixed_, logit_channel_;
+    std::uint32_t n_channels_;
+    std::uint32_t n_fixed_;        ///< number of last channels that do not rotate with the scene
+    std::uint32_t logit_channel_;  ///< rendered drop probability p, as log(p / (1 - p))
     Kernel<shared::DropInputsParams> kernel_;
-    Array<float, shared::DropSamples> samples_;
-    Array<float, shared::SampleTargets> targets_;
+    Array<float, shared::DropSamples> samples_;        ///< uploaded images
+    Array<float, shared::SampleTargets> all_targets_;  ///< measured drops of uploaded images
     Array<float, shared::StartLogits> start_;
-    Array<float, shared::DropTargets> target_;
+    Array<float, shared::DropTargets> batch_targets_;
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
-
-    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, shared::DropInputsParams params,
-                    const Tensor& to);
 };
 
 struct RayDropScore {
@@ -130,12 +125,11 @@ public:
     RayDropScore read_loss(std::size_t n_known_pixels) const;
 
 private:
-    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
     static constexpr std::size_t kPixelsOfPart = 2048;
 
     std::uint32_t n_parts_, lanes_;
     Kernel<shared::DropLossParams> kernel_;
-    Array<float, shared::PartSums> partial_;
+    Array<float, shared::PartSums> sums_;  ///< [parts, 2] cross-entropies, number of correct predictions
 };
 
 }  // namespace relidar::network

@@ -119,8 +119,8 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_drops(
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.n_image_pixels(), input_channels.size());
     SizedRayDropNetwork& shaped = r.network_for(stream, grid);
     const network::RotatedSample unrotated_sample{};
-    shaped.inputs.fill_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
-                             shaped.unet.input_images());
+    shaped.inputs.fill_batch(stream, {&unrotated_sample, 1}, shaped.unet.input_images(),
+                             input_channels.address());
     shaped.unet.run_inference(stream);
     // Computes only probabilities. Without targets, the number of known pixels is 0.
     shaped.loss->record_loss(stream, grid.n_image_pixels(),

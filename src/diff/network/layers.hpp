@@ -25,6 +25,20 @@ inline std::uint32_t div_ceil(std::uint32_t count, std::uint32_t group_size) {
     return (count + group_size - 1) / group_size;
 }
 
+constexpr std::uint32_t kLayerThreads = 64;  // threads per workgroup of the kernels of layers
+
+/// Constants of a kernel in which each subgroup has a task.
+inline KernelConstants subgroup_constants(std::uint32_t lanes) {
+    return {{SpecialisationConstantId::LANES, lanes},
+            {SpecialisationConstantId::WORKGROUP_SIZE, kLayerThreads}};
+}
+
+/// Returns the number of threads of the workgroups that have at least `n_subgroups`
+/// subgroups with `lanes` threads each.
+inline std::size_t count_threads(std::uint32_t n_subgroups, std::uint32_t lanes) {
+    return std::size_t(div_ceil(n_subgroups, kLayerThreads / lanes)) * kLayerThreads;
+}
+
 struct Slice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;
@@ -138,21 +152,18 @@ public:
     void reserve_sums(std::uint32_t n_channels, ImageBatchSize grid);
 
 private:
-    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
-    static constexpr SpecialisationConstant kWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE, kThreads};
-
     Device& device_;
     std::uint32_t lanes_ = std::uint32_t(device_.info().subgroup_size);
-    Kernel<shared::ChannelSumsParams> sums_;
-    Kernel<shared::NormFinishParams> finish_;
-    Kernel<shared::NormParams> norm_;
+    Kernel<shared::ChannelSumsParams> sums_;    ///< sums pixels over parts of the images
+    Kernel<shared::SumPartsParams> sum_parts_;  ///< adds the sums of all parts
+    Kernel<shared::NormFinishParams> finish_;   ///< computes scale and shift of each channel
+    Kernel<shared::NormParams> norm_;           ///< applies them
     Kernel<shared::NormVjpParams> norm_vjp_;
-    Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
     shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    std::size_t count_threads(const Slice& slice) const;
+    std::size_t count_pixel_threads(const Slice& slice) const;
     void compute_scale(Stream& stream, const Slice& in, const NormWeights& weights, NormState& state,
                        bool train) const;
     void apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
@@ -207,18 +218,14 @@ public:
                     const Slice& d_qkv);
 
 private:
-    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
-
     Device& device_;
     std::uint32_t heads_, lanes_ = std::uint32_t(device_.info().subgroup_size);
-    std::vector<SpecialisationConstant> constants_{{SpecialisationConstantId::LANES, lanes_},
-                                                   {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}};
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 
     void multiply(Stream& stream, std::uint32_t n_images, const HeadMatrices& a, const HeadMatrices& b,
                   const HeadMatrices& c, float scale) const;
-    void run_softmax(Stream& stream, const Tensor& values, const Tensor& gradients) const;
+    void run_softmax(Stream& stream, const Tensor& share, const Tensor* d_share) const;
 };
 
 }  // namespace relidar::network

@@ -8,6 +8,9 @@
 namespace relidar::network {
 namespace {
 
+using enum SpecialisationConstantId;
+
+constexpr SpecialisationConstant kWorkgroup{WORKGROUP_SIZE, kLayerThreads};
 constexpr float kNormMomentum = 0.1f, kNormEpsilon = 1e-5f;
 
 /// Returns the number of parts into which the pixels of a batch are split. A sum is
@@ -20,24 +23,21 @@ std::uint32_t count_channel_sums(ImageBatchSize grid) {
 
 }  // namespace
 
-/// Creates the kernels: `sums_` sums pixels over parts of the images and `sum_parts_`
-/// adds the parts. `finish_` computes the scale and shift of each channel, and `norm_`
-/// applies them.
 Norm::Norm(Device& device)
     : device_(device),
-      sums_(device, "diff/network/channel_sums", {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
-            SubgroupRequirement::full),
+      sums_(device, "diff/network/channel_sums", subgroup_constants(lanes_), SubgroupRequirement::full),
+      sum_parts_(device, "diff/network/sum_parts"),
       finish_(device, "diff/network/norm_finish"),
       norm_(device, "diff/network/norm", {kWorkgroup}),
-      norm_vjp_(device, "diff/network/norm_vjp", {kWorkgroup}),
-      sum_parts_(device, "diff/network/sum_parts") {}
+      norm_vjp_(device, "diff/network/norm_vjp", {kWorkgroup}) {}
 
-/// Returns the number of threads that process all pixels of a slice. Workgroups do not
-/// share pixels of different channels.
-std::size_t Norm::count_threads(const Slice& slice) const {
-    constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
-    return std::size_t(slice.grid.n) * slice.channels *
-           ((slice.grid.n_image_pixels() + kPixelsPerWorkgroup - 1) / kPixelsPerWorkgroup) * kThreads;
+/// Returns the number of threads that process all pixels of a slice. A workgroup
+/// processes pixels of a single channel.
+std::size_t Norm::count_pixel_threads(const Slice& slice) const {
+    constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kLayerThreads) * RELIDAR_NORM_PIXELS;
+    const std::size_t workgroups_per_channel =
+        (slice.grid.n_image_pixels() + kPixelsPerWorkgroup - 1) / kPixelsPerWorkgroup;
+    return slice.grid.n * slice.channels * workgroups_per_channel * kLayerThreads;
 }
 
 void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
@@ -49,8 +49,8 @@ void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
 /// @param kind what is summed: kMomentSums, kNormVjpSums or kPlainSums
 shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32_t kind) const {
     shared::ChannelSumsParams params{};
-    // Only kNormVjpSums reads d_to. norm_vjp() replaces it.
-    params.from = params.d_to = input.view;
+    params.from = input.view;
+    params.d_to = input.view;  // placeholder, only kNormVjpSums reads the gradient
     params.partial = partial_.address();
     params.kind = kind;
     params.n_images = input.grid.n;
@@ -64,14 +64,12 @@ shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32
 /// subgroup computes the sum of one part of one channel.
 void Norm::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
-    const std::uint32_t n_subgroups = params.n_channels * params.n_parts;
-    const std::uint32_t n_workgroups = div_ceil(n_subgroups, kThreads / lanes_);
-    run(stream, sums_, std::size_t(n_workgroups) * kThreads, params);
+    run(stream, sums_, count_threads(params.n_channels * params.n_parts, lanes_), params);
 }
 
 /// Computes the scale and shift that normalise each channel, including gamma and beta.
-/// @param train true: uses the mean and variance of this batch (from channel_sums()) and
-/// updates the running values. false: uses the running values.
+/// @param train true: uses the mean and variance of this batch, from the partial sums of
+/// its pixels, and updates the running values. false: uses the running values.
 void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& weights, NormState& state,
                          bool train) const {
     run(stream, finish_, in.channels,
@@ -94,7 +92,7 @@ void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& wei
 void Norm::apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
                        float dropout) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
-    run(stream, norm_, count_threads(in),
+    run(stream, norm_, count_pixel_threads(in),
         {.from = in.view,
          .to = out.view,
          .scale_shift = state.scale_shift.address(),
@@ -116,9 +114,9 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
     apply_scale(s, in, n, out, 0.0f);
 }
 
-/// Computes the gradients of beta and gamma, and then of the input. The order matters:
-/// the mean and variance of the batch depend on every pixel. So the gradient of a pixel
-/// contains sums over the batch, which equal the gradients of beta and gamma.
+/// Computes the gradients of beta and gamma, which are sums over the batch, and then of
+/// the input. A pixel also changes the mean and the variance of the batch, so its gradient
+/// contains the same sums.
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);
@@ -127,14 +125,14 @@ void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, con
     sums.moments = state.moments.address();
     sums.dropout_key = state.dropout_key;
     sums.dropout = state.dropout;
-    channel_sums(stream, sums);
+    channel_sums(stream, sums);                    // over parts of the images
     const std::uint32_t n_sums = 2 * in.channels;  // beta and gamma of each channel
     run(stream, sum_parts_, n_sums,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
          .n_parts = sums.n_parts,
          .n = n_sums});
-    run(stream, norm_vjp_, count_threads(in),
+    run(stream, norm_vjp_, count_pixel_threads(in),
         {.from = in.view,
          .d_to = d_out.view,
          .d_from = d_in.view,

@@ -6,16 +6,16 @@
 namespace relidar::network {
 namespace {
 
-/// Returns the parameters that all four kernels share.
-/// @param large,small the image sizes before and after max pooling, or after and before
-/// upsampling
+/// Returns the parameters of the kernels for pooling, upsampling and their derivatives.
+/// @param large,small sizes of the larger and the smaller images. Upsampling and the
+/// derivative of pooling read the smaller ones
 shared::ResampleParams resample_params(const Slice& in, const Slice& out, ImageBatchSize large,
                                        ImageBatchSize small) {
     RELIDAR_ASSERT_EQ(in.channels, out.channels);
     RELIDAR_ASSERT_EQ(large.n, small.n);
     return {.from = in.view,
             .to = out.view,
-            .pooled = in.view,  // only the kernel pool_vjp reads it, and max_pool_vjp() sets it
+            .pooled = {},
             .n_images = large.n,
             .n_channels = in.channels,
             .rows = large.rows,
@@ -33,7 +33,6 @@ ImageBatchSize half_size(ImageBatchSize grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
-/// Creates a kernel for each direction: smaller and larger images, and their derivatives.
 Resampling::Resampling(Device& device)
     : pool_(device, "diff/network/pool"),
       pool_vjp_(device, "diff/network/pool_vjp"),
@@ -48,7 +47,7 @@ void Resampling::max_pool(Stream& stream, const Slice& input, const Slice& outpu
 void Resampling::max_pool_vjp(Stream& stream, const Slice& in, const Slice& d_out, const Slice& d_in) {
     RELIDAR_ASSERT_EQ(half_size(in.grid) == d_out.grid && in.grid == d_in.grid, true);
     shared::ResampleParams params = resample_params(d_out, d_in, in.grid, d_out.grid);
-    params.pooled = in.view;
+    params.pooled = in.view;  // only this kernel needs to know which pixel was the maximum
     run(stream, pool_vjp_, count_values(d_out), params);
 }
 

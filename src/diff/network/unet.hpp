@@ -34,9 +34,12 @@ struct UnetLayout {
     /// `first_conv` converts the inputs to the channels of the first level. `last_conv`
     /// converts these channels to a logit.
     ConvOffsets first_conv, last_conv;
-    /// Blocks of the encoder (`down`) and of the decoder (`up`), two per level. Each list
-    /// starts with the level of full image size.
-    std::vector<BlockOffsets> down, up;
+    /// Two blocks per level of the encoder (from level 1, half the image size) and of the
+    /// decoder (from level 0, the full image size).
+    std::vector<std::array<BlockOffsets, 2>> down, up;
+    /// Number of channels that each decoder level reads from the level below it. Its other
+    /// input channels are the skip connection.
+    std::vector<std::uint32_t> n_upsampled;
     std::optional<BlockOffsets> query;  ///< attention: query, key, value
     ConvOffsets project;                ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
@@ -48,12 +51,6 @@ private:
     ConvOffsets add_biased_conv(std::uint32_t n_in, std::uint32_t n_out);
     BlockOffsets add_block(std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps);
 };
-
-/// These functions count the channels of a decoder level: of its output, of its upsampled
-/// input, and of this input together with the skip connection.
-std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters of a network for training. If the network is residual, its
 /// last convolution starts at 0, so that its first output is 0.
@@ -84,41 +81,50 @@ public:
     }
 
     const Tensor& input_images() const { return inputs_; }  ///< Input images, which the caller fills.
-    const Tensor& logits() const { return logit_; }
+    const Tensor& logits() const { return logit_.values; }
     /// Gradient of the logits, which the caller writes.
-    const Tensor& d_logits() const { return d_logit_; }
+    const Tensor& d_logits() const { return logit_.gradient; }
     const Array<float>& parameters() const { return parameters_; }
     const Array<float>& gradients() const { return gradients_; }
     const Array<float>& running_moments() const { return running_; }
 
 private:
+    /// Images, and the gradient of the loss with respect to them.
+    struct Activation {
+        Tensor values;
+        Tensor gradient;  ///< empty without gradients
+    };
     /// Results of a block that the backward pass needs.
     struct BlockState {
         Tensor active;
         NormState norm;
     };
-    /// Arrays of one level of the U-Net. `joined`: upsampled images and skip connection.
-    /// `between`: images between the two blocks of a level.
-    struct LevelBuffers {
-        Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
-            d_pooled;
+    struct BlockPairState {
+        std::array<BlockState, 2> blocks;
+        Activation between;  ///< output of the first block, input of the second
+    };
+    struct LevelImages {
+        Activation pooled;  ///< input of the encoder: halved images of the level above
+        Activation joined;  ///< input of the decoder: enlarged images of the level below, skip connection
+        Activation output;  ///< of the decoder or, at the smallest level, of the encoder
     };
     enum class Mode { train, evaluate };
 
     UnetLayout plan_;
-    std::vector<std::uint32_t> widths_;
     bool with_gradients_ = false;
     Convolution conv1_, conv3_;
     Norm norm_;
     Resampling resample_;
     std::optional<Attention> attention_;
     Array<float> parameters_, gradients_, running_;
-    Tensor inputs_, logit_, d_logit_;
-    Tensor qkv_, d_qkv_, attended_, d_attended_, mixed_, d_mixed_;
-    AttentionState attention_state_;
+    Tensor inputs_;
+    std::vector<LevelImages> levels_;
+    std::vector<BlockPairState> encoders_, decoders_;  ///< like UnetLayout::down and up
     BlockState query_state_;
-    std::vector<LevelBuffers> levels_;
-    std::vector<BlockState> down_states_, up_states_;
+    AttentionState attention_state_;
+    /// Attention: queries, keys and values; its result; the sum of its result and its input.
+    Activation qkv_, attended_, mixed_;
+    Activation logit_;
     std::size_t most_active_ = 0;  ///< largest number of activations after a normalisation in any block
     Tensor scratch_;               ///< gradients of these activations
 
@@ -132,26 +138,30 @@ private:
         conv1_.run_convolution(stream, in, conv_weights(layer.weights),
                                parameters_.address_as<float, shared::ConvBias>(*layer.bias), out, add);
     }
-    std::size_t smallest_level() const { return widths_.size() - 1; }
-    std::size_t n_decoder_levels() const { return plan_.up.size() / 2; }
-    // Indices of the two blocks of a level in UnetLayout::down and up. Level 0 has no
-    // encoder blocks.
-    static std::array<std::size_t, 2> encoder_blocks(std::size_t level) {
-        return {2 * level - 2, 2 * level - 1};
-    }
-    static std::array<std::size_t, 2> decoder_blocks(std::size_t level) { return {2 * level, 2 * level + 1}; }
+    std::size_t smallest_level() const { return plan_.down.size(); }
     /// Channels of `joined` that the encoder writes and the decoder reads (skip
     /// connection).
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
+    const Activation& level_below(std::size_t level) const;
+    Activation make_images(Device& device, std::uint32_t channels, ImageBatchSize grid,
+                           const std::string& text) const;
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
+    void allocate_pair(Device& device, const std::array<BlockOffsets, 2>& blocks, ImageBatchSize grid,
+                       BlockPairState& state);
     void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state);
-    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
-                        const Slice& out, Mode mode);
+    void reserve_vjp_sums(Device& device, const ConvOffsets& layer, ImageBatchSize grid);
+    void run_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
+                   const Slice& out, Mode mode);
+    void run_pair(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
+                  const Slice& in, const Slice& out, Mode mode);
     void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
                    const Slice& d_out, const Slice& d_in, bool add = false);
-    void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out);
+    void pair_vjp(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
+                  const Slice& in, const Slice& d_out, const Slice& d_in);
+    void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& in, const Slice& d_out,
+                  const std::optional<Slice>& d_in);
     void run_all_layers(Stream& stream, Mode mode);
     void encode_level(Stream& stream, std::size_t level, Mode mode);
     void encode_vjp(Stream& stream, std::size_t level);

@@ -31,6 +31,19 @@ void draw_conv_weights(std::vector<float>& parameters, const ConvOffsets& layer,
     }
 }
 
+/// Returns the number of output channels of a decoder level.
+std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    return level == 0 ? widths[0] : widths[level] / 2;
+}
+
+/// Returns the number of output channels of the level below a level. The smallest level
+/// has no decoder, so its output is that of its encoder.
+std::uint32_t channels_below(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    const std::size_t smallest = widths.size() - 1;
+    if (level >= smallest) return 0;
+    return level + 1 == smallest ? widths[smallest] : decoder_channels(widths, level + 1);
+}
+
 /// Initialises a block: its normalisation changes nothing at first (beta and mean 0,
 /// gamma and variance 1), and the weights of its convolution are random.
 void init_block(RayDropNetwork& network, const BlockOffsets& block, std::mt19937_64& random) {
@@ -78,34 +91,21 @@ UnetLayout::UnetLayout(const RayDropNetwork& network) {
 
     first_conv = add_biased_conv(std::uint32_t(network.inputs.size()), widths[0]);
     for (std::size_t level = 1; level <= n_levels; ++level) {
-        down.push_back(add_block(widths[level - 1], widths[level], network.taps));
-        down.push_back(add_block(widths[level], widths[level], network.taps));
+        down.push_back({add_block(widths[level - 1], widths[level], network.taps),
+                        add_block(widths[level], widths[level], network.taps)});
     }
     if (network.heads > 0) {
-        query = add_block(smallest_width, 3 * smallest_width, 1);
+        query = add_block(smallest_width, 3 * smallest_width, 1);  // also key and value
         project = add_biased_conv(smallest_width, smallest_width);
     }
     // A network with one level also has decoder blocks.
     for (std::size_t level = 0; level < std::max<std::size_t>(n_levels, 1); ++level) {
-        const std::uint32_t joined = joined_channels(widths, level);
-        up.push_back(add_block(joined, joined, network.taps));
-        up.push_back(add_block(joined, decoder_channels(widths, level), network.taps));
+        n_upsampled.push_back(channels_below(widths, level));
+        const std::uint32_t joined = n_upsampled.back() + widths[level];  // with the skip connection
+        up.push_back({add_block(joined, joined, network.taps),
+                      add_block(joined, decoder_channels(widths, level), network.taps)});
     }
     last_conv = add_biased_conv(widths[0], 1);
-}
-
-std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    return level == 0 ? widths[0] : widths[level] / 2;
-}
-
-std::uint32_t upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    const std::size_t n_levels = widths.size() - 1;
-    if (level >= n_levels) return 0;
-    return level + 1 == n_levels ? widths[n_levels] : decoder_channels(widths, level + 1);
-}
-
-std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    return upsampled_channels(widths, level) + widths[level];
 }
 
 void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uint64_t seed) {
@@ -113,11 +113,13 @@ void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uin
     network.parameters.assign(layout.n_parameters, 0.0f);
     network.running.assign(layout.n_running, 0.0f);
     draw_conv_weights(network.parameters, layout.first_conv, random);
-    for (const BlockOffsets& block : layout.down) init_block(network, block, random);
+    for (const auto& blocks : layout.down)
+        for (const BlockOffsets& block : blocks) init_block(network, block, random);
     // `layout.project`, the output of the attention, stays 0. So the attention adds
     // nothing at first.
     if (layout.query) init_block(network, *layout.query, random);
-    for (const BlockOffsets& block : layout.up) init_block(network, block, random);
+    for (const auto& blocks : layout.up)
+        for (const BlockOffsets& block : blocks) init_block(network, block, random);
     if (!network.residual) draw_conv_weights(network.parameters, layout.last_conv, random);
 }
 

@@ -30,7 +30,7 @@ public:
         std::vector<ImageBatch> skips{convolve(plan_.first_conv, inputs)};
         for (std::size_t l = 1; l <= n_levels; ++l)
             skips.push_back(
-                run(plan_.down[2 * l - 1], run(plan_.down[2 * l - 2], reference::pool(skips.back()))));
+                run(plan_.down[l - 1][1], run(plan_.down[l - 1][0], reference::pool(skips.back()))));
         ImageBatch up;
         if (n_levels > 0) {
             up = std::move(skips.back());
@@ -38,7 +38,7 @@ public:
             if (network_.heads > 0) attend(up);
         }
         for (std::size_t l = skips.size(); l-- > 0;)
-            up = run(plan_.up[2 * l + 1], run(plan_.up[2 * l], joined(up, skips[l])));
+            up = run(plan_.up[l][1], run(plan_.up[l][0], joined(up, skips[l])));
         return convolve(plan_.last_conv, up);
     }
 
