@@ -57,18 +57,21 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperationNames = {
     "prefix sum over a workgroup",
     "sum over a workgroup",
 };
-/// Checked only on devices that guarantee that lanes reconverge after a branch.
-constexpr std::size_t kInBranch = 8;
+constexpr std::size_t kInBranch = 8;  // index of "subgroupAdd in a branch"
 constexpr std::uint32_t kCheckWorkgroup = 256;
+
+/// Values of the threads (lanes) of a subgroup.
+struct SubgroupValues {
+    Words lanes = {};
+    std::uint32_t earlier_sum = 0;    ///< sum of all earlier subgroups of the workgroup
+    std::uint32_t workgroup_sum = 0;  ///< sum of all its subgroups
+};
 
 /// Returns the correct results of all subgroup operations for one thread, in the order of
 /// kOperationNames.
-/// @param lanes values of the lanes (threads) of this subgroup
-/// @param earlier_sum sum of all earlier subgroups of the workgroup
-/// @param total sum of the workgroup
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lanes, std::size_t lane,
-                                                                  std::uint32_t earlier_sum,
-                                                                  std::uint32_t total) {
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const SubgroupValues& subgroup,
+                                                                  std::size_t lane) {
+    const Words& lanes = subgroup.lanes;
     std::uint32_t sum = 0, sum_before_lane = 0, largest = 0, n_odd = 0, odd_sum = 0;
     for (std::size_t i = 0; i < lanes.size(); ++i) {
         const bool is_odd = lanes[i] & 1u;
@@ -92,21 +95,19 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& l
             any_and_all_odd,
             lanes.front(),
             branch_sum,
-            earlier_sum + sum_before_lane,
-            total};
+            subgroup.earlier_sum + sum_before_lane,
+            subgroup.workgroup_sum};
 }
 
 /// Returns a text about the first wrong result in a subgroup, or an empty text.
 /// @param actual  results of the device, [lanes, RELIDAR_CHECK_RESULTS]
-std::string find_wrong_result(const Words& values, std::uint32_t earlier_sum, std::uint32_t total,
-                              const std::uint32_t* actual, bool reconverges) {
-    for (std::size_t lane = 0; lane < values.size(); ++lane) {
-        const auto expected = expected_results(values, lane, earlier_sum, total);
+/// @param reconverges false: does not test the sum in a branch, because it is undefined
+std::string find_wrong_result(const SubgroupValues& subgroup, const std::uint32_t* actual, bool reconverges) {
+    for (std::size_t lane = 0; lane < subgroup.lanes.size(); ++lane) {
+        const auto expected = expected_results(subgroup, lane);
         for (std::size_t k = 0; k < expected.size(); ++k) {
-            // A sum in a branch is only defined if lanes reconverge.
-            const bool is_tested = k != kInBranch || reconverges;
             const std::uint32_t found = actual[lane * RELIDAR_CHECK_RESULTS + k];
-            if (is_tested && found != expected[k])
+            if (found != expected[k] && (k != kInBranch || reconverges))
                 return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k], found, lane,
                                    expected[k]);
         }
@@ -131,18 +132,19 @@ std::string run_subgroup_test(Device& device) {
     const auto n_lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     // Each workgroup starts at `first_thread`, and each of its subgroups at `first_lane`.
     for (std::uint32_t first_thread = 0; first_thread < kCheckThreads; first_thread += kCheckWorkgroup) {
-        std::uint32_t total = 0;        // sum of the values of all threads in the workgroup
-        std::uint32_t earlier_sum = 0;  // sum of its subgroups before the current one
-        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(first_thread + i);
+        SubgroupValues subgroup;
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i)
+            subgroup.workgroup_sum += shared::test_value(first_thread + i);
         for (std::uint32_t first_lane = first_thread; first_lane < first_thread + kCheckWorkgroup;
              first_lane += n_lanes) {
-            Words values;
-            for (std::uint32_t i = 0; i < n_lanes; ++i) values.push_back(shared::test_value(first_lane + i));
-            const std::string error = find_wrong_result(values, earlier_sum, total,
-                                                        actual.data() + first_lane * RELIDAR_CHECK_RESULTS,
-                                                        lanes_reconverge(device));
+            subgroup.lanes.clear();
+            for (std::uint32_t i = 0; i < n_lanes; ++i)
+                subgroup.lanes.push_back(shared::test_value(first_lane + i));
+            const std::string error = find_wrong_result(
+                subgroup, actual.data() + first_lane * RELIDAR_CHECK_RESULTS, lanes_reconverge(device));
             if (!error.empty()) return error;
-            earlier_sum = std::accumulate(values.begin(), values.end(), earlier_sum);
+            subgroup.earlier_sum =
+                std::accumulate(subgroup.lanes.begin(), subgroup.lanes.end(), subgroup.earlier_sum);
         }
     }
     return {};
@@ -151,7 +153,7 @@ std::string run_subgroup_test(Device& device) {
 /// Sorts 5000 keys on the device, more than one tile. Returns an empty text if the order
 /// is right, otherwise a text about the first wrong key.
 std::string run_sort_test(Device& device) {
-    if (!device.info().can_require_subgroup_size) return {};
+    if (!device.info().can_require_subgroup_size) return {};  // relidar never sorts on such a device
     constexpr std::uint32_t kCheckKeys = 5000;
     Words keys(kCheckKeys);
     for (std::uint32_t i = 0; i < kCheckKeys; ++i) keys[i] = shared::test_value(i);
@@ -176,10 +178,11 @@ std::string run_sort_test(Device& device) {
 
 }  // namespace
 
-double test_atomic_adds(Device& device, bool use_compare_and_swap) {
-    const Kernel<shared::CheckAtomicsParams> kernel(
-        device, "gpu/check_atomics", KernelVariant(use_compare_and_swap ? "@_swap" : "@_atomics"));
-    const bool fault = gpu::has_fault(use_compare_and_swap ? "float_swaps" : "float_atomics");
+double test_atomic_adds(Device& device, AtomicAddMethod method) {
+    const bool is_swap = method == AtomicAddMethod::compare_and_swap;
+    const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics",
+                                                    KernelVariant(is_swap ? "@_swap" : "@_atomics"));
+    const bool fault = gpu::has_fault(is_swap ? "float_swaps" : "float_atomics");
     Stream stream(device);
     return std::max(run_atomic_adds(stream, kernel, 1u << 18, 1024, fault),
                     run_atomic_adds(stream, kernel, 1u << 14, 1, fault));
@@ -194,16 +197,15 @@ double test_swap_adds(Device& device, std::uint32_t n_threads, double& elapsed_s
     return error;
 }
 
-/// Returns the subgroup sizes that a kernel can require: powers of two, 4 to 64.
+/// Returns the subgroup sizes that a kernel can require: powers of two, 4 to 64. If it
+/// cannot require a size, returns the size that the driver uses.
 std::vector<int> subgroup_sizes(const Device& device) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
     if (!device.impl().optional.subgroup_size) return {device.info().subgroup_size};
+    const gpu::DeviceProperties properties(device.impl().physical);
     std::vector<int> result;
     for (std::uint32_t lanes = 4; lanes <= 64; lanes *= 2)
-        if (lanes >= sizes.minSubgroupSize && lanes <= sizes.maxSubgroupSize)
+        if (lanes >= properties.subgroup_sizes.minSubgroupSize &&
+            lanes <= properties.subgroup_sizes.maxSubgroupSize)
             result.push_back(static_cast<int>(lanes));
     return result;
 }

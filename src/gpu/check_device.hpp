@@ -11,10 +11,11 @@
 
 namespace relidar {
 
-/// Many threads add small integers to a few sums, with compare-and-swap or with float
-/// atomics, which the device must support.
+enum class AtomicAddMethod { float_atomics, compare_and_swap };
+
+/// Many threads add small integers to a few sums. The device must support the method.
 /// @return the largest relative error of a sum
-double test_atomic_adds(Device& device, bool use_compare_and_swap);
+double test_atomic_adds(Device& device, AtomicAddMethod method);
 
 /// Same with compare-and-swap and 1024 sums.
 /// @param elapsed_s receives the duration of the dispatch

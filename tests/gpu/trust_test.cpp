@@ -52,9 +52,9 @@ protected:
 
 TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     if (device().info().float_atomics) {
-        EXPECT_EQ(test_atomic_adds(device(), false), 0.0);
+        EXPECT_EQ(test_atomic_adds(device(), AtomicAddMethod::float_atomics), 0.0);
     }
-    EXPECT_EQ(test_atomic_adds(device(), true), 0.0);
+    EXPECT_EQ(test_atomic_adds(device(), AtomicAddMethod::compare_and_swap), 0.0);
     EXPECT_EQ(test_subgroups(device()), "");
     EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
@@ -63,11 +63,11 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::inject_faults("float_atomics");
     if (device().info().float_atomics) {
-        EXPECT_GT(test_atomic_adds(device(), false), 0.1);
+        EXPECT_GT(test_atomic_adds(device(), AtomicAddMethod::float_atomics), 0.1);
     }
-    EXPECT_EQ(test_atomic_adds(device(), true), 0.0);
+    EXPECT_EQ(test_atomic_adds(device(), AtomicAddMethod::compare_and_swap), 0.0);
     gpu::inject_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
-    EXPECT_GT(test_atomic_adds(device(), true), 0.1);
+    EXPECT_GT(test_atomic_adds(device(), AtomicAddMethod::compare_and_swap), 0.1);
     EXPECT_THAT(test_subgroups(device()), HasSubstr("subgroupAdd: found"));
     gpu::inject_faults("subgroups:128");
     EXPECT_EQ(test_subgroups(device()), "");

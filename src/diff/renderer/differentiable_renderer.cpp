@@ -12,6 +12,8 @@ namespace relidar {
 
 namespace {
 
+constexpr std::size_t kRayGradientFloats = 6;  // of a ray gradient, dL/d(origin, direction)
+
 /// Returns the number of rays for which the renderer has memory.
 std::uint32_t max_batch_rays(const Renderer& renderer) {
     return std::uint32_t(renderer.last_batch().rendered->size());
@@ -28,9 +30,9 @@ struct UpstreamGradient {
 /// Converts one array per rendered value to one struct per ray, because the backward pass
 /// reads structs. An empty array leaves zeros.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
-    // The macro lists depth, weight, intensity, hit_logit and drop_logit.
+    // The list contains depth, weight, intensity, hit_logit and drop_logit.
     using shared::RayGradient;
-#define RELIDAR_ROW(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
+#define RELIDAR_ROW(name, ...) {#name, gradients.name, &RayGradient::name},
     const UpstreamGradient upstream_gradients[] = {RELIDAR_IMAGE_VALUES(RELIDAR_ROW)};
 #undef RELIDAR_ROW
     std::vector<RayGradient> result(n_rays);
@@ -89,17 +91,17 @@ DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scen
 /// Waits, because the device may still use the arrays that are freed now.
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
+/// Returns the last batch with an array for the gradients of its rendered values. Enlarges
+/// all arrays with an entry per ray if the batch was larger than all before.
 RenderedBatch DifferentiableRenderer::last_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
     const std::size_t n_rays = max_batch_rays(renderer);
-    // The losses write dL/d(rendered values) of each ray to `upstream`. If the last batch
-    // was larger than all before, the renderer has allocated more rays.
     if (impl_->upstream.size() < n_rays) {
         renderer.stream().submit_and_wait();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.requested_gradients.rays)
-            impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
+            impl_->gradients->rays = {device, kRayGradientFloats * n_rays, "ray gradient"};
     }
     RenderedBatch result = renderer.last_batch();
     result.upstream = &impl_->upstream;
@@ -128,20 +130,22 @@ HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& ren
             .touched = gradients.touched.download(impl_->renderer.scene().size()),
             .poses = download_array(gradients.poses, gradients.poses.size()),
             .sensor = download_array(gradients.sensor, gradients.sensor.size()),
-            .rays = download_array(gradients.rays, 6 * n_rays)};
+            .rays = download_array(gradients.rays, kRayGradientFloats * n_rays)};
 }
 
 /// Calls `change_surfels`, which adds or removes surfels. Frees the acceleration
 /// structure and the gradients before the call, so that their memory can be used during
 /// the copy.
-void DifferentiableRenderer::resize(const std::function<void(double reserved_bytes)>& change_surfels) {
+void DifferentiableRenderer::resize(
+    const std::function<void(double reserved_bytes_per_surfel)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
     renderer.stream().submit_and_wait();
     const std::uint64_t bytes_before = device.allocated_bytes();
     renderer.release_accel();
     impl_->gradients.reset();
-    // These bytes are allocated again after the call, so it must leave them free.
+    // The call must leave this memory free, because it is allocated again afterwards. The
+    // size is proportional to the number of surfels, which changes.
     const auto freed_bytes = double(bytes_before - device.allocated_bytes());
     change_surfels(freed_bytes / std::max(renderer.scene().size(), 1u));
     impl_->allocate_gradients();

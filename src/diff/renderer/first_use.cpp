@@ -107,30 +107,25 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
 }
 
 /// Tests the methods that this device would use: float atomics, subgroup operations and
-/// hardware ray queries. Later tests use only what has passed before.
+/// hardware ray queries. Ray queries are tested with a subgroup size that has passed.
 DeviceTestResults test_device(const DeviceOptions& options) {
-    const ScopedDeviceTestResults no_results(DeviceTestResults{});  // tests with the driver's defaults
+    // A device that is opened in the scope of such an object uses these results. The first
+    // one has the driver's defaults.
+    const ScopedDeviceTestResults defaults(DeviceTestResults{});
     Device device(options);
     DeviceTestResults results;
-    const bool with_swaps = true;  // emulates float atomics by atomic swaps
-    if (device.info().float_atomics) results.float_atomics = test_atomic_adds(device, !with_swaps) == 0.0;
-    results.float_swaps = test_atomic_adds(device, with_swaps) == 0.0;
+    if (device.info().float_atomics)
+        results.float_atomics = test_atomic_adds(device, AtomicAddMethod::float_atomics) == 0.0;
+    results.float_swaps = test_atomic_adds(device, AtomicAddMethod::compare_and_swap) == 0.0;
     // Only the kernels of the software ray tracer use subgroup operations.
     if (device.info().software) {
         const std::string error = test_subgroups(device);
         if (!error.empty()) results.subgroup_size = fallback_subgroup(options, device, error);
     }
     if (device.backend() != RayTracingBackend::ray_query) return results;
-    int n_wrong = 0;
-    if (results.subgroup_size == 0) {
-        n_wrong = count_wrong_rays(device);
-    } else {
-        // Traces with the subgroup size that has passed the test above.
-        const ScopedDeviceTestResults results_so_far(results);
-        Device other(options);
-        n_wrong = count_wrong_rays(other);
-    }
-    results.ray_query = n_wrong == 0 ? CheckVerdict::right : CheckVerdict::wrong;
+    const ScopedDeviceTestResults passed(results);
+    Device tracer(options);
+    results.ray_query = count_wrong_rays(tracer) == 0 ? CheckVerdict::right : CheckVerdict::wrong;
     return results;
 }
 

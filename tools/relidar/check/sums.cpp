@@ -24,11 +24,11 @@ CheckResult check_atomics(CheckedDevice& tested) {
     if (!tested.default_device().info().float_atomics)
         return unsupported_check(
             "the driver has no VK_EXT_shader_atomic_float, or its sums are known to be wrong");
-    return exact_result(test_atomic_adds(tested.default_device(), false));
+    return exact_result(test_atomic_adds(tested.default_device(), AtomicAddMethod::float_atomics));
 }
 
 CheckResult check_compare_swap(CheckedDevice& tested) {
-    return exact_result(test_atomic_adds(tested.default_device(), true));
+    return exact_result(test_atomic_adds(tested.default_device(), AtomicAddMethod::compare_and_swap));
 }
 
 /// Tests the operations within a subgroup, a group of threads (lanes) that run together,
@@ -53,7 +53,7 @@ CheckResult check_subgroups(CheckedDevice& tested) {
 CheckResult check_dispatch(CheckedDevice& tested) {
     constexpr double kDispatchTime_s = 0.25;
     // Runs the kernel once, so that its compile time is not measured.
-    test_atomic_adds(tested.default_device(), true);
+    test_atomic_adds(tested.default_device(), AtomicAddMethod::compare_and_swap);
     // Each dispatch has four times as many threads as the previous one. The loop ends at
     // a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
