@@ -70,32 +70,14 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     owner.free_orphans();
     check_buffer_size(owner, size, text);
     // Other buffers are small or in host memory, so the budget does not apply to them.
-    if (use == gpu::BufferPurpose::device) check_budget(owner, size, text);
-    VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
-    info.size = size;
-    info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
-                 VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // Vulkan allows these flags only if the extension for acceleration structures is
-    // enabled. This is the case if the device traces with ray queries.
-    if (owner.traversal == RayTracingBackend::ray_query)
-        info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
-                      VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
-    VkExternalMemoryBufferCreateInfo external{VK_STRUCTURE_TYPE_EXTERNAL_MEMORY_BUFFER_CREATE_INFO};
-    external.handleTypes = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;
-    if (owner.exports_memory && use == gpu::BufferPurpose::device) info.pNext = &external;
-    const std::uint64_t largest = owner.largest_allocation.n_bytes;
-    if (owner.binds_sparse && use == gpu::BufferPurpose::device && size > largest)
-        info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
-    VkResult result = vkCreateBuffer(owner.device, &info, nullptr, &handle);
+    if (is_array()) check_budget(owner, size, text);
+    const bool is_sparse = is_array() && owner.binds_sparse && size > owner.largest_allocation.n_bytes;
+    VkResult result = create_handle(is_sparse);
     if (result == VK_SUCCESS) {
         gpu::set_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, text);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
-        // A piece of a sparse buffer must be a multiple of its memory page, and at least
-        // one page.
-        const std::uint64_t piece_bytes =
-            std::max(largest / needs.alignment * needs.alignment, needs.alignment);
-        result = info.flags ? allocate_sparse(needs, piece_bytes) : allocate(needs);
+        result = is_sparse ? allocate_sparse(needs) : allocate(needs);
     }
     if (result != VK_SUCCESS) {
         for (const gpu::MemorySuballocation& piece : memory) owner.memory->release(piece);
@@ -108,12 +90,34 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
     address_info.buffer = handle;
     address = vkGetBufferDeviceAddress(owner.device, &address_info);
-    ++owner.n_buffers;
     if (memory.size() == 1 && memory.front().block->mapped)
         mapped = memory.front().block->mapped + memory.front().offset;
-    if (use != gpu::BufferPurpose::device) return;
-    for (const gpu::MemorySuballocation& piece : memory) owner.allocated += piece.n_bytes;
-    if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
+    ++owner.n_buffers;
+    if (is_array()) count_array_memory();
+}
+
+VkResult Buffer::Impl::create_handle(bool is_sparse) {
+    VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
+    info.size = n_bytes;
+    info.flags = is_sparse ? VK_BUFFER_CREATE_SPARSE_BINDING_BIT : 0;
+    info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
+                 VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    // Vulkan allows these flags only if the extension for acceleration structures is
+    // enabled. This is the case if the device traces with ray queries.
+    if (device->traversal == RayTracingBackend::ray_query)
+        info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
+                      VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
+    VkExternalMemoryBufferCreateInfo external{VK_STRUCTURE_TYPE_EXTERNAL_MEMORY_BUFFER_CREATE_INFO};
+    external.handleTypes = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;
+    if (device->exports_memory && is_array()) info.pNext = &external;
+    return vkCreateBuffer(device->device, &info, nullptr, &handle);
+}
+
+/// Adds the memory of this array to the numbers that Device::allocated_bytes() and
+/// Device::peak_bytes() return.
+void Buffer::Impl::count_array_memory() {
+    for (const gpu::MemorySuballocation& piece : memory) device->allocated += piece.n_bytes;
+    if (device->allocated > device->peak) device->peak = device->allocated.load();
 }
 
 VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
@@ -127,7 +131,11 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
 
 /// Allocates the pieces of a sparse buffer and binds them. On failure, the caller frees
 /// the allocated pieces.
-VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes) {
+VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements) {
+    // A piece must be a multiple of a memory page (the alignment), and at least one page.
+    const std::uint64_t page_bytes = requirements.alignment;
+    const std::uint64_t max_bytes =
+        std::max(device->largest_allocation.n_bytes / page_bytes * page_bytes, page_bytes);
     for (std::uint64_t offset = 0; offset < requirements.size; offset += max_bytes) {
         VkMemoryRequirements piece_needs = requirements;
         piece_needs.size = std::min(max_bytes, requirements.size - offset);

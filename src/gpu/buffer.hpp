@@ -23,9 +23,11 @@ struct Buffer::Impl {
     Impl& operator=(const Impl&) = delete;
 
 private:
-    /// As one piece, or (sparse binding) as pieces of at most `max_bytes`.
+    bool is_array() const { return use == gpu::BufferPurpose::device; }
+    VkResult create_handle(bool is_sparse);
     VkResult allocate(const VkMemoryRequirements& requirements);
-    VkResult allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes);
+    VkResult allocate_sparse(const VkMemoryRequirements& requirements);
+    void count_array_memory();
 };
 
 }  // namespace relidar

@@ -324,7 +324,13 @@ void Device::Impl::open_device(const DeviceOptions& options) {
 
 namespace {
 
-struct ExtensionFeatures {
+/// Extensions and features with which a device is created. The features are a linked list:
+/// first those of Vulkan 1.3, then those of extensions.
+struct EnabledFeatures {
+    std::vector<const char*> extensions;
+    VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
+    VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
+    VkPhysicalDeviceFeatures2 base{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
     VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR};
@@ -339,17 +345,58 @@ struct ExtensionFeatures {
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
 #endif
 
-    ExtensionFeatures() {
-        accel.accelerationStructure = VK_TRUE;
-        query.rayQuery = VK_TRUE;
-        atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
-        uniform.shaderSubgroupUniformControlFlow = VK_TRUE;
-        executables.pipelineExecutableInfo = VK_TRUE;
-#ifdef VK_KHR_shader_maximal_reconvergence
-        maximal.shaderMaximalReconvergence = VK_TRUE;
-#endif
+    EnabledFeatures() {
+        v13.maintenance4 = VK_TRUE;
+        v12.bufferDeviceAddress = VK_TRUE;
+        v12.scalarBlockLayout = VK_TRUE;
+        v12.timelineSemaphore = VK_TRUE;
+        v12.hostQueryReset = VK_TRUE;
     }
+    EnabledFeatures(const EnabledFeatures&) = delete;
+    EnabledFeatures& operator=(const EnabledFeatures&) = delete;
+
+    /// Adds an extension, and the feature that it needs.
+    template <class Features>
+    void enable(const char* extension, Features& features, VkBool32 Features::*flag) {
+        extensions.push_back(extension);
+        features.*flag = VK_TRUE;
+        *end_ = &features;
+        end_ = &features.pNext;
+    }
+
+private:
+    void** end_ = &v13.pNext;
 };
+
+/// Enables the optional features that the device has and relidar can use.
+void enable_optional(const Device::Impl& device, EnabledFeatures& features) {
+    features.base.features.sparseBinding = device.binds_sparse;
+    features.v13.subgroupSizeControl = device.optional.subgroup_size;
+    features.v13.computeFullSubgroups = device.optional.full_subgroups;
+    if (device.traversal == RayTracingBackend::ray_query) {
+        features.extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
+        features.enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, features.accel,
+                        &VkPhysicalDeviceAccelerationStructureFeaturesKHR::accelerationStructure);
+        features.enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, features.query,
+                        &VkPhysicalDeviceRayQueryFeaturesKHR::rayQuery);
+    }
+    if (device.pipeline_statistics)
+        features.enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, features.executables,
+                        &VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR::pipelineExecutableInfo);
+    if (device.info.float_atomics)
+        features.enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, features.atomics,
+                        &VkPhysicalDeviceShaderAtomicFloatFeaturesEXT::shaderBufferFloat32AtomicAdd);
+    if (device.optional.subgroup_uniform_control_flow)
+        features.enable(
+            VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, features.uniform,
+            &VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::shaderSubgroupUniformControlFlow);
+#ifdef VK_KHR_shader_maximal_reconvergence
+    if (device.optional.maximal_reconvergence)
+        features.enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, features.maximal,
+                        &VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::shaderMaximalReconvergence);
+#endif
+    if (device.exports_memory) features.extensions.push_back(VK_KHR_EXTERNAL_MEMORY_FD_EXTENSION_NAME);
+}
 
 }  // namespace
 
@@ -360,12 +407,13 @@ void Device::Impl::select_queue() {
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
-    const auto can_compute = [&] { return families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT; };
-    if (lent && (queue_family >= n || !can_compute()))
+    const auto can_compute = [](const VkQueueFamilyProperties& family) {
+        return (family.queueFlags & VK_QUEUE_COMPUTE_BIT) != 0;
+    };
+    if (!lent) queue_family = std::uint32_t(std::ranges::find_if(families, can_compute) - families.begin());
+    if (queue_family >= n || !can_compute(families[queue_family]))
         fail<DeviceError>("cannot open device {} ({}): the queue family {} cannot compute", info.index,
                           info.name, queue_family);
-    while (queue_family < n && !can_compute()) ++queue_family;
-    if (queue_family >= n) return;
     const VkQueueFamilyProperties& family = families[queue_family];
     VkPhysicalDeviceFeatures features;
     vkGetPhysicalDeviceFeatures(physical, &features);
@@ -378,51 +426,19 @@ void Device::Impl::select_queue() {
 /// Creates the Vulkan device with one queue. Enables the required features, and those
 /// optional features that the device has and relidar can use.
 void Device::Impl::create_device() {
+    pipeline_statistics =
+        compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+    exports_memory = share_memory && info.type != "CPU" && gpu::can_export(physical, binds_sparse);
+    EnabledFeatures features;
+    enable_optional(*this, features);
+    extensions = features.extensions;
+
     const float priority = 1.0f;
     VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
     queue_info.queueFamilyIndex = queue_family;
     queue_info.queueCount = 1;
     queue_info.pQueuePriorities = &priority;
-
-    ExtensionFeatures extension_features;
-    VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
-    v13.maintenance4 = VK_TRUE;
-    VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
-    v12.bufferDeviceAddress = VK_TRUE;
-    v12.scalarBlockLayout = VK_TRUE;
-    v12.timelineSemaphore = VK_TRUE;
-    v12.hostQueryReset = VK_TRUE;
-    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
-    features.features.sparseBinding = binds_sparse;
-
-    v13.subgroupSizeControl = optional.subgroup_size;
-    v13.computeFullSubgroups = optional.full_subgroups;
-    // Vulkan gets the features of extensions as a linked list (pNext).
-    void** feature_chain_end = &v13.pNext;
-    const auto enable = [&](const char* extension, auto& feature) {
-        extensions.push_back(extension);
-        *feature_chain_end = &feature;
-        feature_chain_end = &feature.pNext;
-    };
-    if (traversal == RayTracingBackend::ray_query) {
-        extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
-        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, extension_features.accel);
-        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, extension_features.query);
-    }
-    pipeline_statistics =
-        compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
-    if (pipeline_statistics)
-        enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, extension_features.executables);
-    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, extension_features.atomics);
-    if (optional.subgroup_uniform_control_flow)
-        enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, extension_features.uniform);
-#ifdef VK_KHR_shader_maximal_reconvergence
-    if (optional.maximal_reconvergence)
-        enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, extension_features.maximal);
-#endif
-    exports_memory = share_memory && info.type != "CPU" && gpu::can_export(physical, binds_sparse);
-    if (exports_memory) extensions.push_back(VK_KHR_EXTERNAL_MEMORY_FD_EXTENSION_NAME);
-    VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
+    VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features.base};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
@@ -434,34 +450,29 @@ void Device::Impl::create_device() {
 /// Reads the limits of the driver: largest buffer and allocation, subgroup size, and the
 /// duration of one time stamp tick. Chooses the default workgroup size and time limit.
 void Device::Impl::query_limits() {
-    VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
-    VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES,
-                                                 &accel_properties};
-    VkPhysicalDeviceMaintenance3Properties allocations{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
-                                                &allocations};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(physical, &properties);
-    timestamp_period_ns = properties.properties.limits.timestampPeriod;
-    compiles_ahead = info.type != "CPU" && !compile_only;
+    const gpu::DeviceProperties properties(physical);
+    const VkPhysicalDeviceLimits& limits = properties.base.properties.limits;
+    const bool is_cpu = info.type == "CPU";
+    timestamp_period_ns = limits.timestampPeriod;
+    compiles_ahead = !is_cpu && !compile_only;
     // Long dispatches are split (into pieces of 0.25 s) only on GPUs, because no watchdog
     // resets a CPU device.
-    if (info.type != "CPU") launch_limit.piece_s = 0.25;
+    if (!is_cpu) launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
-    largest_allocation = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
-    largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
-    if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
-        largest_buffer = {info.memory_bytes, "the device memory"};
-    // lavapipe reports a limit of 2 GiB for sparse buffers, but larger buffers work.
-    const std::uint64_t sparse_bytes = properties.properties.limits.sparseAddressSpaceSize;
-    if (binds_sparse && sparse_bytes < largest_buffer.n_bytes && !info.driver.starts_with("llvmpipe"))
-        largest_buffer = {sparse_bytes, "sparseAddressSpaceSize"};
-    if (!binds_sparse && largest_allocation.n_bytes < largest_buffer.n_bytes)
-        largest_buffer = largest_allocation;
     if (traversal == RayTracingBackend::ray_query)
-        scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
+        scratch_alignment = std::max(1u, properties.accel.minAccelerationStructureScratchOffsetAlignment);
+
+    largest_allocation = {properties.maintenance3.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
+    largest_buffer = {properties.maintenance4.maxBufferSize, "maxBufferSize"};
+    const auto limit_buffer = [&](const DriverMemoryLimit& limit) {
+        if (limit.n_bytes < largest_buffer.n_bytes) largest_buffer = limit;
+    };
+    if (info.memory_bytes) limit_buffer({info.memory_bytes, "the device memory"});
+    // Only a sparse buffer can consist of several allocations. lavapipe reports a limit of
+    // 2 GiB for sparse buffers, but larger buffers work.
+    if (!binds_sparse) limit_buffer(largest_allocation);
+    else if (!info.driver.starts_with("llvmpipe"))
+        limit_buffer({limits.sparseAddressSpaceSize, "sparseAddressSpaceSize"});
 }
 
 void Device::Impl::create_layout() {

@@ -87,6 +87,28 @@ struct OptionalFeatures {
 };
 OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* lent = nullptr);
 
+/// Properties of a physical device. The structs point to each other, because the driver
+/// fills them as a linked list.
+struct DeviceProperties {
+    VkPhysicalDeviceAccelerationStructurePropertiesKHR accel{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
+    VkPhysicalDeviceMaintenance4Properties maintenance4{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES, &accel};
+    VkPhysicalDeviceMaintenance3Properties maintenance3{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &maintenance4};
+    VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES,
+                                            &maintenance3};
+    VkPhysicalDeviceSubgroupSizeControlProperties subgroup_sizes{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
+    VkPhysicalDeviceSubgroupProperties subgroups{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
+                                                 &subgroup_sizes};
+    VkPhysicalDeviceProperties2 base{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroups};
+
+    explicit DeviceProperties(VkPhysicalDevice physical) { vkGetPhysicalDeviceProperties2(physical, &base); }
+    DeviceProperties(const DeviceProperties&) = delete;
+    DeviceProperties& operator=(const DeviceProperties&) = delete;
+};
+
 bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                            const OptionalFeatures& optional);
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroups,

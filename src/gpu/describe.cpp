@@ -63,24 +63,23 @@ bool is_enabled(const LentVulkan* lent, const char* feature_name) {
 /// Returns which optional features of subgroups the device has. For a lent device, its
 /// owner must have enabled them.
 OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* lent) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(physical, &properties);
+    const DeviceProperties properties(physical);
+    // Vulkan fills a linked list of structs. Each struct points to the next.
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     VkPhysicalDeviceSubgroupSizeControlFeatures control{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
-    OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
     uniform.pNext = &maximal;
 #endif
     vkGetPhysicalDeviceFeatures2(physical, &features);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
+    const VkPhysicalDeviceSubgroupSizeControlProperties& sizes = properties.subgroup_sizes;
     const bool varies = sizes.minSubgroupSize != sizes.maxSubgroupSize;
+    OptionalFeatures optional;
     optional.subgroup_size = varies && control.subgroupSizeControl &&
                              is_enabled(lent, "subgroupSizeControl") &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
@@ -102,8 +101,9 @@ bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& 
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// lavapipe on arm64 with LLVM 19 or older ignores failed stores on a CPU without LSE
-/// atomics (llvm/llvm-project, issue 150988), so sums are too small.
+/// Returns true if sums of float atomics are too small: lavapipe on arm64 with LLVM 19 or
+/// older ignores failed stores on a CPU without LSE atomics (llvm/llvm-project, issue
+/// 150988).
 bool loses_float_adds([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
 #if defined(__aarch64__)
     constexpr int kFirstCorrectLlvm = 20;
@@ -156,58 +156,8 @@ bool has_extension(VkPhysicalDevice physical, const char* extension_name) {
 
 namespace {
 
-/// Returns the missing features that all kernels need, as one text.
-std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
-                                const VkPhysicalDeviceDriverProperties& driver_properties,
-                                const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
-                                const VkPhysicalDeviceVulkan13Features& vulkan_1_3_features,
-                                const VkPhysicalDeviceSubgroupProperties& subgroups) {
-    Missing base;
-    base.require(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    // Older compilers of lavapipe terminate the process on some CPUs (docs/debugging.md).
-    int mesa_major = 0, mesa_minor = 0;
-    const bool is_old_lavapipe =
-        driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
-        std::sscanf(driver_properties.driverInfo, "Mesa %d.%d", &mesa_major, &mesa_minor) == 2 &&
-        std::pair(mesa_major, mesa_minor) < std::pair(24, 1);
-    base.require(!is_old_lavapipe, "lavapipe from Mesa 24.1 or newer");
-    base.require(vulkan_1_2_features.bufferDeviceAddress, "bufferDeviceAddress");
-    base.require(vulkan_1_2_features.scalarBlockLayout, "scalarBlockLayout");
-    base.require(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
-    base.require(vulkan_1_2_features.hostQueryReset, "hostQueryReset");
-    base.require(vulkan_1_3_features.maintenance4, "maintenance4");
-    base.require((subgroups.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-                     (subgroups.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
-                 "subgroup arithmetic and ballots in compute");
-    base.require(subgroups.subgroupSize >= 4 && subgroups.subgroupSize <= 64, "subgroups with 4 to 64 lanes");
-    return base.text;
-}
-
-/// Returns the missing extensions and features of ray queries, as one text.
-std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
-                                  const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,
-                                  const VkPhysicalDeviceRayQueryFeaturesKHR& ray_query_features) {
-    Missing rays;
-    for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
-                             VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
-        rays.require(contains_extension(extensions, name), name);
-    rays.require(accel_features.accelerationStructure, "accelerationStructure");
-    rays.require(ray_query_features.rayQuery, "rayQuery");
-    return rays.text;
-}
-
-}  // namespace
-
-DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const LentVulkan* lent) {
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
-    VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
-                                                &sizes};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(physical, &properties);
-
+/// Features that kernels, ray queries and gradients need.
+struct KernelFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
     VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR,
@@ -216,9 +166,16 @@ DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const L
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT, &query};
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, &atomics};
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
-    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
-    const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
-    if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
+
+    KernelFeatures(VkPhysicalDevice physical, bool has_vulkan_13, const LentVulkan* lent);
+    KernelFeatures(const KernelFeatures&) = delete;
+    KernelFeatures& operator=(const KernelFeatures&) = delete;
+};
+
+/// Reads the features. Those that the owner of a lent device has not enabled are false.
+KernelFeatures::KernelFeatures(VkPhysicalDevice physical, bool has_vulkan_13, const LentVulkan* lent) {
+    VkPhysicalDeviceFeatures2 all{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
+    if (has_vulkan_13) vkGetPhysicalDeviceFeatures2(physical, &all);
     for (const auto& [feature, name] : std::initializer_list<std::pair<VkBool32*, const char*>>{
              {&v12.bufferDeviceAddress, "bufferDeviceAddress"},
              {&v12.scalarBlockLayout, "scalarBlockLayout"},
@@ -229,30 +186,77 @@ DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const L
              {&query.rayQuery, "rayQuery"},
              {&atomics.shaderBufferFloat32AtomicAdd, "shaderBufferFloat32AtomicAdd"}})
         *feature = *feature && is_enabled(lent, name);
-    const OptionalFeatures optional = is_13 ? query_features(physical, lent) : OptionalFeatures();
+}
+
+/// Returns the missing features that all kernels need, as one text.
+std::string missing_for_kernels(const DeviceProperties& properties, const KernelFeatures& features) {
+    const VkPhysicalDeviceSubgroupProperties& subgroups = properties.subgroups;
+    Missing base;
+    base.require(properties.base.properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
+    // Older compilers of lavapipe terminate the process on some CPUs (docs/debugging.md).
+    int mesa_major = 0, mesa_minor = 0;
+    const bool is_old_lavapipe =
+        properties.driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
+        std::sscanf(properties.driver.driverInfo, "Mesa %d.%d", &mesa_major, &mesa_minor) == 2 &&
+        std::pair(mesa_major, mesa_minor) < std::pair(24, 1);
+    base.require(!is_old_lavapipe, "lavapipe from Mesa 24.1 or newer");
+    base.require(features.v12.bufferDeviceAddress, "bufferDeviceAddress");
+    base.require(features.v12.scalarBlockLayout, "scalarBlockLayout");
+    base.require(features.v12.timelineSemaphore, "timelineSemaphore");
+    base.require(features.v12.hostQueryReset, "hostQueryReset");
+    base.require(features.v13.maintenance4, "maintenance4");
+    base.require((subgroups.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                     (subgroups.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+                 "subgroup arithmetic and ballots in compute");
+    base.require(subgroups.subgroupSize >= 4 && subgroups.subgroupSize <= 64, "subgroups with 4 to 64 lanes");
+    return base.text;
+}
+
+/// Returns the missing extensions and features of ray queries, as one text.
+std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
+                                  const KernelFeatures& features) {
+    Missing rays;
+    for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
+                             VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
+        rays.require(contains_extension(extensions, name), name);
+    rays.require(features.accel.accelerationStructure, "accelerationStructure");
+    rays.require(features.query.rayQuery, "rayQuery");
+    return rays.text;
+}
+
+}  // namespace
+
+DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const LentVulkan* lent) {
+    const DeviceProperties properties(physical);
+    const VkPhysicalDeviceProperties& base = properties.base.properties;
+    const bool has_vulkan_13 = base.apiVersion >= VK_API_VERSION_1_3;
+    const KernelFeatures features(physical, has_vulkan_13, lent);
+    const OptionalFeatures optional = has_vulkan_13 ? query_features(physical, lent) : OptionalFeatures();
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
 
     DeviceInfo info;
     info.index = device_index;
-    info.name = properties.properties.deviceName;
-    info.vendor_id = properties.properties.vendorID;
-    info.type = device_type_name(properties.properties.deviceType);
-    info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
-    const std::uint32_t packed_version = properties.properties.apiVersion;
+    info.name = base.deviceName;
+    info.vendor_id = base.vendorID;
+    info.type = device_type_name(base.deviceType);
+    info.driver = fmt::format("{} {}", properties.driver.driverName, properties.driver.driverInfo);
     info.api_version =
-        fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
-                    VK_API_VERSION_PATCH(packed_version));
+        fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(base.apiVersion), VK_API_VERSION_MINOR(base.apiVersion),
+                    VK_API_VERSION_PATCH(base.apiVersion));
     info.memory_bytes = largest_heap_bytes(physical);
-    info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
-    info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
+    info.subgroup_size = static_cast<int>(properties.subgroups.subgroupSize);
+    info.can_require_subgroup_size = can_fix_subgroup_size(properties.subgroup_sizes, optional);
+    info.timestamps = base.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = contains_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
-                         atomics.shaderBufferFloat32AtomicAdd && !loses_float_adds(driver);
+                         features.atomics.shaderBufferFloat32AtomicAdd &&
+                         !loses_float_adds(properties.driver);
 
-    info.why_not_usable = missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
-    info.why_not_ray_query = missing_for_ray_query(extensions, accel, query);
+    info.why_not_usable = missing_for_kernels(properties, features);
+    info.why_not_ray_query = missing_for_ray_query(extensions, features);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.can_require_subgroup_size = can_fix_subgroup_size(sizes, optional);
-    info.why_not_software =
-        is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
+    info.why_not_software = is_swiftshader(info) ? kNoCompiler
+                                                 : missing_for_software(properties.subgroups,
+                                                                        properties.subgroup_sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }

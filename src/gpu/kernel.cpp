@@ -40,7 +40,8 @@ bool skips_dead_loads(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V code of a kernel after the edits that this device needs.
+/// Returns the SPIR-V code of a kernel after the edits that this device needs, so that the
+/// driver compiles less code, can load parameters early, and does not crash.
 /// @param base name of the kernel without its variant
 std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<const std::uint32_t> module,
                                         std::string_view base, const KernelConstants& constants) {
@@ -65,25 +66,35 @@ std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<co
     return words;
 }
 
+VkShaderModule create_module(const Device::Impl& device, std::span<const std::uint32_t> words,
+                             const std::string& name) {
+    VkShaderModuleCreateInfo info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
+    info.codeSize = words.size_bytes();
+    info.pCode = words.data();
+    VkShaderModule module = VK_NULL_HANDLE;
+    gpu::vk_check(vkCreateShaderModule(device.device, &info, nullptr, &module), "vkCreateShaderModule");
+    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, name);
+    return module;
+}
+
+/// Returns the id and the position of each value in an array of constants.
+std::vector<VkSpecializationMapEntry> map_constants(const KernelConstants& constants) {
+    std::vector<VkSpecializationMapEntry> map;
+    for (std::size_t i = 0; i < constants.size(); ++i)
+        map.push_back({.constantID = static_cast<std::uint32_t>(constants[i].id),
+                       .offset = static_cast<std::uint32_t>(i * sizeof(SpecialisationConstant) +
+                                                            offsetof(SpecialisationConstant, value)),
+                       .size = sizeof(std::uint32_t)});
+    return map;
+}
+
 /// Compiles a kernel with its specialisation constants into a Vulkan pipeline. Returns
 /// the result code instead of throwing, because this may run in another thread.
 /// @param name name of the kernel with its constants, which debuggers show
 gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
                                       const std::string& name, const KernelConstants& constants,
                                       SubgroupRequirement subgroups) {
-    VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
-    module_info.codeSize = words.size_bytes();
-    module_info.pCode = words.data();
-    VkShaderModule module = VK_NULL_HANDLE;
-    gpu::vk_check(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
-                  "vkCreateShaderModule");
-    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, name);
-    std::vector<VkSpecializationMapEntry> map;
-    for (std::size_t i = 0; i < constants.size(); ++i)
-        map.push_back({static_cast<std::uint32_t>(constants[i].id),
-                       static_cast<std::uint32_t>(i * sizeof(SpecialisationConstant) +
-                                                  offsetof(SpecialisationConstant, value)),
-                       sizeof(std::uint32_t)});
+    const std::vector<VkSpecializationMapEntry> map = map_constants(constants);
     const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(),
                                               constants.size() * sizeof(SpecialisationConstant),
                                               constants.data()};
@@ -92,23 +103,23 @@ gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std:
     // at any workgroup.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
+    info.layout = device.pipeline_layout;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
     info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
-    info.stage.module = module;
+    info.stage.module = create_module(device, words, name);
     info.stage.pName = "main";
     info.stage.pSpecializationInfo = &specialisation;
+    const bool needs_full = subgroups == SubgroupRequirement::full;
     VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{
         VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
-    if ((subgroups == SubgroupRequirement::full || device.forced_lanes) && device.optional.subgroup_size)
-        info.stage.pNext = &lanes;
-    if (subgroups == SubgroupRequirement::full && device.optional.full_subgroups)
+    if ((needs_full || device.forced_lanes) && device.optional.subgroup_size) info.stage.pNext = &lanes;
+    if (needs_full && device.optional.full_subgroups)
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
-    info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
     gpu::CompiledPipeline made{VK_SUCCESS, VK_NULL_HANDLE};
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
-    vkDestroyShaderModule(device.device, module, nullptr);
+    vkDestroyShaderModule(device.device, info.stage.module, nullptr);
     if (made.result == VK_SUCCESS)
         gpu::set_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, name);
     return made;
@@ -188,6 +199,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const Kernel
     impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
     impl_->words = embedded_spirv(kernel_name);
     impl_->subgroups = subgroups;
+    // From its measured speed, slow launches of the kernel are split into pieces.
     if (gpu::can_split(impl_->name)) impl_->speed = &owner.impl().launch_limit.speed_of(impl_->name);
     start_compilation(owner, constants);
 }
@@ -197,23 +209,24 @@ KernelBase::KernelBase(Device& owner, std::span<const std::uint32_t> spirv_words
     : impl_(std::make_unique<Impl>()) {
     gpu::check_module(spirv_words, kernel_name, params_bytes);
     impl_->module = impl_->name = kernel_name;
+    // A copy, because the caller may free the words before the kernel is compiled.
     impl_->loaded_words =
         std::make_shared<const std::vector<std::uint32_t>>(spirv_words.begin(), spirv_words.end());
     impl_->words = *impl_->loaded_words;
-    // Without `speed`, launches are never split. The kernel may use thread_count().
+    // Without `speed`, launches are never split, so the kernel may read thread_count().
     start_compilation(owner, {});
 }
 
-/// Sets the members that both constructors share, and finds or creates the pipeline.
+/// Sets the members that both constructors share, and finds or creates the pipeline. On a
+/// GPU, another thread compiles it now, otherwise the first launch.
 void KernelBase::start_compilation(Device& owner, const KernelConstants& constants) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->constants = constants;
-    KernelConstants& all = impl_->constants;
     constexpr auto kSizeId = SpecialisationConstantId::WORKGROUP_SIZE;
-    if (std::ranges::find(all, kSizeId, &SpecialisationConstant::id) == all.end())
-        all.push_back({kSizeId, device.workgroup_size});
-    impl_->workgroup_size = std::ranges::find(all, kSizeId, &SpecialisationConstant::id)->value;
+    const auto size = std::ranges::find(constants, kSizeId, &SpecialisationConstant::id);
+    impl_->workgroup_size = size == constants.end() ? device.workgroup_size : size->value;
+    if (size == constants.end()) impl_->constants.push_back({kSizeId, device.workgroup_size});
     impl_->addresses = gpu::list_pointers(impl_->words);
     impl_->made_ =
         find_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
@@ -308,13 +321,8 @@ bool lanes_reconverge(const Device& device) {
 }
 
 std::string missing_for_networks(const Device& device) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
-                                                &sizes};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
-    return gpu::missing_for_networks(subgroup, sizes, device.impl().optional);
+    const gpu::DeviceProperties properties(device.impl().physical);
+    return gpu::missing_for_networks(properties.subgroups, properties.subgroup_sizes, device.impl().optional);
 }
 
 KernelVariant atomic_variant(const Device& device, const KernelVariant& base_variant) {
