@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cstddef>
 #include <cstring>
 #include <mutex>
 
@@ -41,8 +40,7 @@ struct LibraryNames {
     std::uint32_t vendor_id;
     MemoryAddress::Interface interface;
     const char* file;
-    /// Functions in the order of the members of ComputeLibrary.
-    std::array<const char*, 11> functions;
+    std::array<const char*, 11> functions;  ///< in the order of ComputeLibrary
 };
 constexpr LibraryNames kLibraries[] = {
     {0x10de,
@@ -81,17 +79,21 @@ struct ComputeLibrary {
 /// Loads the functions of a library. They stay loaded until the process ends.
 /// @return the functions, or null if the library or one of its functions is missing
 const ComputeLibrary* load_library(const LibraryNames& names) {
-    // ComputeLibrary starts with function pointers in the order of the names.
-    static_assert(offsetof(ComputeLibrary, names) == sizeof(LibraryNames::functions));
-    auto loaded = std::make_unique<ComputeLibrary>();
-    loaded->names = &names;
     void* library = dlopen(names.file, RTLD_NOW | RTLD_LOCAL);
-    for (std::size_t i = 0; i < names.functions.size(); ++i) {
-        void* function = library ? dlsym(library, names.functions[i]) : nullptr;
+    if (!library) return nullptr;
+    auto loaded = std::make_unique<ComputeLibrary>();
+    ComputeLibrary& l = *loaded;
+    l.names = &names;
+    const std::array<void*, 11> pointers{
+        &l.init,        &l.count_devices, &l.get_device, &l.get_uuid,     &l.retain_context, &l.push_context,
+        &l.pop_context, &l.import_memory, &l.map_memory, &l.free_mapping, &l.destroy_memory};
+    for (std::size_t i = 0; i < pointers.size(); ++i) {
+        void* const function = dlsym(library, names.functions[i]);
         if (!function) return nullptr;
-        std::memcpy(reinterpret_cast<std::byte*>(loaded.get()) + i * sizeof(void*), &function, sizeof(void*));
+        std::memcpy(pointers[i], &function, sizeof function);
     }
-    return loaded->init(0) == 0 ? loaded.release() : nullptr;
+    constexpr unsigned kNoFlags = 0;
+    return l.init(kNoFlags) == 0 ? loaded.release() : nullptr;
 }
 
 /// Returns the library of a vendor, or null if it has none or another vendor's library is

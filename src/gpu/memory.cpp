@@ -166,17 +166,14 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
 VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
                                                    std::uint32_t type, bool exports,
                                                    std::optional<MemorySuballocation>& suballocation) {
-    const std::uint64_t shared_bytes = new_block_bytes(type), required_bytes = requirements.size;
-    const bool needs_own_block = required_bytes > shared_bytes / 2;
-    const std::uint64_t preferred_bytes = needs_own_block ? required_bytes : shared_bytes;
-    VkResult result = VK_SUCCESS;
-    for (const std::uint64_t n_bytes : {preferred_bytes, required_bytes}) {
-        result = allocate_block(type, n_bytes, exports);
-        if (result == VK_SUCCESS) suballocation = place_in_block(requirements, type, exports);
-        if (suballocation) return VK_SUCCESS;
-        // Empty blocks may occupy the memory that the next, smaller attempt needs.
-        release_empty(type, 0);
+    const std::uint64_t shared_bytes = new_block_bytes(type);
+    const bool needs_own_block = requirements.size > shared_bytes / 2;
+    VkResult result = allocate_block(type, needs_own_block ? requirements.size : shared_bytes, exports);
+    if (result != VK_SUCCESS) {
+        release_empty(type, 0);  // empty blocks may occupy the memory
+        result = allocate_block(type, requirements.size, exports);
     }
+    if (result == VK_SUCCESS) suballocation = place_in_block(requirements, type, exports);
     return result;
 }
 
@@ -191,8 +188,8 @@ VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t type, std::uint64_t
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
     info.allocationSize = n_bytes;
     info.memoryTypeIndex = type;
-    auto block = std::make_unique<MemoryBlock>(
-        MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes), exports, nullptr});
+    auto block = std::make_unique<MemoryBlock>(MemoryBlock{
+        .type = type, .n_bytes = n_bytes, .free = FreeRanges(n_bytes), .exports = exports, .imported = {}});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result != VK_SUCCESS) return result;
     set_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,

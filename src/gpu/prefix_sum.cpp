@@ -8,12 +8,12 @@
 
 namespace relidar {
 
-/// Creates the kernels: `sums_` computes the sum of each tile, and `write_` the prefix
-/// sums within tiles.
 PrefixSum::PrefixSum(Device& device)
     : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, SubgroupRequirement::full),
       write_(device, "gpu/scan_write", {kTileWorkgroup}, SubgroupRequirement::full) {}
 
+/// Each level has a tile per RELIDAR_TILE_SIZE numbers of the level below, until the
+/// numbers fit into one tile.
 void PrefixSum::reserve_scratch(Device& device, std::size_t max_count) {
     for (std::size_t level = 0; max_count > RELIDAR_TILE_SIZE; ++level) {
         max_count = count_tiles(max_count);

@@ -30,13 +30,13 @@ public:
     /// Submits kernels that compute prefix sums: prefix[i] is the sum of all counts
     /// before count i. `prefix` may be the same array as the counts. The total must fit
     /// into 32 bits.
-    /// @param total address for the total sum, or null. It is not written if `max_count`
-    /// is 0
+    /// @param total address for the total sum, or null. It is not written if `count` is 0
     void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
              std::uint32_t count, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
 private:
-    Kernel<shared::ScanParams> sums_, write_;
+    Kernel<shared::ScanParams> sums_;   ///< computes the sum of each tile
+    Kernel<shared::ScanParams> write_;  ///< computes the prefix sums within tiles
     /// Sums of tiles, one array per level. Level 0 has tiles of the input numbers, each
     /// higher level tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;

@@ -46,7 +46,7 @@ const void* ReadbackBuffer::wait_for_bytes(Stream& stream) {
     Impl& r = *impl_;
     if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
         throw Error(ExitCode::bug, fmt::format("cannot wait for {}: its copy was not submitted; call "
-                                               "record_copy_to_host() and submit_commands() first",
+                                               "record_copy() and submit_commands() first",
                                                r.what));
     stream.wait_for(r.ticket);
     r.pending = false;

@@ -126,37 +126,45 @@ private:
     std::set<std::uint32_t> with_phi_;
 };
 
+/// Returns the target that a conditional branch always takes. Returns nothing if its
+/// condition is not known, or if the other target cannot be removed.
+/// @param block,merge blocks in which the branch is and in which both paths join
+std::optional<std::uint32_t> find_only_target(SpirvInstruction branch, const SpirvConstantValues& values,
+                                              const ControlFlowGraph& blocks, std::uint32_t block,
+                                              std::uint32_t merge) {
+    const std::optional<std::uint32_t> condition = values.find_value(branch[1]);
+    if (!condition) return std::nullopt;
+    const std::uint32_t if_true = branch[2], if_false = branch[3];
+    const std::uint32_t taken = *condition ? if_true : if_false, removed = *condition ? if_false : if_true;
+    return blocks.can_remove(block, removed, merge) ? std::optional(taken) : std::nullopt;
+}
+
 }  // namespace
 
 /// Replaces conditional branches whose condition is known by unconditional ones. The
-/// blocks that become unreachable stay in the module. A selection merge precedes its
-/// branch and names the block in which both paths join. It is held back until the branch
-/// is decided, and left out with the branch.
+/// blocks that become unreachable stay in the module.
 SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     SpirvConstantValues values(constants);
     const ControlFlowGraph blocks(words);
-    std::uint32_t block = 0;  // id of the current block
-    SpirvInstruction merge;   // Merge instruction that belongs to the next branch.
+    std::uint32_t block = 0;     // id of the current block
+    SpirvInstruction merge;      // last instruction if it is a selection merge, which precedes a branch
+    std::size_t last_start = 0;  // position of the last instruction in `result`
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         values.evaluate(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
-        if (opcode == kOpSelectionMerge) {
-            merge = instruction;
+        std::optional<std::uint32_t> target;
+        if (opcode == kOpBranchConditional && !merge.empty())
+            target = find_only_target(instruction, values, blocks, block, merge[1]);
+        if (target) {
+            result.resize(last_start);  // removes the merge, which has no branch now
+            append_instruction(result, kOpBranch, {*target});
+            merge = {};
             return;
         }
-        // Word 1 of a conditional branch is the condition. Words 2 and 3 are the targets
-        // for true and false, of which one is kept.
-        std::optional<std::uint32_t> condition;
-        if (opcode == kOpBranchConditional && !merge.empty()) condition = values.find_value(instruction[1]);
-        const std::size_t kept_word = condition == 0u ? 3 : 2, removed_word = condition == 0u ? 2 : 3;
-        if (condition && blocks.can_remove(block, instruction[removed_word], merge[1])) {
-            append_instruction(result, kOpBranch, {instruction[kept_word]});
-        } else {
-            append_instruction(result, merge);
-            append_instruction(result, instruction);
-        }
-        merge = {};
+        merge = opcode == kOpSelectionMerge ? instruction : SpirvInstruction();
+        last_start = result.size();
+        append_instruction(result, instruction);
     });
     return result;
 }

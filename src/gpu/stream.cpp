@@ -62,11 +62,12 @@ VkCommandBuffer Stream::Impl::open_commands() {
     if (recording) return slot.commands;
     wait_for(slot.ticket);
     collect_times(slot);
+    // All memory and all commands of the finished submission can be used again.
     slot.block = slot.block_bytes = 0;
     slot.retained_buffers.clear();
+    slot.n_buffers = 0;
     gpu::vk_check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
     if (slot.queries) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
-    slot.n_buffers = 0;
     begin_commands(slot);
     recording = true;
     ++device->n_recording;
@@ -283,14 +284,12 @@ Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::u
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
     // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
-    // A row has at most `max_groups` workgroups, unless there would be too many rows.
+    // The longest row is as long as a dispatch may be, but there must not be too many rows.
     const std::uint32_t min_columns = (n_workgroups - 1) / kMaxGroups + 1;
-    const std::uint32_t max_columns = std::max(std::min({n_workgroups, kMaxGroups, max_groups}), min_columns);
-    // Gives all rows the same number of workgroups, so that the launch has few
-    // superfluous workgroups.
+    const std::uint32_t max_columns = std::clamp(std::min(n_workgroups, max_groups), min_columns, kMaxGroups);
     const std::uint32_t rows = (n_workgroups - 1) / max_columns + 1;
+    // Equal rows, so that the last row has few superfluous workgroups.
     const std::uint32_t columns = (n_workgroups - 1) / rows + 1;
-    // A launch that is short enough, or must not be split, is one dispatch.
     const bool is_one_piece = max_groups >= n_workgroups;
     const std::uint32_t rows_per_piece = is_one_piece ? rows : std::max(1u, max_groups / columns);
     return {pipeline, push, rows, columns, rows_per_piece};
@@ -336,8 +335,8 @@ void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch&
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.rows_of_piece(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_s(n_groups);
-        // If the speed of the kernel is unknown (0), each piece of a split launch gets a
-        // separate submission. The estimate `piece_s` leaves no time for a second piece.
+        // The time is 0 if the kernel was not measured yet. Each piece of a split launch
+        // then gets a separate submission, because two times `piece_s` exceed the limit.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         open_commands();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit();
@@ -368,8 +367,9 @@ void Stream::Impl::wait_for(std::uint64_t ticket) {
                                  device->info.name, gpu::vk_result_name(result), last_kernel));
 }
 
-/// Reads the timestamps of a finished submission. Adds the durations to the kernel times
-/// and to the speed estimates that limit the size of later dispatches.
+/// Reads the timestamps of a finished submission. Adds the duration of each launch to the
+/// kernel times, if the user needs them, and that of each piece of a launch to the speed
+/// estimates that limit the size of later dispatches.
 void Stream::Impl::collect_times(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
@@ -424,7 +424,8 @@ ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
 // Records the barrier that the launches of the scope have left out.
 ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent(); }
 
-/// Opens `count` lanes: sequences of commands that the device may run concurrently.
+/// Opens `count` lanes: sequences of commands that the device may run concurrently. Until
+/// the scope ends, commands are stored, first in lane 0.
 ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
@@ -514,7 +515,6 @@ void KernelTimes::add_launch_time(const std::string& kernel_name, double duratio
     total.ms += duration_ms;
 }
 
-/// Adds the times of launches that followed.
 void KernelTimes::add_times(const KernelTimes& later_times) {
     // Keeps only the last kMaxTimes times of each kernel.
     for (const auto& [kernel, ms] : later_times.milliseconds) {

@@ -86,30 +86,38 @@ bool has_fault(const std::string& fault_name) {
     return ("," + injected_faults() + ",").find("," + fault_name + ",") != std::string::npos;
 }
 
+namespace {
+
+/// Returns the file with the results for a device. Empty if the results are not stored:
+/// there is no cache, or a test has injected faults, which must not affect later runs.
+std::filesystem::path results_path(const DeviceOptions& options, const std::string& device_name) {
+    if (options.pipeline_cache.empty() || !injected_faults().empty()) return {};
+    return options.pipeline_cache / ("check_" + device_name + ".txt");
+}
+
+/// Returns true if the results contain the tests for the traversal method of the device.
+/// A check of a device without ray queries does not test them.
+bool is_complete(const DeviceTestResults& results, const Device::Impl& device) {
+    return device.traversal != RayTracingBackend::ray_query || results.ray_query != CheckVerdict::unknown;
+}
+
+}  // namespace
+
 DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
     if (!open_callbacks().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
-    std::filesystem::path path;
-    // Results are not stored if a test has injected faults, because these results must
-    // not affect later runs.
-    if (!options.pipeline_cache.empty() && injected_faults().empty())
-        path = options.pipeline_cache / ("check_" + cache_file_name(properties) + ".txt");
-    // A check without ray queries does not test them, so its results are incomplete for a
-    // device that now traces with ray queries.
-    const bool needs_ray_query = device.traversal == RayTracingBackend::ray_query;
-    const auto is_complete = [&](const DeviceTestResults& results) {
-        return !needs_ray_query || results.ray_query != CheckVerdict::unknown;
-    };
+    const std::string name = cache_file_name(properties);
+    const std::filesystem::path path = results_path(options, name);
     // Uses the results of the file or, if it cannot be written, those of this process.
     UnsavedTestResults& unsaved = unsaved_results();
     const std::scoped_lock lock(unsaved.mutex);
     const std::optional<DeviceTestResults> saved = read_results(path, device.info.driver);
-    if (saved && is_complete(*saved)) return *saved;
-    const std::string key = cache_file_name(properties) + " " + injected_faults();
+    if (saved && is_complete(*saved, device)) return *saved;
+    const std::string key = name + " " + injected_faults();
     const auto earlier = unsaved.by_device.find(key);
-    if (earlier != unsaved.by_device.end() && is_complete(earlier->second)) return earlier->second;
+    if (earlier != unsaved.by_device.end() && is_complete(earlier->second, device)) return earlier->second;
 
     DeviceOptions check_options = options;
     check_options.index = device.info.index;
