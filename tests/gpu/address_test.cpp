@@ -75,7 +75,7 @@ static_assert(!are_interchangeable(&shared::SurfelPointers::log_scale, &shared::
 static_assert(!are_interchangeable(&shared::ActivateVjpParams::d_records,
                                    &shared::ActivateVjpParams::d_view));
 static_assert(!are_interchangeable(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
-static_assert(!are_interchangeable(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
+static_assert(!are_interchangeable(&shared::BvhWideParams::demands, &shared::BvhWideParams::places));
 static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 

@@ -109,10 +109,8 @@ struct SortHitsParams {
 
 struct CollectHitsParams {
     TraceScene scene;
-    RELIDAR_OF(Uints, HitCounts) counts;       // output [n_rays] number of hits, may exceed max_hits
-    RELIDAR_OF(Floats, HitDistances) t;        // output [n_rays,max_hits] m
-    RELIDAR_OF(Uints, HitInstances) instance;  // output [n_rays,max_hits]
-    RELIDAR_OF(Uints, HitSurfels) surfel;      // output [n_rays,max_hits]
+    RELIDAR_OF(Uints, HitCounts) counts;  // output [n_rays] number of hits, may exceed max_hits
+    Hits hits;                            // output [n_rays,max_hits]
     uint max_hits;
 };
 

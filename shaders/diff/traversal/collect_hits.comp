@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes all hits of each ray from near to far, even if the transmittance is already low.
 // Tests compare these hits between the acceleration structures. One thread per ray.
-// Input: scene. Output: counts, t, instance, surfel.
+// Input: scene. Output: counts, hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "includes.glsl"
@@ -19,12 +19,7 @@ void main() {
         find_next_hits(params.scene, ray, previous_key, 0.0);
         for (uint i = 0u; i < n_hits; ++i, ++count) {
             // Hits beyond max_hits are counted but not stored.
-            if (count >= params.max_hits) continue;
-            uint slot = ray_index * params.max_hits + count;
-            Hit hit = load_hit(i);
-            params.t.at[slot] = hit.t;
-            params.instance.at[slot] = hit.instance;
-            params.surfel.at[slot] = hit.surfel;
+            if (count < params.max_hits) params.hits.at[ray_index * params.max_hits + count] = load_hit(i);
         }
         // If hits_closed is false, this pass has found all remaining hits.
         more = hits_closed;
