@@ -135,9 +135,10 @@ void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights,
     run_conv_kernel(stream, params);
 }
 
-std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out) const {
-    const std::size_t n = std::size_t(n_in) * n_out * taps_;
-    return count_weight_sums(grid, n) * n;
+void Convolution::reserve_weight_sums(Device& device, ImageBatchSize grid, std::uint32_t n_in,
+                                      std::uint32_t n_out) {
+    const std::size_t n_weights = std::size_t(n_in) * n_out * taps_;
+    partial_.reserve(device, count_weight_sums(grid, n_weights) * n_weights, "partial sums of weights");
 }
 
 /// Computes the gradient of the weights: the sum over all pixels of input values times

@@ -87,10 +87,8 @@ public:
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that every run gives the same result.
     void weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights);
-    std::size_t n_partial_sums(ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out) const;
-    void reserve_weight_sums(Device& device, std::size_t n_floats) {
-        partial_.reserve(device, n_floats, "partial sums of weights");
-    }
+    /// Reserves the temporary memory of weights_vjp().
+    void reserve_weight_sums(Device& device, ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out);
 
 private:
     std::uint32_t taps_, pixels_, lanes_;

@@ -53,8 +53,7 @@ Unet::Activation Unet::make_images(Device& device, std::uint32_t channels, Image
 /// Reserves memory for the temporary sums of conv_vjp().
 void Unet::reserve_vjp_sums(Device& device, const ConvOffsets& layer, ImageBatchSize grid) {
     if (!with_gradients_) return;
-    Convolution& conv = conv_kernels(layer);
-    conv.reserve_weight_sums(device, conv.n_partial_sums(grid, layer.n_in, layer.n_out));
+    conv_kernels(layer).reserve_weight_sums(device, grid, layer.n_in, layer.n_out);
     if (layer.bias) norm_.reserve_sums(layer.n_out, grid);
 }
 
@@ -67,7 +66,7 @@ void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchS
     most_active_ = std::max(most_active_, block.conv.n_in * grid.n_pixels_total());
 }
 
-void Unet::allocate_pair(Device& device, const std::array<BlockOffsets, 2>& blocks, ImageBatchSize grid,
+void Unet::allocate_pair(Device& device, const BlockPair& blocks, ImageBatchSize grid,
                          BlockPairState& state) {
     state.between = make_images(device, blocks[1].conv.n_in, grid, "activations");
     for (std::size_t k = 0; k < 2; ++k) allocate_block(device, blocks[k], grid, state.blocks[k]);
@@ -80,13 +79,13 @@ void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid
     LevelImages& images = levels_[level];
     std::uint32_t n_output = 0;
     if (level > 0) {
-        const auto& blocks = plan_.down[level - 1];
+        const BlockPair& blocks = plan_.down[level - 1];
         allocate_pair(device, blocks, grid, encoders_[level - 1]);
         images.pooled = make_images(device, blocks[0].conv.n_in, grid, "activations");
         n_output = blocks[1].conv.n_out;
     }
     if (level < plan_.up.size()) {
-        const auto& blocks = plan_.up[level];
+        const BlockPair& blocks = plan_.up[level];
         allocate_pair(device, blocks, grid, decoders_[level]);
         images.joined = make_images(device, blocks[0].conv.n_in, grid, "activations");
         n_output = blocks[1].conv.n_out;
@@ -144,8 +143,8 @@ void Unet::run_block(Stream& stream, const BlockOffsets& block, BlockState& stat
     conv_kernels(block.conv).run_convolution(stream, state.active, conv_weights(block.conv.weights), {}, out);
 }
 
-void Unet::run_pair(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
-                    const Slice& in, const Slice& out, Mode mode) {
+void Unet::run_pair(Stream& stream, const BlockPair& blocks, BlockPairState& state, const Slice& in,
+                    const Slice& out, Mode mode) {
     run_block(stream, blocks[0], state.blocks[0], in, state.between.values, mode);
     run_block(stream, blocks[1], state.blocks[1], state.between.values, out, mode);
 }
@@ -223,8 +222,8 @@ void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& stat
     norm_.norm_vjp(stream, in, state.norm, d_active, d_in, {gradients_, block.beta_gamma}, add);
 }
 
-void Unet::pair_vjp(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
-                    const Slice& in, const Slice& d_out, const Slice& d_in) {
+void Unet::pair_vjp(Stream& stream, const BlockPair& blocks, BlockPairState& state, const Slice& in,
+                    const Slice& d_out, const Slice& d_in) {
     const Activation& between = state.between;
     block_vjp(stream, blocks[1], state.blocks[1], between.values, d_out, between.gradient);
     block_vjp(stream, blocks[0], state.blocks[0], in, between.gradient, d_in);

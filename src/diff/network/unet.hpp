@@ -30,13 +30,15 @@ struct BlockOffsets {
     ConvOffsets conv;
 };
 
+using BlockPair = std::array<BlockOffsets, 2>;
+
 struct UnetLayout {
     /// `first_conv` converts the inputs to the channels of the first level. `last_conv`
     /// converts these channels to a logit.
     ConvOffsets first_conv, last_conv;
     /// Two blocks per level of the encoder (from level 1, half the image size) and of the
     /// decoder (from level 0, the full image size).
-    std::vector<std::array<BlockOffsets, 2>> down, up;
+    std::vector<BlockPair> down, up;
     /// Number of channels that each decoder level reads from the level below it. Its other
     /// input channels are the skip connection.
     std::vector<std::uint32_t> n_upsampled;
@@ -148,18 +150,17 @@ private:
                            const std::string& text) const;
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
-    void allocate_pair(Device& device, const std::array<BlockOffsets, 2>& blocks, ImageBatchSize grid,
-                       BlockPairState& state);
+    void allocate_pair(Device& device, const BlockPair& blocks, ImageBatchSize grid, BlockPairState& state);
     void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state);
     void reserve_vjp_sums(Device& device, const ConvOffsets& layer, ImageBatchSize grid);
     void run_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
                    const Slice& out, Mode mode);
-    void run_pair(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
-                  const Slice& in, const Slice& out, Mode mode);
+    void run_pair(Stream& stream, const BlockPair& blocks, BlockPairState& state, const Slice& in,
+                  const Slice& out, Mode mode);
     void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& in,
                    const Slice& d_out, const Slice& d_in, bool add = false);
-    void pair_vjp(Stream& stream, const std::array<BlockOffsets, 2>& blocks, BlockPairState& state,
-                  const Slice& in, const Slice& d_out, const Slice& d_in);
+    void pair_vjp(Stream& stream, const BlockPair& blocks, BlockPairState& state, const Slice& in,
+                  const Slice& d_out, const Slice& d_in);
     void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& in, const Slice& d_out,
                   const std::optional<Slice>& d_in);
     void run_all_layers(Stream& stream, Mode mode);

@@ -113,12 +113,12 @@ void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uin
     network.parameters.assign(layout.n_parameters, 0.0f);
     network.running.assign(layout.n_running, 0.0f);
     draw_conv_weights(network.parameters, layout.first_conv, random);
-    for (const auto& blocks : layout.down)
+    for (const BlockPair& blocks : layout.down)
         for (const BlockOffsets& block : blocks) init_block(network, block, random);
     // `layout.project`, the output of the attention, stays 0. So the attention adds
     // nothing at first.
     if (layout.query) init_block(network, *layout.query, random);
-    for (const auto& blocks : layout.up)
+    for (const BlockPair& blocks : layout.up)
         for (const BlockOffsets& block : blocks) init_block(network, block, random);
     if (!network.residual) draw_conv_weights(network.parameters, layout.last_conv, random);
 }

@@ -80,8 +80,7 @@ TEST_P(ConvSizes, Derivatives) {
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
     const auto d_weights = test::to_device<shared::ConvWeights>(device(), guarded),
                again = test::to_device<shared::ConvWeights>(device(), guarded);
-    conv.reserve_weight_sums(device(),
-                             conv.n_partial_sums(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
+    conv.reserve_weight_sums(device(), c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out));
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
     for (const auto* d : {&d_weights, &again}) {
         conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());

@@ -74,7 +74,7 @@ double convolution_error(Device& device, int n_kernel_taps) {
     const auto device_bias = upload_floats<shared::ConvBias>(device, bias);
 
     network::Convolution conv(device, std::uint32_t(n_kernel_taps));
-    conv.reserve_weight_sums(device, conv.n_partial_sums(device_inputs.grid, kIn, kOut));
+    conv.reserve_weight_sums(device, device_inputs.grid, kIn, kOut);
     Stream stream(device);
     conv.run_convolution(stream, device_inputs, device_weights.address(), device_bias.address(),
                          device_outputs);
