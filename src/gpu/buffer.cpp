@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the size of a buffer before it calls the driver.
 #include "gpu/buffer.hpp"
 
 #include <algorithm>

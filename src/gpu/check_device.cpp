@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernels gpu/check_atomics and gpu/check_subgroups and compares their results
-// with the host's results.
 #include "gpu/check_device.hpp"
 
 #include <algorithm>

@@ -324,8 +324,8 @@ void Device::Impl::open_device(const DeviceOptions& options) {
 
 namespace {
 
-/// Extensions and features with which a device is created. The features are a linked list:
-/// first those of Vulkan 1.3, then those of extensions.
+/// Extensions and features with which a device is created. The features are a linked
+/// list: first those of Vulkan 1.3, then those of extensions.
 struct EnabledFeatures {
     std::vector<const char*> extensions;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
@@ -468,8 +468,8 @@ void Device::Impl::query_limits() {
         if (limit.n_bytes < largest_buffer.n_bytes) largest_buffer = limit;
     };
     if (info.memory_bytes) limit_buffer({info.memory_bytes, "the device memory"});
-    // Only a sparse buffer can consist of several allocations. lavapipe reports a limit of
-    // 2 GiB for sparse buffers, but larger buffers work.
+    // Only a sparse buffer can consist of several allocations. lavapipe reports a limit
+    // of 2 GiB for sparse buffers, but larger buffers work.
     if (!binds_sparse) limit_buffer(largest_allocation);
     else if (!info.driver.starts_with("llvmpipe"))
         limit_buffer({limits.sparseAddressSpaceSize, "sparseAddressSpaceSize"});

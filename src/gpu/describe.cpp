@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks which of the features that relidar needs a physical device supports. Lists all
-// missing extensions and features.
 #include <algorithm>
 #include <cstring>
 

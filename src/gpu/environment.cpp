@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads device options from environment variables. The library ignores these variables if
-// the program does not call this function.
-
 #include <algorithm>
 #include <charconv>
 #include <cstdlib>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates compute pipelines from SPIR-V modules and specialisation constants.
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
@@ -40,7 +39,7 @@ bool skips_dead_loads(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V code of a kernel after the edits that this device needs, so that the
+/// Returns the SPIR-V code of a kernel after the edits that this device needs. Then the
 /// driver compiles less code, can load parameters early, and does not crash.
 /// @param base name of the kernel without its variant
 std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::span<const std::uint32_t> module,

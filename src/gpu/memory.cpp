@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Allocates device memory in blocks. Inside a block, a buffer gets the first free range
-// that is large enough.
 #include "gpu/memory.hpp"
 
 #include <algorithm>

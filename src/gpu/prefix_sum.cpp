@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of a hierarchical prefix sum. First computes the sum of each tile,
-// level by level. Then computes the prefix sums in reverse order of the levels.
 #include "gpu/prefix_sum.hpp"
 
 #include "base/assert.hpp"

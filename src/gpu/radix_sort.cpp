@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of a radix sort that starts with the least significant digit.
 #include "gpu/radix_sort.hpp"
 
 #include "base/fail.hpp"

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies values from the device to host memory as part of a submission.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

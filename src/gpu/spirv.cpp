@@ -176,7 +176,8 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
         require(words[at] >> 16 > 0 && words[at] >> 16 <= words.size() - at, "its last words (truncated)");
     // Words of OpEntryPoint: 1 execution model, 2 function, then the name. Words of
-    // OpDecorate: 1 target, 2 decoration. Kernels get addresses, so no binding may exist.
+    // OpDecorate: 1 target, 2 decoration. A kernel gets all data through addresses, so it
+    // must not have bindings.
     bool has_main = false, has_bindings = false;
     std::uint32_t last_opcode = 0;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
@@ -191,7 +192,7 @@ void check_module(std::span<const std::uint32_t> words, const std::string& kerne
     // Specialisation constant 0 is the workgroup size (relidar/base/kernel.glsl).
     require(!has_bindings && list_constants(words).contains(0), "the interface of relidar/base/kernel.glsl");
     const std::uint32_t size = find_params_size(words);
-    require(size > 0, "names or without RELIDAR_PARAMS of numbers, vectors, arrays and pointers");
+    require(size > 0, "names (OpName), or without RELIDAR_PARAMS that C++ can share");
     if (size != params_bytes)
         fail<UsageError>(
             "cannot load the kernel {}: its parameter struct has {} bytes, expected {} bytes as in the "

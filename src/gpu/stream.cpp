@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records Vulkan commands and submits them with a timeline semaphore. Measures kernel
-// launches with timestamps.
 #include "gpu/stream.hpp"
 
 #include <algorithm>
@@ -284,7 +282,7 @@ Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::u
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
     // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
-    // The longest row is as long as a dispatch may be, but there must not be too many rows.
+    // A row is as long as a dispatch may be, but there must not be too many rows.
     const std::uint32_t min_columns = (n_workgroups - 1) / kMaxGroups + 1;
     const std::uint32_t max_columns = std::clamp(std::min(n_workgroups, max_groups), min_columns, kMaxGroups);
     const std::uint32_t rows = (n_workgroups - 1) / max_columns + 1;
@@ -306,26 +304,23 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().wait_for_pipeline();
-    // Addresses of the parameters, and of the zeros that replace optional arrays.
+    // The push constants: addresses of the parameters, and of the zeros that replace
+    // optional arrays.
     const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, params, n_bytes),
                                               device->nothing->address};
-    const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
-    // `speed` estimates the duration of launches. It is null for kernels without a limit.
+    // The measured speed of the kernel, or null if its launches are not limited.
     const gpu::LaunchTimeLimit& limit = device->launch_limit;
     const gpu::KernelSpeed* speed = limit.has_limit() ? kernel.impl().speed : nullptr;
     const std::uint32_t max_groups = speed ? speed->workgroups_for(limit.piece_s) : n_groups;
     const Dispatch dispatch = split_launch(pipeline, pushed, n_groups, max_groups);
-    // Launches in lanes are never divided between submissions, because their commands are
-    // stored now and recorded later, in a single submission.
-    if (speed && lanes.empty()) {
-        submit_pieces(kernel.impl(), dispatch);
-        return;
-    }
-    record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
-        for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
-            dispatch.record_piece(commands, layout, row);
-    });
+    // Commands in lanes are stored now and recorded later, in a single submission.
+    if (speed && lanes.empty()) return submit_pieces(kernel.impl(), dispatch);
+    record_command(kernel.impl().name,
+                   [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
+                       for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
+                           dispatch.record_piece(commands, layout, row);
+                   });
 }
 
 /// Records the dispatches of a launch. Starts a new submission whenever the expected

@@ -199,9 +199,12 @@ struct BackwardPass::Impl {
     /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap{device, 1, "number of truncated rays"};
 
+    /// True if the kernel marks the surfels with a gradient, and activate_vjp() skips the others.
+    static bool marks_touched(const DeviceScene& scene, const DeviceGradients& gradients) {
+        return scene.can_skip_surfels() && !gradients.zero_untouched;
+    }
     shared::BackwardParams make_params(const DeviceScene& scene, const AccelerationStructure& accel,
-                                       const RenderedBatch& batch, const DeviceGradients& gradients,
-                                       bool marks_touched) const;
+                                       const RenderedBatch& batch, const DeviceGradients& gradients) const;
 };
 
 BackwardPass::BackwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
@@ -226,28 +229,27 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
 }
 
 /// Returns the parameters of kernel diff/backward/trace. HitGather sets its own.
-/// @param marks_touched true: the kernel marks the surfels with a gradient
 shared::BackwardParams BackwardPass::Impl::make_params(const DeviceScene& scene,
                                                        const AccelerationStructure& accel,
                                                        const RenderedBatch& batch,
-                                                       const DeviceGradients& gradients,
-                                                       bool marks_touched) const {
-    shared::BackwardParams params{};
-    params.scene = trace_params(scene, accel, batch.rays, model, options, pass_cap.address());
-    params.rendered = batch.rendered->address();
-    params.upstream = batch.upstream->address();
-    params.d_records = gradients.records.address();
-    params.d_sh = gradients.surfels.sh.address();
-    if (marks_touched) params.touched = gradients.touched.address();
-    params.d_rays = gradients.rays.address();
-    if (batch.stored_hits) {
-        RELIDAR_ASSERT_EQ(batch.stored_hits->can_store_hits(batch.rays), true);
-        params.kept = batch.stored_hits->hits.address();
-        params.n_kept = batch.stored_hits->per_ray;
-    }
-    params.n_rows = scene.count_rows();
-    params.with_turn = gradients.poses.size() > 0 ? 1u : 0u;
-    return params;
+                                                       const DeviceGradients& gradients) const {
+    const StoredRayHits* stored = batch.stored_hits;
+    RELIDAR_ASSERT_EQ(!stored || stored->can_store_hits(batch.rays), true);
+    return {.scene = trace_params(scene, accel, batch.rays, model, options, pass_cap.address()),
+            .rendered = batch.rendered->address(),
+            .upstream = batch.upstream->address(),
+            .d_records = gradients.records.address(),
+            .d_sh = gradients.surfels.sh.address(),
+            .touched = address_or_null(marks_touched(scene, gradients) ? &gradients.touched : nullptr),
+            .d_rays = gradients.rays.address(),
+            .first_hit = {},
+            .hits = {},
+            .rows = {},
+            .kept = address_or_null(stored ? &stored->hits : nullptr),
+            .n_kept = stored ? stored->per_ray : 0,
+            .capacity = 0,
+            .n_rows = scene.count_rows(),
+            .with_turn = gradients.poses.size() > 0 ? 1u : 0u};
 }
 
 /// Records the backward pass: gradients of the surfel records per hit, then of the surfel
@@ -259,9 +261,8 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0;
-    // activate_vjp() then skips all surfels that are not marked.
-    const bool marks_touched = scene.can_skip_surfels() && !gradients.zero_untouched;
-    shared::BackwardParams params = impl_->make_params(scene, accel, batch, gradients, marks_touched);
+    const bool marks_touched = Impl::marks_touched(scene, gradients);
+    shared::BackwardParams params = impl_->make_params(scene, accel, batch, gradients);
     if (impl_->gather) {
         impl_->gather->assign_records(stream, batch);
         impl_->gather->set_addresses(params);

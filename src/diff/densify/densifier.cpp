@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of densification, which adds and removes surfels. Chooses an action for each
-// surfel, reads the counts, allocates memory, distributes copies, moves every array, and
-// computes the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
 #include <algorithm>

@@ -25,14 +25,15 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t 
 }
 
 void SurfelReorderer::reserve_surfels(std::uint32_t n_surfels) {
+    // Arrays that are kept between densifications.
     const std::size_t n_words = std::size_t(n_surfels) * statistics.n_words;
+    statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
+    statistics.n_observing_batches.reserve(device_, n_surfels, "numbers of batches with a surfel");
+    statistics.frames.reserve(device_, n_words, "frames in which surfels were visible");
+    // Arrays of one densification.
     prefix_sum_.reserve_scratch(device_, n_surfels);
     scratch_surfels_.reserve(device_, n_surfels, "copy of surfels");
-    statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
-    statistics.n_observing_batches.reserve(device_, n_surfels,
-                                           "number of batches in which each surfel was visible");
-    statistics.frames.reserve(device_, n_words, "frames in which surfels were visible");
-    scratch_frames_.reserve(device_, n_words, "scratch memory for the frames in which surfels were visible");
+    scratch_frames_.reserve(device_, n_words, "copy of frames");
     for (Array<std::uint32_t>* array :
          std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
         array->reserve(device_, n_surfels, "densification");

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the forward pass, which renders rays (Eq. 2-4). Rays either write their
-// hits to lists in memory, or are rendered by kernel diff/forward/trace. The kernel also
-// renders rays whose lists cannot be used.
 #include <relidar/diff/forward.hpp>
 
 #include <relidar/base/error.hpp>

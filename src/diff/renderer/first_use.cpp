@@ -109,8 +109,7 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
 /// Tests the methods that this device would use: float atomics, subgroup operations and
 /// hardware ray queries. Ray queries are tested with a subgroup size that has passed.
 DeviceTestResults test_device(const DeviceOptions& options) {
-    // A device that is opened in the scope of such an object uses these results. The first
-    // one has the driver's defaults.
+    // While such an object exists, Device() uses its results: first the driver's defaults.
     const ScopedDeviceTestResults defaults(DeviceTestResults{});
     Device device(options);
     DeviceTestResults results;
