@@ -248,12 +248,12 @@ void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the radix sort moves the keys from one of two buffers to the other. An
-    // odd number of passes starts in the second buffer, so that the result is in the first.
+    // Each pass of the radix sort moves the keys from one buffer to the other. An odd
+    // number of passes starts in the second, so that the result is in the first.
     const SortBuffers first{.keys = scratch_at(kKeysAt), .order = scratch_at(kValuesAt)};
     const SortBuffers second{.keys = scratch_at(kSecondKeysAt), .order = scratch_at(kSecondValuesAt)};
     const bool starts_in_second = RadixSort::pass_count(n_key_bits()) % 2 == 1;
-    // The kernel also initialises two arrays for the next kernels: `other_ends`, `demands`.
+    // The kernel also initialises `other_ends` and `demands` for the next kernels.
     run(stream, keys_kernel, n,
         {.records = scene.surfel_records().address(),
          .models = scene.model_table().address(),

@@ -417,7 +417,7 @@ void RayQueryAccel::append_model(const DeviceScene& scene) {
     radii.resize(models.size(), 0u);
     a.radii = {a.device, radii, "radii of models"};
     while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
-    // Updates the addresses of all models, because `geometry` or `indices` may have moved.
+    // All models get new addresses, because `geometry` or `indices` may have moved.
     for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
     a.allocate_scratch();
 }
@@ -439,8 +439,8 @@ AccelAddresses RayQueryAccel::addresses() const {
     addresses.tlas = {a.tlas->address};
     addresses.moving = a.moving.address();
     addresses.n_moving = a.n_moving;
-    // Other kernels compute these two lengths as maxima of integers, because atomic maxima
-    // need integers. Positive floats have the same order as their bits.
+    // Other kernels compute these two lengths as maxima of integers, because atomic
+    // maxima need integers. Positive floats have the same order as their bits.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();
     return addresses;

@@ -70,9 +70,6 @@ public:
     /// @param hits_per_ray number of hits for which memory is allocated
     HitGather(Device& device, const TraceConstants& constants, ShDirection sh_direction,
               std::uint32_t hits_per_ray);
-    /// Assigns a record index to each rendered hit, in the order of the rays. If the
-    /// batch is larger than all earlier batches, waits for the device and allocates
-    /// memory.
     void assign_records(Stream& stream, const RenderedBatch& batch);
     void set_addresses(shared::BackwardParams& params) const;
     void sum_gradients(Stream& stream, const shared::BackwardParams& params);
@@ -199,7 +196,7 @@ struct BackwardPass::Impl {
     /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap{device, 1, "number of truncated rays"};
 
-    /// True if the kernel marks the surfels with a gradient, and activate_vjp() skips the others.
+    /// True if the kernel marks surfels with a gradient, and activate_vjp() skips others.
     static bool marks_touched(const DeviceScene& scene, const DeviceGradients& gradients) {
         return scene.can_skip_surfels() && !gradients.zero_untouched;
     }

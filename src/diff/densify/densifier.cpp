@@ -42,8 +42,8 @@ struct SurfelAllocation {
 };
 
 /// Purpose of random numbers. It is part of the seed, so that random numbers for
-/// different purposes are independent. Kernels classify and spawn use different numbers of
-/// the sequence that each surfel has.
+/// different purposes are independent. Kernels classify and spawn use different numbers
+/// of the sequence that each surfel has.
 enum class RandomPurpose : std::uint64_t { surfels = 1, phase = 2 };
 
 // Opacity of a surfel after an opacity reset, divided by alpha_min (the lowest opacity

@@ -19,8 +19,8 @@ static_assert(are_terms_sorted(),
 
 }  // namespace
 
-/// Creates the losses with a positive weight, and always the image loss. It must be first,
-/// because it overwrites the gradients of the rendered values. All others add to them.
+/// Creates the image loss and the losses with a positive weight. The image loss is first,
+/// because it overwrites the gradients of rendered values. The others add to them.
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays) {
     std::vector<std::unique_ptr<Loss>> losses;

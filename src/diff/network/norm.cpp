@@ -115,8 +115,8 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
 }
 
 /// Computes the gradients of beta and gamma, which are sums over the batch, and then of
-/// the input. A pixel also changes the mean and the variance of the batch, so its gradient
-/// contains the same sums.
+/// the input. A pixel also changes the mean and the variance of the batch, so its
+/// gradient contains the same sums.
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);

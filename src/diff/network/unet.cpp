@@ -229,8 +229,8 @@ void Unet::pair_vjp(Stream& stream, const BlockPair& blocks, BlockPairState& sta
     block_vjp(stream, blocks[0], state.blocks[0], in, between.gradient, d_in);
 }
 
-/// Backward pass of run_attention(). `mixed_` is a sum, so its gradient is the gradient of
-/// the smallest images, to which the gradient through the attention is added.
+/// Backward pass of run_attention(). `mixed_` is a sum, so its gradient is the gradient
+/// of the smallest images, to which the gradient through the attention is added.
 void Unet::attention_vjp(Stream& stream) {
     const Activation& smallest = levels_.back().output;
     conv_vjp(stream, plan_.project, attended_.values, mixed_.gradient, attended_.gradient);

@@ -39,8 +39,8 @@ struct UnetLayout {
     /// Two blocks per level of the encoder (from level 1, half the image size) and of the
     /// decoder (from level 0, the full image size).
     std::vector<BlockPair> down, up;
-    /// Number of channels that each decoder level reads from the level below it. Its other
-    /// input channels are the skip connection.
+    /// Number of channels that each decoder level reads from the level below it. Its
+    /// other input channels are the skip connection.
     std::vector<std::uint32_t> n_upsampled;
     std::optional<BlockOffsets> query;  ///< attention: query, key, value
     ConvOffsets project;                ///< attention: projection of the result
@@ -124,7 +124,7 @@ private:
     std::vector<BlockPairState> encoders_, decoders_;  ///< like UnetLayout::down and up
     BlockState query_state_;
     AttentionState attention_state_;
-    /// Attention: queries, keys and values; its result; the sum of its result and its input.
+    /// Attention: queries, keys and values; its result; its result added to its input.
     Activation qkv_, attended_, mixed_;
     Activation logit_;
     std::size_t most_active_ = 0;  ///< largest number of activations after a normalisation in any block

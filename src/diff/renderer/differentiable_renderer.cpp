@@ -91,8 +91,8 @@ DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scen
 /// Waits, because the device may still use the arrays that are freed now.
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
-/// Returns the last batch with an array for the gradients of its rendered values. Enlarges
-/// all arrays with an entry per ray if the batch was larger than all before.
+/// Returns the last batch with an array for the gradients of its rendered values.
+/// Enlarges all arrays with an entry per ray if the batch was larger than all before.
 RenderedBatch DifferentiableRenderer::last_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();

@@ -109,7 +109,7 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
 /// Tests the methods that this device would use: float atomics, subgroup operations and
 /// hardware ray queries. Ray queries are tested with a subgroup size that has passed.
 DeviceTestResults test_device(const DeviceOptions& options) {
-    // While such an object exists, Device() uses its results: first the driver's defaults.
+    // In the scope of such an object, Device() uses its results: first the defaults.
     const ScopedDeviceTestResults defaults(DeviceTestResults{});
     Device device(options);
     DeviceTestResults results;
