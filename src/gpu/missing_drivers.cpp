@@ -52,7 +52,7 @@ fs::path find_device_file(const fs::path& root, std::uint32_t vendor_id, const s
 
 std::vector<std::string> find_driverless(const std::vector<DeviceInfo>& devices, const fs::path& root) {
     std::vector<std::string> lines;
-    std::error_code failed;
+    std::error_code failed;  // not read: a folder that cannot be read has no GPU
     const auto add = [&](const std::string& name, const fs::path& file, const char* advice) {
         lines.push_back(fmt::format("{} (/{}) is not used, because no Vulkan driver offers it; {}", name,
                                     file.lexically_relative(root).string(), advice));

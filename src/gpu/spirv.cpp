@@ -41,7 +41,8 @@ SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const Execut
 }
 
 /// Decorates all members of a kernel's parameter block as NonWritable, so that the driver
-/// can load them early. A member is known by its decoration with an offset.
+/// can load them early. Each member has an OpMemberDecorate with its offset. The words of
+/// this instruction are: 1 type, 2 member, 3 decoration.
 SpirvWords mark_params_readonly(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.

@@ -86,7 +86,7 @@ void record_builds(Stream::Impl& stream, const std::string& command_name, std::v
         std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
         for (const BuildInput& input : inputs) {
             infos.push_back(input.info);
-            infos.back().pGeometries = &input.geometry;
+            infos.back().pGeometries = &input.geometry;  // of this copy
             ranges.push_back(&input.range);
         }
         vkCmdBuildAccelerationStructuresKHR(commands, std::uint32_t(infos.size()), infos.data(),

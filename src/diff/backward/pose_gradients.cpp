@@ -42,7 +42,7 @@ BlockTable split_into_blocks(const DeviceScene& scene) {
                                     .with_view = is_first_instance ? 1u : 0u});
         }
     }
-    table.first.push_back(std::uint32_t(table.blocks.size()));
+    table.first.push_back(std::uint32_t(table.blocks.size()));  // end of the last instance
     return table;
 }
 

@@ -67,7 +67,8 @@ void Norm::channel_sums(Stream& stream, shared::ChannelSumsParams params) const 
     run(stream, sums_, count_threads(params.n_channels * params.n_parts, lanes_), params);
 }
 
-/// Computes the scale and shift that normalise each channel, including gamma and beta.
+/// Submits the kernel that computes the scale and shift that normalise each channel,
+/// including gamma and beta.
 /// @param train true: uses the mean and variance of this batch, from the partial sums of
 /// its pixels, and updates the running values. false: uses the running values.
 void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& weights, NormState& state,
@@ -87,7 +88,7 @@ void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& wei
          .epsilon = kNormEpsilon});
 }
 
-/// Computes out = dropout(relu(scale * in + shift)) for each pixel.
+/// Submits the kernel that computes out = dropout(relu(scale * in + shift)).
 /// @param dropout share of the values that become 0
 void Norm::apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
                        float dropout) const {

@@ -67,7 +67,7 @@ std::vector<RotatedSample> sample_epoch(std::size_t n, int n_columns, bool rotat
     std::vector<RotatedSample> chosen(n);
     for (std::size_t i = 0; i < n; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
-        if (i != j) chosen[i].sample = chosen[j].sample;
+        chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
     if (rotate)

@@ -16,7 +16,7 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
 std::size_t count_threads(const RayBatch& batch) {
     const bool is_image = batch.columns > 0;
     if (!is_image) return batch.n_rays;
-    // 32 neighbouring threads render a tile of 2 x 16 pixels.
+    // 32 neighbouring threads render a tile of an image.
     constexpr std::size_t kTileRows = 2, kTileColumns = 16;
     const std::size_t n_rows = batch.n_rays / batch.columns;
     const std::size_t n_tiles =
