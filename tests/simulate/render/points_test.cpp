@@ -28,7 +28,7 @@ struct PointRequest {
 
 class PointsOfScans : public test::StreetTest {
 protected:
-    PointsOfScans() : StreetTest({.n_frames = 12}) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
+    PointsOfScans() : StreetTest({.n_frames = 12}, 5) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
     PoseTrack bend() const {
         PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)

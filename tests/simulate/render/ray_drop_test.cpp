@@ -19,7 +19,7 @@ namespace {
 class RayDrop : public test::StreetTest {
 protected:
     // Small surfels, so that some rays miss all of them.
-    RayDrop() : StreetTest({.n_frames = 6, .speed_mps = 5.0}, {.max_scale_m = 0.5}) {}
+    RayDrop() : StreetTest({.n_frames = 6, .speed_mps = 5.0}, 0, {.max_scale_m = 0.5}) {}
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
         return scan_of(rays, network, shift_track(log.lidar_track(0), log.world_offset_m));
     }

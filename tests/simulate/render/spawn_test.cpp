@@ -41,7 +41,7 @@ class SpawnedActors : public test::StreetTest {
 protected:
     using Placed = std::vector<std::pair<std::string, glm::dvec3>>;
 
-    SpawnedActors() : StreetTest({.n_frames = 12}) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
+    SpawnedActors() : StreetTest({.n_frames = 12}, 5) { log.world_offset_m = {455000.0, 5428000.0, 113.0}; }
     Scene scene_with(const std::vector<std::pair<const relidar::Run*, std::string>>& assets) const {
         Scene all = scene;
         std::map<const relidar::Run*, std::uint32_t> models;

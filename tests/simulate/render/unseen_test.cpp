@@ -98,7 +98,7 @@ TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
 
 class Seen : public test::StreetTest {
 protected:
-    Seen() : StreetTest({.n_frames = 12}) { config.render.channels = "seen"; }
+    Seen() : StreetTest({.n_frames = 12}, 5) { config.render.channels = "seen"; }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
         renderer.use_observed(
@@ -112,11 +112,6 @@ protected:
     double unseen(const glm::dvec3& offset_m) {
         return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value();
     }
-
-    Log log;
-    Split split;
-    Scene scene;
-    Config config;
 };
 
 TEST_F(Seen, AHeldOutScanLooksWhereTheLogDid) {
