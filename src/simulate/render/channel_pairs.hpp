@@ -27,6 +27,14 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& where =
     return scan;
 }
 
+/// Returns the optional channel with this name, or null if the scan does not have it.
+template <class Scan>
+auto* find_channel(Scan& scan, const std::string& name) {
+    const auto match =
+        std::ranges::find_if(scan.channels, [&](const ScanChannel& one) { return one.info.name == name; });
+    return match == scan.channels.end() ? nullptr : &*match;
+}
+
 /// Calls visit(ChannelInfo, source values, target values) for the channels of every scan,
 /// except time and ring.
 template <class Visit>

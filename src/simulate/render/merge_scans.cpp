@@ -11,13 +11,6 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
     target.insert(target.end(), source.begin(), source.end());
 }
 
-/// Returns the channel with this name, or null if the scan does not have it.
-const ScanChannel* find_channel(const RenderedScan& scan, const std::string& name) {
-    const auto match = std::ranges::find_if(
-        scan.channels, [&](const ScanChannel& channel) { return channel.info.name == name; });
-    return match == scan.channels.end() ? nullptr : &*match;
-}
-
 /// Adds the channels of a scan to the merged scan. The rays that are already merged have
 /// no values in a new channel.
 /// @throws UsageError if a channel has a different type in two scans
@@ -95,7 +88,7 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& r
         };
         std::visit(append_values, channel.values);
         if (!source) continue;
-        // Rotates vectors such as normals from the frame of the sensor to that of the rig.
+        // Rotates vectors, such as normals, into the frame of the rig.
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&channel.values);
         for (std::size_t i = 0; vectors && channel.info.turns && i < n_rays; ++i) {
             glm::vec3& vector = (*vectors)[first_ray + i];

@@ -6,7 +6,7 @@
 #include <bit>
 
 #include "base/parallel.hpp"
-#include "simulate/render/footprint.hpp"
+#include "simulate/render/channel_pairs.hpp"
 
 namespace relidar {
 namespace {
@@ -22,28 +22,25 @@ constexpr double kSecondReturnShare = 0.1;
 /// Returns true if a candidate can be the second return. If both returns are of surfaces,
 /// the power that the sensor detects is enough.
 bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& strongest) {
-    const LidarEcho& echo = candidate.echo;
-    if (echo.source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface) return true;
-    return echo.reflectivity / (echo.range_m * echo.range_m) >= kSecondReturnShare * strongest.power;
+    const bool are_surfaces =
+        candidate.echo.source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface;
+    return are_surfaces || power_of(candidate.echo) >= kSecondReturnShare * strongest.power;
 }
 
 /// Returns the second return of a dual-return sensor. This is the last return, or the
 /// second strongest if the strongest return is also the last.
-LidarEcho select_second(const EchoCandidates& echoes, const EchoCandidate& strongest, double separation_m) {
-    LidarEcho last, second_strongest;  // last: only behind the strongest
-    double second_power = 0.0;
-    for (const EchoCandidate& candidate : echoes) {
-        const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
-        // Also skips the strongest return itself.
-        if (std::abs(range_m - strongest_m) < separation_m) continue;
-        if (!is_bright_enough(candidate, strongest)) continue;
-        if (range_m > std::max(strongest_m, last.range_m)) last = candidate.echo;
-        if (candidate.power > second_power) {
-            second_strongest = candidate.echo;
-            second_power = candidate.power;
-        }
-    }
-    return last.source == ReturnCause::nothing ? second_strongest : last;
+/// @param separation_m minimum distance from the strongest return
+LidarEcho select_second(EchoCandidates echoes, const EchoCandidate& strongest, double separation_m) {
+    const double strongest_m = strongest.echo.range_m;
+    std::erase_if(echoes, [&](const EchoCandidate& candidate) {
+        return std::abs(candidate.echo.range_m - strongest_m) < separation_m ||
+               !is_bright_enough(candidate, strongest);
+    });
+    if (echoes.empty()) return {};
+    const auto range_of = [](const EchoCandidate& candidate) { return candidate.echo.range_m; };
+    const LidarEcho& last = std::ranges::max_element(echoes, {}, range_of)->echo;
+    return last.range_m > strongest_m ? last
+                                      : std::ranges::max_element(echoes, {}, &EchoCandidate::power)->echo;
 }
 
 std::vector<std::unique_ptr<RayWeatherEffect>> make_effects(const WeatherInput& input) {
@@ -65,10 +62,9 @@ using ReturnCauses = std::vector<std::int32_t>;
 /// Returns the channel "source", which stores the cause of each return, and sets all
 /// causes to `nothing`. Adds the channel if the scan does not have it.
 ScanChannel& prepare_causes(RenderedScan& scan) {
-    const auto is_source = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
-    if (std::ranges::none_of(scan.channels, is_source))
+    if (!find_channel(scan, kSourceChannel))
         scan.channels.push_back({parse_channels(kSourceChannel).front(), {}});
-    ScanChannel& channel = *std::ranges::find_if(scan.channels, is_source);
+    ScanChannel& channel = *find_channel(scan, kSourceChannel);
     const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
@@ -78,12 +74,10 @@ ScanChannel& prepare_causes(RenderedScan& scan) {
 /// Returns the channel "velocity" of a scan with a value for each second return, or null
 /// if the scan does not have this channel.
 ScanChannel* prepare_velocity(RenderedScan& scan) {
-    for (ScanChannel& channel : scan.channels) {
-        if (channel.info.name != "velocity") continue;
-        if (!scan.second_returns.empty()) channel.second = std::vector<float>(scan.instance.size(), 0.0f);
-        return &channel;
-    }
-    return nullptr;
+    ScanChannel* channel = find_channel(scan, "velocity");
+    if (channel && !scan.second_returns.empty())
+        channel->second = std::vector<float>(scan.instance.size(), 0.0f);
+    return channel;
 }
 
 /// Removes the surface of a ray: its instance and all channels that describe surfaces.
@@ -221,7 +215,7 @@ void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSens
                        double transmission) {
     if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
     echo.reflectivity *= transmission;
-    const double power = echo.reflectivity / (echo.range_m * echo.range_m);
+    const double power = power_of(echo);
     // Stray light around a reflector has its own limit.
     const double weakest = echo.source == ReturnCause::blooming
                                ? std::max(sensor.floor_power(), sensor.min_stray_power)
@@ -239,7 +233,7 @@ EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t s
     for (const auto& effect : effects_) effect->append_returns(candidates, ray, random);
     if (candidates.empty()) return {};
     const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);
-    return {strongest.echo, select_second(candidates, strongest, sensor_.separation_m)};
+    return {strongest.echo, select_second(std::move(candidates), strongest, sensor_.separation_m)};
 }
 
 void add_weather(RenderedScan& scan, const WeatherInput& input) {

@@ -22,6 +22,8 @@ inline double pulse_length_m(const WeatherSensorProperties& sensor) { return kLi
 inline double beam_width_m(const WeatherSensorProperties& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
+/// Returns the received power, relative to that of a surface with reflectivity 1 at 1 m.
+inline double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
 
 struct WeatherInput {
     const Weather& weather;

@@ -55,13 +55,7 @@ TEST_F(Sightings, TurnWithTheActor) {
 
 TEST_F(Sightings, WhatHidesAnActorHidesIt) {
     relidar::Run run = run_of(make_plates(), kAhead);
-    Surfels wall;
-    wall.resize(1);
-    wall.mean[0] = {4.0f, 0.0f, 0.0f};
-    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
-    wall.log_scale[0] = glm::vec2(std::log(5.0f));
-    wall.opacity_logit[0] = 8.0f;
-    run.scene = replace_background(run.scene, wall);
+    run.scene = replace_background(run.scene, test::make_plate({4.0f, 0.0f, 0.0f}, glm::vec2(5.0f)));
     EXPECT_EQ(seen(run, BoxSide::rear), 0.0);
 }
 

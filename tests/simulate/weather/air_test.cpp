@@ -227,8 +227,7 @@ void FreeAir::expect_as(const WeatherRaySimulator& air, ReturnCause source) cons
         }
         ASSERT_EQ(echo.source, source);
         ranges.at(std::size_t((echo.range_m - kNearest_m) / kCell_m)) += 1.0;
-        const double power = echo.reflectivity / (echo.range_m * echo.range_m),
-                     level = std::log10(power / levels_[0]) / 7.0 * kLevels;
+        const double level = std::log10(power_of(echo) / levels_[0]) / 7.0 * kLevels;
         powers.at(std::size_t(std::max(std::ceil(level), 1.0))) += 1.0;
     }
     EXPECT_LT(compute_deviation(ranges, from), kMostDeviation);

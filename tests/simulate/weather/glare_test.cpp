@@ -73,7 +73,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             if (echo.source == ReturnCause::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, ReturnCause::noise);
-                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.floor_power());
+                ASSERT_GE(power_of(echo), sensor.floor_power());
                 ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // uniform over the range
             }
         }

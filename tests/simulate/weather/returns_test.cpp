@@ -81,8 +81,6 @@ TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
     EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
 }
 
-double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
-
 /// The last return is the second return if it has a tenth of the power of the strongest.
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     const WeatherSensorProperties sensor = make_sensor_to(80.0);
