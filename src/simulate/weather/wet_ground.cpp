@@ -29,23 +29,18 @@ constexpr double kMinStripWidth_m = 0.2;
 /// Sums over points, relative to the sensor, along the axes of the world.
 struct GroundGridCell {
     double lowest_m = std::numeric_limits<double>::infinity();
-    double n = 0.0, zz = 0.0;
-    glm::dvec3 sum{0.0};       // sums of x, y, z
-    glm::dvec3 squares{0.0};   // sums of xx, xy, yy
-    glm::dvec2 products{0.0};  // sums of xz, yz
+    double n = 0.0;
+    glm::dvec3 sum{0.0};
+    glm::dmat3 products{0.0};  // of two coordinates of the same point
 
     void add_point(const glm::dvec3& point) {
         n += 1.0;
-        zz += point.z * point.z;
         sum += point;
-        squares += glm::dvec3(point.x * point.x, point.x * point.y, point.y * point.y);
-        products += point.z * glm::dvec2(point);
+        products += glm::outerProduct(point, point);
     }
     void add_cell_sums(const GroundGridCell& other) {
         n += other.n;
-        zz += other.zz;
         sum += other.sum;
-        squares += other.squares;
         products += other.products;
     }
 };
@@ -68,13 +63,10 @@ struct GroundPlane {
 GroundPlane fit_ground_plane(const GroundGridCell& cell) {
     if (cell.n < kMinPointsPerPlane) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
-    // Variances and covariances: xy = mean of x * y - mean of x * mean of y.
-    const double ridge = kMinStripWidth_m * kMinStripWidth_m,
-                 xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
-                 xy = cell.squares.y / cell.n - mean.x * mean.y,
-                 yy = cell.squares.z / cell.n - mean.y * mean.y + ridge,
-                 zz = cell.zz / cell.n - mean.z * mean.z;
-    const glm::dvec2 with_z = cell.products / cell.n - mean.z * glm::dvec2(mean);
+    const auto covariance = [&](int a, int b) { return cell.products[a][b] / cell.n - mean[a] * mean[b]; };
+    const double ridge = kMinStripWidth_m * kMinStripWidth_m, xx = covariance(0, 0) + ridge,
+                 xy = covariance(0, 1), yy = covariance(1, 1) + ridge, zz = covariance(2, 2);
+    const glm::dvec2 with_z(covariance(0, 2), covariance(1, 2));
     const glm::dvec2 slope =
         glm::dvec2(yy * with_z.x - xy * with_z.y, xx * with_z.y - xy * with_z.x) / (xx * yy - xy * xy);
     // Variance of the heights around the plane, slightly increased by the ridge.
@@ -84,11 +76,10 @@ GroundPlane fit_ground_plane(const GroundGridCell& cell) {
             .is_ground = squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
 }
 
-/// Returns the hit point of each ray that hits the background below the sensor, relative
-/// to the sensor. Other rays have NaN.
-std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
-    const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
-    std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
+/// Returns the hit point of each ray that can have hit the ground: the background below
+/// the sensor. Points are relative to the sensor, along the axes of the world.
+std::vector<std::optional<glm::dvec3>> points_below_sensor(const RenderedScan& scan) {
+    std::vector<std::optional<glm::dvec3>> points(scan.median_range_m.size());
     parallel_blocks(points.size(), [&](std::size_t ray) {
         if (scan.instance[ray] != 0 || !is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
             return;
@@ -99,19 +90,18 @@ std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
     return points;
 }
 
-/// Sums the candidates for ground in each cell. The first pass finds the lowest point of
-/// each cell, the second adds only points within kGroundLayer_m of it.
-GroundGrid ground_cells(const std::vector<glm::dvec3>& points) {
+/// Sums the points of each cell that are at most kGroundLayer_m above its lowest point.
+GroundGrid ground_cells(const std::vector<std::optional<glm::dvec3>>& points) {
     GroundGrid cells;
-    for (const glm::dvec3& p : points) {
-        if (std::isnan(p.x)) continue;
-        double& lowest_m = cells[ground_cell_key(p)].lowest_m;
-        lowest_m = std::min(lowest_m, p.z);
+    for (const std::optional<glm::dvec3>& p : points) {
+        if (!p) continue;
+        double& lowest_m = cells[ground_cell_key(*p)].lowest_m;
+        lowest_m = std::min(lowest_m, p->z);
     }
-    for (const glm::dvec3& p : points) {
-        if (std::isnan(p.x)) continue;
-        GroundGridCell& cell = cells[ground_cell_key(p)];
-        if (p.z < cell.lowest_m + kGroundLayer_m) cell.add_point(p);
+    for (const std::optional<glm::dvec3>& p : points) {
+        if (!p) continue;
+        GroundGridCell& cell = cells[ground_cell_key(*p)];
+        if (p->z < cell.lowest_m + kGroundLayer_m) cell.add_point(*p);
     }
     return cells;
 }
@@ -128,16 +118,16 @@ GroundPlane fit_plane_near(const GroundGrid& cells, const glm::dvec3& point) {
 }
 
 /// Finds the rays that hit level ground below the sensor, of any material. A cell is
-/// ground if the candidates of the 3 x 3 cells around it fit a plane.
+/// ground if the low points of the 3 x 3 cells around it fit a plane.
 /// @return [rays] unit normal in the world frame of the dataset, or 0 without ground
 std::vector<glm::dvec3> ground_normals_of(const RenderedScan& scan) {
-    const std::vector<glm::dvec3> points = points_below_sensor(scan);
+    const std::vector<std::optional<glm::dvec3>> points = points_below_sensor(scan);
     const GroundGrid cells = ground_cells(points);
     std::unordered_map<std::uint64_t, GroundPlane> planes;
     std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));
     for (std::size_t ray = 0; ray < points.size(); ++ray) {
-        const glm::dvec3& p = points[ray];
-        if (std::isnan(p.x)) continue;
+        if (!points[ray]) continue;
+        const glm::dvec3& p = *points[ray];
         const auto [plane, is_new] = planes.try_emplace(ground_cell_key(p));
         if (is_new) plane->second = fit_plane_near(cells, p);
         const auto& [height_m, slope, is_ground] = plane->second;
