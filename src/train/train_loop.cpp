@@ -394,7 +394,7 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
         const bool surfels_changed = frame_index == 0;
         const TrainingFrameData& frame = upload_frame(frame_index, surfels_changed);
         if (frame_index + 1 < n_frames) frames_.prefetch_frame(frame_index + 1);
-        const std::uint32_t first_column = batches.draw_column(frame, sampler_.generator());
+        const std::uint32_t start = batches.draw_start(frame, sampler_.generator());
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)

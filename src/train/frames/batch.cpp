@@ -11,83 +11,87 @@
 
 namespace relidar {
 
-/// Columns of a frame that form a batch: every stride-th group of neighbouring columns,
-/// or a window of neighbouring columns if the stride is 1.
-struct StridedColumns {
-    std::uint32_t stride = 1;
-    std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
-};
-
-struct BatchSampler::Impl {
-    TrainConfig config;
-    bool windows;  ///< true: batches are windows of neighbouring columns
-    Array<DeviceRay> rays;
-    Array<DeviceTarget> targets;
-    Kernel<shared::GatherColumnsParams> gather;
-
-    SampledBatch copy_columns(Stream& stream, const TrainingFrameData& frame, const StridedColumns& columns,
-                              std::uint32_t first_column);
-};
-
 namespace {
 
-/// Returns n if every n-th ray of the frame gives a batch of about rays_per_iteration
-/// rays. A setting of 0 means all rays.
-std::uint32_t ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
-    const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
-    return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
-}
+/// How a frame is divided into batches.
+struct BatchPlan {
+    /// Number of columns of a batch. 0 if a batch is every n_batches-th ray of the frame.
+    std::uint32_t n_columns = 0;
+    /// number of batches of a series; also the stride of the groups of columns or of the
+    /// rays of a batch
+    std::uint32_t n_batches = 1;
+    std::uint32_t n_starts = 1;  ///< number of columns (or rays) with which a batch can start
+};
 
 /// If the rays are not ordered as an image, the frame has a single row.
 ImageShape image_shape(const TrainingFrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-/// Returns which columns of a frame form a batch of about rays_per_iteration rays.
-/// @param contiguous  true: one window of neighbouring columns, for losses that compare
-/// neighbouring pixels
-StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig& config, bool contiguous) {
-    const StridedColumns no_columns{};
-    if (config.rays_per_iteration == 0) return no_columns;
-    if (contiguous) {
+/// Divides a frame into batches of about `n_rays` rays. 0 means all rays.
+/// @param windows  true: a batch is one window of neighbouring columns, for losses that
+/// compare neighbouring pixels
+BatchPlan plan_batches(const TrainingFrameData& frame, std::uint32_t n_rays, bool windows) {
+    if (n_rays == 0) return {};
+    if (windows) {
         const ImageShape image = image_shape(frame);
-        const auto n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
         // The number of full columns that is nearest to n_rays.
         const std::uint32_t rounded = (n_rays + image.rows / 2) / image.rows;
         const std::uint32_t n_columns = std::clamp(rounded, 1u, image.columns);
-        return n_columns < image.columns ? StridedColumns{.stride = 1, .n = n_columns} : no_columns;
+        if (n_columns == image.columns) return {};
+        // Only in an image of a full turn can a window extend beyond the last column.
+        return {.n_columns = n_columns,
+                .n_starts = image.circular ? image.columns : image.columns - n_columns + 1};
     }
-    // Selects every n-th group of neighbouring columns. The rays of a group have similar
+    const std::uint32_t ray_stride = std::max(1u, frame.n_rays / n_rays);
+    // Every n-th group of neighbouring columns. The rays of a group have similar
     // directions, so they are traced faster.
-    const std::uint32_t stride = std::min(ray_stride(frame, config), frame.image.columns);
-    if (!frame.image.is_image() || stride <= 1) return no_columns;
-    return {.stride = stride, .n = frame.image.columns / stride};
+    const std::uint32_t column_stride = std::min(ray_stride, frame.image.columns);
+    if (frame.image.is_image() && column_stride > 1)
+        return {.n_columns = frame.image.columns / column_stride,
+                .n_batches = column_stride,
+                .n_starts = frame.image.columns};
+    return {.n_batches = ray_stride, .n_starts = ray_stride};
 }
 
 /// Returns the number of rays of the largest batch that consists of columns. Such a batch
 /// is copied to separate arrays.
-std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, const Config& config) {
+std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, std::uint32_t n_rays,
+                            bool windows) {
     std::size_t most = 0;
-    for (const TrainingFrameData& frame : frames) {
-        const StridedColumns columns = choose_columns(frame, config.train, config.has_pixel_pair_loss());
-        most = std::max(most, std::size_t(image_shape(frame).rows) * columns.n);
-    }
+    for (const TrainingFrameData& frame : frames)
+        most = std::max(
+            most, std::size_t(image_shape(frame).rows) * plan_batches(frame, n_rays, windows).n_columns);
     return most;
 }
 
 }  // namespace
 
+struct BatchSampler::Impl {
+    std::uint32_t n_rays;  ///< about the number of rays of a batch; 0: all rays
+    bool windows;          ///< true: batches are windows of neighbouring columns
+    Array<DeviceRay> rays;
+    Array<DeviceTarget> targets;
+    Kernel<shared::GatherColumnsParams> gather;
+
+    Impl(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
+        : n_rays(static_cast<std::uint32_t>(config.train.rays_per_iteration)),
+          windows(config.has_pixel_pair_loss()),
+          rays(device, max_column_rays(frames, n_rays, windows), "batch rays"),
+          targets(device, rays.size(), "batch targets"),
+          gather(device, "train/gather_columns") {}
+
+    BatchPlan plan(const TrainingFrameData& frame) const { return plan_batches(frame, n_rays, windows); }
+    SampledBatch copy_columns(Stream& stream, const TrainingFrameData& frame, const BatchPlan& plan,
+                              std::uint32_t first_column);
+};
+
 /// Allocates arrays for the largest batch that consists of columns, which a kernel
 /// copies. Other batches use the arrays of their frame.
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
-    : impl_(new Impl{.config = config.train,
-                     .windows = config.has_pixel_pair_loss(),
-                     .rays = {device, max_column_rays(frames, config), "batch rays"},
-                     .targets = {device, max_column_rays(frames, config), "batch targets"},
-                     .gather = {device, "train/gather_columns"}}) {
-    const bool needs_images = config.loss.intensity * config.loss.intensity_ssim > 0.0f;
+    : impl_(new Impl(device, config, frames)) {
     const auto is_image = [](const TrainingFrameData& frame) { return frame.image.is_image(); };
-    if (needs_images && !std::ranges::all_of(frames, is_image))
+    if (config.has_pixel_pair_loss() && !std::ranges::all_of(frames, is_image))
         throw UsageError(
             "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and columns, so "
             "this loss cannot be computed; set it to 0");
@@ -109,42 +113,29 @@ std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
 }
 
 std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {
-    const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
-    return columns.n > 0 || impl_->windows ? columns.stride : ray_stride(frame, impl_->config);
+    return impl_->plan(frame).n_batches;
 }
 
-/// Draws the first column of a batch, or its first ray if it does not consist of columns.
-std::uint32_t BatchSampler::draw_column(const TrainingFrameData& frame, Random& random) const {
-    const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
-    std::uint32_t choices = count_batches(frame);
-    if (columns.n > 0) {
-        const ImageShape image = image_shape(frame);
-        // A window of columns must not extend beyond the last column, except in an image
-        // that covers a full turn.
-        choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
-    }
-    return static_cast<std::uint32_t>(random.next_uint64() % choices);
+std::uint32_t BatchSampler::draw_start(const TrainingFrameData& frame, Random& random) const {
+    return static_cast<std::uint32_t>(random.next_uint64() % impl_->plan(frame).n_starts);
 }
 
 SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random) {
-    return gather(stream, frame, draw_column(frame, random), 0);
+    return gather(stream, frame, draw_start(frame, random), 0);
 }
 
-/// Returns batch `index` of a series. Losses of a batch are divided by n_returned or
-/// n_known_rays. Both are expected numbers: the number in the full frame times the share
-/// of its rays. The actual numbers would bias the loss, because a sector with few returns
-/// would get a higher weight.
-SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t column,
+/// Losses of a batch are divided by n_returned or n_known_rays. Both are expected
+/// numbers: the number in the full frame times the share of its rays. The actual numbers
+/// would bias the loss, because a sector with few returns would get a higher weight.
+SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t start,
                                   std::uint32_t index) {
-    const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
-    if (columns.n > 0) {
-        const std::uint32_t n_columns = image_shape(frame).columns;
-        if (columns.stride > 1) column = (column + index * RELIDAR_COLUMN_GROUP) % n_columns;
-        return impl_->copy_columns(stream, frame, columns, column);
+    const BatchPlan plan = impl_->plan(frame);
+    if (plan.n_columns > 0) {
+        const std::uint32_t first_column = start + index * RELIDAR_COLUMN_GROUP;
+        return impl_->copy_columns(stream, frame, plan, first_column % image_shape(frame).columns);
     }
     // Every n-th ray. This batch needs no copy, because kernels read with a stride.
-    const std::uint32_t stride = count_batches(frame);
-    const std::uint32_t first_ray = (column + index) % stride;
+    const std::uint32_t stride = plan.n_batches, first_ray = (start + index) % stride;
     const RayBatch rays = frame.strided_batch(first_ray, stride);
     return {.rays = rays,
             .targets = {.targets = &frame.loss_targets(),
@@ -158,30 +149,31 @@ SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame
 
 /// Copies columns of a frame to the batch arrays, which then contain only these rays.
 SampledBatch BatchSampler::Impl::copy_columns(Stream& stream, const TrainingFrameData& frame,
-                                              const StridedColumns& columns, std::uint32_t first_column) {
+                                              const BatchPlan& plan, std::uint32_t first_column) {
     const ImageShape image = image_shape(frame);
-    const std::uint32_t n_rays = image.rows * columns.n;
-    run(stream, gather, n_rays,
+    const ColumnWindow window{.columns = image.columns,
+                              .first = first_column,
+                              .stride = plan.n_batches,
+                              .n_columns = plan.n_columns};
+    const std::uint32_t n_batch_rays = image.rows * window.n_columns;
+    run(stream, gather, n_batch_rays,
         {.rays = frame.device_rays().address(),
          .targets = frame.loss_targets().address(),
          .batch_rays = rays.address(),
          .batch_targets = targets.address(),
          .rows = image.rows,
-         .columns = image.columns,
-         .first_column = first_column,
-         .column_stride = columns.stride,
-         .n_columns = columns.n});
-    const double share = double(n_rays) / frame.n_rays;
-    return {.rays = {.rays = &rays, .n_rays = n_rays, .columns = columns.n, .targets = &targets},
+         .columns = window.columns,
+         .first_column = window.first,
+         .column_stride = window.stride,
+         .n_columns = window.n_columns});
+    const double share = double(n_batch_rays) / frame.n_rays;
+    return {.rays = {.rays = &rays, .n_rays = n_batch_rays, .columns = window.n_columns, .targets = &targets},
             .targets = {.targets = &targets,
-                        .n_rays = n_rays,
+                        .n_rays = n_batch_rays,
                         .n_returned = share * frame.n_returned,
                         .n_known_rays = share * frame.n_known_rays,
-                        .image = {.rows = image.rows, .columns = columns.n}},
-            .window = {.columns = image.columns,
-                       .first = first_column,
-                       .stride = columns.stride,
-                       .n_columns = columns.n}};
+                        .image = {.rows = image.rows, .columns = window.n_columns}},
+            .window = window};
 }
 
 }  // namespace relidar

@@ -42,15 +42,16 @@ public:
     BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
     ~BatchSampler();
     SampledBatch draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
-    /// The batches of a series together contain all rays of a frame, except a few columns
-    /// at the end of a full turn. A window of columns has only one batch.
-    /// @param column  of the first batch, from draw_column()
+    /// Returns a batch of a series, whose batches together contain all rays of a frame,
+    /// except a few columns at the end of a full turn. A window is a series of one batch.
+    /// @param start  of the first batch, from draw_start()
     /// @param index  below count_batches()
-    SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t column,
+    SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t start,
                         std::uint32_t index);
-    std::uint32_t draw_column(const TrainingFrameData& frame, Random& random) const;
-    /// Number of batches that together contain all rays, or 1 for windows of neighbouring
+    /// Draws the first column of a batch, or its first ray if it does not consist of
     /// columns.
+    std::uint32_t draw_start(const TrainingFrameData& frame, Random& random) const;
+    /// Number of batches of a series.
     std::uint32_t count_batches(const TrainingFrameData& frame) const;
 
 private:
