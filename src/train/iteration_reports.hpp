@@ -29,19 +29,25 @@ struct TrainLogLine {
     DensifyReport densified;
 };
 
-/// Each report copies the counters and resets them to 0.
+/// Counters of one element each. A report copies them and resets them to 0.
 struct DeviceHitCounters {
-    /// [1] number of rays whose traversal stopped at the maximum number of passes
-    /// (ForwardPass::n_truncated_rays)
-    const Array<std::uint32_t>* pass_cap = nullptr;
-    /// [1] largest number of ray-surfel hits in one iteration
-    /// (BackwardPass::max_hit_count); null if not needed
-    const Array<std::uint32_t>* most_hits = nullptr;
-    std::uint64_t hit_capacity = 0;
-    /// [1] number of rays with more hits than can be stored
-    /// (ForwardPass::n_overflowed_rays)
-    const Array<std::uint32_t>* overfull = nullptr;
-    std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray
+    const Array<std::uint32_t>& n_truncated_rays;   ///< ForwardPass::n_truncated_rays()
+    const Array<std::uint32_t>& n_overflowed_rays;  ///< ForwardPass::n_overflowed_rays()
+    /// BackwardPass::max_hit_count(), hits of a batch; null if not needed
+    const Array<std::uint32_t>* max_hits;
+};
+
+/// Capacities for hits. They are the same for all iterations of a report.
+struct HitLimits {
+    std::uint64_t hits_per_batch;  ///< BackwardPass::hit_capacity()
+    std::uint32_t hits_per_ray;    ///< Renderer::stored_hits_per_ray()
+};
+
+/// Results of some consecutive iterations.
+struct IterationReport {
+    int first_step, last_step;
+    HitLimits limits;
+    std::uint32_t n_truncated_rays = 0, n_overflowed_rays = 0, max_hits = 0;
 };
 
 class IterationReports {
@@ -53,23 +59,15 @@ public:
     /// @param frame_number  frame number of the dataset
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_full() const { return iterations_.size() == kMaxLossRows; }
-    /// Records a copy of the losses and counters since the last call to the host. Does
-    /// not wait. Call after add_iteration(), at most once per iteration.
+    /// Ends a report: records a copy of the losses and counters since the last call to
+    /// the host. Does not wait. Call after add_iteration(), at most once per iteration.
     /// @param line  added to the training log when the report is read
-    void record_copy(Stream& stream, const DeviceHitCounters& counters,
+    void record_copy(Stream& stream, const DeviceHitCounters& counters, const HitLimits& limits,
                      const std::optional<TrainLogLine>& line);
-
-    struct IterationGroupReport {
-        int first_step, last_step;
-        std::uint32_t pass_cap, most_hits, overfull;
-        /// values of DeviceHitCounters when record_copy() was called
-        std::uint64_t hit_capacity;
-        std::uint32_t stored_hits_per_ray;
-    };
     /// Returns the oldest unread report if it ends at iteration `max_step` or earlier.
     /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
-    std::optional<IterationGroupReport> take_oldest(Stream& stream, int max_step);
+    std::optional<IterationReport> take_oldest(Stream& stream, int max_step);
     /// Of the reports that were read. Removes the lines from this object.
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
@@ -86,29 +84,29 @@ private:
         int step;
         int frame;
     };
-    struct ClosedIterationGroup {
+    /// A report whose losses and counters are still in the host buffers.
+    struct PendingReport {
         std::vector<Iteration> iterations;
-        bool counts_hits;
-        std::uint64_t hit_capacity;
-        std::uint32_t stored_hits_per_ray;
+        HitLimits limits;
         std::optional<TrainLogLine> line;
     };
-    struct ReportReadbackSlot {
-        ReadbackBuffer terms, pass_cap, most_hits, overfull;
-        explicit ReportReadbackSlot(Device& device);
+    /// Host buffers for the losses and counters of one report.
+    struct ReportBuffers {
+        ReadbackBuffer terms, n_truncated_rays, n_overflowed_rays, max_hits;
+        explicit ReportBuffers(Device& device);
     };
 
-    Array<float> terms_;                 ///< [kMaxLossRows, kLossTerms] losses of iterations_
-    std::vector<Iteration> iterations_;  ///< iterations since the last report
-    /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
-    std::vector<ReportReadbackSlot> slots_;
-    std::deque<ClosedIterationGroup> closed_;  ///< reports that the host has not read yet, oldest first
+    Array<float> terms_;                  ///< [kMaxLossRows, kLossTerms] losses of iterations_
+    std::vector<Iteration> iterations_;   ///< iterations since the last report
+    std::vector<ReportBuffers> buffers_;  ///< [kReadbackLag]
+    std::deque<PendingReport> pending_;   ///< oldest first
     /// [kLossTerms] sum of each loss over the iterations since the last log line
     std::vector<double> sums_;
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<TrainLogLine> lines_;
 
-    void add_loss_terms(const ClosedIterationGroup& group, const float* loss_terms);
+    ReportBuffers& buffers_of(const std::vector<Iteration>& iterations);
+    void add_loss_terms(const std::vector<Iteration>& iterations, const float* loss_terms);
     void store_log_line(TrainLogLine log_line);
 };
 

@@ -63,8 +63,8 @@ LearningRates learning_rates(const TrainConfig& config, double extent_m, int ste
 }
 
 /// Returns the learning rate of positions for each model, relative to the rate of the
-/// background. It is proportional to the extent of the model. Steps suitable for a street
-/// would move an actor's surfels out of its box.
+/// background. As in the paper, it is proportional to the extent of the model: steps
+/// suitable for a street would move an actor's surfels out of its box.
 /// @return [models] factors
 std::vector<float> position_factors(const Scene& scene_layout, double background_extent_m) {
     std::vector<float> factors;
@@ -216,13 +216,18 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
     return frame;
 }
 
-/// Records GPU commands that render a batch, and compute its losses and gradients.
-void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms) {
-    renderer_.record_forward(rays);  // renders the batch (equations 2-4)
-    // computes the losses (equations 10-11)
+/// Renders a batch, and computes its losses and their gradients.
+void TrainLoop::record_losses(const SampledBatch& batch) {
+    const LossTermRow terms = reports_.loss_row();
+    renderer_.record_forward(batch.rays);  // docs/method.md section 3
+    for (Loss* loss : active_losses_)      // section 5
+        loss->add_ray_losses(stream_, differentiable_.last_batch(), batch.targets, terms);
+    differentiable_.record_backward();  // section 4
+    // Losses of the surfels themselves, which add to the gradients of the rays.
+    DeviceGradients& gradients = differentiable_.gradients();
+    const auto* touched = config_.train.only_touched ? &gradients.touched : nullptr;
     for (Loss* loss : active_losses_)
-        loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, terms);
-    differentiable_.record_backward();  // computes the gradients (equation 9)
+        loss->add_regularisers(stream_, renderer_.scene(), {&gradients.surfels, touched}, terms);
 }
 
 /// Records one iteration and submits it: renders a batch, computes the losses and their
@@ -232,9 +237,8 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     check_reports(step - kReadbackLag);
     refiner_.apply_until(stream_, step - kReadbackLag);
 
-    DeviceScene& scene = renderer_.scene();
-    renderer_.set_sh_degree(active_sh_degree(config_.train, step));
     const std::size_t frame_index = sampler_.next_frame();
+    renderer_.set_sh_degree(active_sh_degree(config_.train, step));
     const bool is_refit = is_refit_due(choose_refit(config_, n_fixed_), config_.train, step);
     const TrainingFrameData& frame = upload_frame(frame_index, is_refit);
     // Computes the arrays of the next frame on the host while the device works.
@@ -242,29 +246,22 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
         frames_.prefetch_frame(*next_frame);
 
     const SampledBatch batch = batches_.draw_batch(stream_, frame, sampler_.generator());
-    const LossTermRow terms = reports_.loss_row();
-    record_batch(batch.rays, batch.targets, terms);
-    DeviceGradients& gradients = differentiable_.gradients();
+    record_losses(batch);
+    const DeviceGradients& gradients = differentiable_.gradients();
     refiner_.record_gradients(stream_, frame_index, frame, batch, gradients, step);
-    for (Loss* loss : active_losses_)
-        loss->add_regularisers(
-            stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
-            terms);
-    densifier_.record_statistics(stream_, scene,
+    densifier_.record_statistics(stream_, renderer_.scene(),
                                  {.gradients = &gradients.surfels,
                                   .touched = &gradients.touched,
                                   .frame = static_cast<std::uint32_t>(frame_index),
                                   .is_full_frame = batch.rays.n_rays == frame.n_rays});
     record_adam_step(step);
+    densify_surfels(step);
     reports_.add_iteration(step, frame.index);
+    if (is_last_of_log_interval)
+        start_readback(TrainLogLine{
+            .step = step, .n_surfels = surfel_count(), .densified = std::exchange(densified_, {})});
+    else if (reports_.is_full()) start_readback();
 
-    if (densifier_.is_densify_step(step))
-        differentiable_.resize([&](double other_allocation_bytes) {
-            densified_.add_counts(
-                densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes));
-        });
-    densifier_.reset_opacities(stream_, scene, adam_, step);
-    if (is_last_of_log_interval || reports_.is_full()) start_readback(step, is_last_of_log_interval);
     if (step % kGrowthEvery == 0) renderer_.accel().record_cost(stream_);
     submitted_ = stream_.submit_commands();
     last_step_ = step;
@@ -276,6 +273,7 @@ void TrainLoop::record_adam_step(int step) {
     const DeviceGradients& gradients = differentiable_.gradients();
     LearningRates rates = learning_rates(config_.train, extent_m_, step);
     rates.models = &scene.model_table();
+    // Only the presets of the paper, which densify, have a rate for each model.
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.mean_factors = position_factors(scene.layout(), extent_m_);
     // Skips surfels without a gradient, unless a loss gives every surfel a gradient.
@@ -284,60 +282,64 @@ void TrainLoop::record_adam_step(int step) {
                       renderer_.model().sh_degree);
 }
 
-/// Starts a copy of the losses and counters since the last report to the host, without
-/// waiting. Adds a log line if a log interval ends.
-void TrainLoop::start_readback(int step, bool is_last_of_log_interval) {
-    const BackwardPass& backward = differentiable_.backward_pass();
-    const DeviceHitCounters counters{
-        .pass_cap = &renderer_.forward_pass().n_truncated_rays(),
-        .most_hits = config_.train.deterministic ? backward.max_hit_count() : nullptr,
-        .hit_capacity = backward.hit_capacity(),
-        .overfull = &renderer_.forward_pass().n_overflowed_rays(),
-        .stored_hits_per_ray = renderer_.stored_hits_per_ray()};
-    std::optional<TrainLogLine> line;
-    if (is_last_of_log_interval) {
-        line = TrainLogLine{.step = step, .n_surfels = surfel_count(), .densified = densified_};
-        densified_ = {};
-    }
-    reports_.record_copy(stream_, counters, line);
+/// Adds and removes surfels, and limits opacities, each at the steps of its interval.
+void TrainLoop::densify_surfels(int step) {
+    DeviceScene& scene = renderer_.scene();
+    if (densifier_.is_densify_step(step))
+        differentiable_.resize([&](double other_allocation_bytes) {
+            densified_.add_counts(
+                densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes));
+        });
+    densifier_.reset_opacities(stream_, scene, adam_, step);
 }
 
-/// Reads all reports that are available up to `last_step`, checks their losses, and
-/// enlarges the memory for hits if the counters require it.
+/// Starts to copy the losses and counters since the last report to the host. Does not
+/// wait.
+/// @param line  set if a log interval ends; gets the mean losses of the interval
+void TrainLoop::start_readback(const std::optional<TrainLogLine>& line) {
+    const ForwardPass& forward = renderer_.forward_pass();
+    const BackwardPass& backward = differentiable_.backward_pass();
+    // Hits beyond the capacity are summed with atomics, in any order. Only a
+    // deterministic training must avoid this.
+    const DeviceHitCounters counters{
+        .n_truncated_rays = forward.n_truncated_rays(),
+        .n_overflowed_rays = forward.n_overflowed_rays(),
+        .max_hits = config_.train.deterministic ? backward.max_hit_count() : nullptr};
+    reports_.record_copy(stream_, counters, {backward.hit_capacity(), renderer_.stored_hits_per_ray()}, line);
+}
+
+/// Reads all reports that are available up to `last_step`. Stops if rays lost hits, and
+/// enlarges the memory for hits if it was nearly full.
 void TrainLoop::check_reports(int last_step) {
-    while (const std::optional<IterationReports::IterationGroupReport> report =
-               reports_.take_oldest(stream_, last_step)) {
-        if (report->pass_cap > 0)
+    while (const std::optional<IterationReport> report = reports_.take_oldest(stream_, last_step)) {
+        if (report->n_truncated_rays > 0)
             fail<DeviceError>(
                 "training failed in iterations {} to {}: the search for surfels stopped {} times at its "
                 "limit of passes or with a full stack; the scene probably has too many overlapping surfels",
-                report->first_step, report->last_step, report->pass_cap);
+                report->first_step, report->last_step, report->n_truncated_rays);
         grow_hit_capacity(*report);
         resize_stored_hits(*report);
     }
 }
 
-void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& report) {
-    if (report.most_hits > report.hit_capacity)
+void TrainLoop::grow_hit_capacity(const IterationReport& report) {
+    if (report.max_hits > report.limits.hits_per_batch)
         fail<DeviceError>(
             "training failed in iterations {} to {} with train.deterministic=true: one iteration has {} "
             "hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
-            report.first_step, report.last_step, report.most_hits, report.hit_capacity);
-    if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
-    // A report has only one `hit_capacity`, so the steps so far get their own report.
-    start_readback(last_step_, false);
+            report.first_step, report.last_step, report.max_hits, report.limits.hits_per_batch);
+    if (report.max_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
+    start_readback();  // ends the current report, because all its iterations have the same limits
     // Twice the reported number, so that later steps can have more hits.
-    differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
+    differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.max_hits));
 }
 
-void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport& report) {
+void TrainLoop::resize_stored_hits(const IterationReport& report) {
     // Ignores a report whose iterations ran before the last increase.
-    if (report.stored_hits_per_ray != renderer_.stored_hits_per_ray() || hit_memory_exhausted_) return;
-    const std::uint32_t n_hits = grow_stored_hits(report.stored_hits_per_ray, report.overfull);
-    if (n_hits == report.stored_hits_per_ray) return;
-    // A report has only one `stored_hits_per_ray`, so the steps so far get their own
-    // report.
-    start_readback(last_step_, false);
+    if (report.limits.hits_per_ray != renderer_.stored_hits_per_ray() || hit_memory_exhausted_) return;
+    const std::uint32_t n_hits = grow_stored_hits(report.limits.hits_per_ray, report.n_overflowed_rays);
+    if (n_hits == report.limits.hits_per_ray) return;
+    start_readback();  // ends the current report, because all its iterations have the same limits
     try {
         renderer_.set_stored_hits(n_hits);
     } catch (const OutOfDeviceMemory&) {
@@ -346,7 +348,7 @@ void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport&
 }
 
 void TrainLoop::finish_steps() {
-    start_readback(last_step_, false);
+    start_readback();
     submitted_ = stream_.submit_commands();
     check_reports(last_step_);
     refiner_.wait_for_pending(stream_);
@@ -398,20 +400,18 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
-            count_drops(counts, sequence, frame, batches.gather(stream_, frame, first_column, batch));
+            count_drops(counts, sequence, frame, batches.gather(stream_, frame, start, batch));
     }
     RayDropTable drops = counts.smoothed_rates();
     drop_unobserved(drops, frames_.mask_rules().observed_drops, sequence);
     return drops;
 }
 
-/// Renders a batch and counts the rays for which the scene predicts a return. The counts
-/// also contain whether the sensor measured one.
+/// Renders a batch, and adds the measurements of those rays for which the scene predicts
+/// a return.
 void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
-    // Minimum blending weight of a ray that hits a solid surface. Rays below it count
-    // only in sectors that training ignores, because the scene has no surfaces there.
-    constexpr float kMinSolidWeight = 0.9f;
+    constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface
     const Frame& sweep = log.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.mask_rules().observed_drops;
     renderer_.record_forward(batch.rays);
@@ -420,10 +420,10 @@ void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const Trainin
         to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
-        const bool predicts_return = rendered.hit_logit[j] > rendered.drop_logit[j];
-        const bool hits_surface =
-            rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray);
-        if (predicts_return && hits_surface) counts.add_ray(sweep, ray);
+        if (!(rendered.hit_logit[j] > rendered.drop_logit[j])) continue;  // predicts a drop
+        // Training ignored blind rays, so the scene may have no solid surface there.
+        if (rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray))
+            counts.add_ray(sweep, ray);
     }
 }
 

@@ -145,15 +145,16 @@ private:
     /// and records the poses of its instances.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
-    void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms);
+    void record_losses(const SampledBatch& batch);
     void record_adam_step(int step);
+    void densify_surfels(int step);
     void check_reports(int last_step);
-    void start_readback(int step, bool is_last_of_log_interval);
+    void start_readback(const std::optional<TrainLogLine>& line = std::nullopt);
     /// Increases the capacity of the hit buffer if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
-    void grow_hit_capacity(const IterationReports::IterationGroupReport& report);
+    void grow_hit_capacity(const IterationReport& report);
     /// Stores more hits per ray if many rays had more, because these are traced twice.
-    void resize_stored_hits(const IterationReports::IterationGroupReport& report);
+    void resize_stored_hits(const IterationReport& report);
     void count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                      const SampledBatch& batch);
 };
