@@ -81,6 +81,36 @@ Config with_useful_poses(Config config, const Log& log, const Split& split, cons
     return config;
 }
 
+/// Runs the remaining iterations, unless the user stops the training. Adds lines to the
+/// training log, and writes checkpoints.
+void run_iterations(TrainLoop& loop, CheckpointKeeper& checkpoints, const Config& config,
+                    const TrainProgressCallback& progress, const TrainSession& session, TrainResult& result) {
+    const int n_iterations = config.train.iterations, log_every = std::max(1, config.train.log_every);
+    const Clock::time_point start = Clock::now();
+    const double trained_before_s = result.train_s;
+    const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
+    bool stop = false;
+    const auto collect_lines = [&] {
+        for (const TrainLogLine& line : loop.take_log_lines()) {
+            append_log_line(result.log, line, config, trained_s());
+            stop = (progress && !progress(result.log.back())) || stop;
+        }
+    };
+    while (result.iterations < n_iterations && !stop) {
+        const int step = ++result.iterations;
+        loop.run_iteration(step, step == 1 || step % log_every == 0 || step == n_iterations);
+        collect_lines();
+        stop = stop || (session.stop && session.stop());
+        if (!stop && !checkpoints.is_due(step)) continue;
+        loop.finish_steps();
+        collect_lines();  // A checkpoint includes the log lines.
+        checkpoints.save_state(loop, result, trained_s());
+    }
+    loop.finish();
+    collect_lines();
+    result.train_s = trained_s();
+}
+
 /// Downloads the trained scene and its poses. Then estimates the drops of the sensor, the
 /// observed space, and the classes of the background, with the refined poses.
 void fill_result(TrainLoop& loop, Device& device, const Log& log, const Split& split, const Config& config,
@@ -128,32 +158,10 @@ TrainResult train(Device& device, const Log& sequence, const Split& split, const
         read_log(*session.start, config, result);
     }
     CheckpointKeeper checkpoints(sequence, split, config, session);
-    const Clock::time_point start = Clock::now();
-    const double trained_before_s = result.train_s;
-    const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
-    const int log_every = std::max(1, config.train.log_every);
-    bool stop = false;
-    const auto collect_lines = [&] {
-        for (const TrainLogLine& line : loop.take_log_lines()) {
-            append_log_line(result.log, line, config, trained_s());
-            stop = (progress && !progress(result.log.back())) || stop;
-        }
-    };
-    while (result.iterations < config.train.iterations && !stop) {
-        const int step = ++result.iterations;
-        const bool is_logged = step == 1 || step % log_every == 0 || step == config.train.iterations;
-        loop.run_iteration(step, is_logged);
-        collect_lines();
-        stop = stop || (session.stop && session.stop());
-        if (!stop && !checkpoints.is_due(step)) continue;
-        loop.finish_steps();
-        collect_lines();  // A checkpoint includes the log lines.
-        checkpoints.save_state(loop, result, trained_s());
-    }
-    loop.finish();
-    collect_lines();
+    run_iterations(loop, checkpoints, config, progress, session, result);
+    const Clock::time_point trained = Clock::now();
     fill_result(loop, device, sequence, split, config, session, result);
-    result.train_s = trained_s();
+    result.train_s += seconds_since(trained);
     result.times = loop.training_times();
     result.peak_device_bytes = device.peak_bytes();
     return result;
