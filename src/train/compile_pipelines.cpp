@@ -22,17 +22,26 @@ struct KernelSetting {
     const char* value;
 };
 
-// Each row is compiled separately, with the preset `default` and this one setting. Add a
-// row for each new specialisation constant.
-constexpr KernelSetting kKernelSettings[] = {{"image.sh_direction", "ray"},
-                                             {"image.sh_direction", "surfel"},
-                                             {"image.single_drop_logit", "true"},
-                                             {"train.deterministic", "true"},
-                                             {"train.refine_poses", "sensor,actors"},
-                                             {"render.range", "mode"},
-                                             {"trace.chunk", "16"},
-                                             {"trace.chunk", "64"},
-                                             {"densify.strategy", "adaptive"}};
+/// Returns the settings that select kernels which no preset uses. Each is compiled
+/// separately, with the preset `default`. Add a row for each new specialisation constant.
+std::vector<KernelSetting> list_kernel_settings() {
+    std::vector<KernelSetting> settings{{"image.sh_direction", "ray"},
+                                        {"image.sh_direction", "surfel"},
+                                        {"image.single_drop_logit", "true"},
+                                        {"train.deterministic", "true"},
+                                        {"train.refine_poses", "sensor,actors"},
+                                        {"render.range", "mode"},
+                                        {"trace.chunk", "16"},
+                                        {"trace.chunk", "64"},
+                                        {"densify.strategy", "adaptive"}};
+    // The weight of each loss, which enables its kernels.
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
+    settings.push_back({"loss." #setting, "0.1"});
+    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
+    for (const PrimitiveProperties& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
+    return settings;
+}
 
 /// Returns a scene with a background and an actor, each with one surfel.
 Scene minimal_scene(const Log& street, PrimitiveType primitive) {
@@ -83,17 +92,10 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         report(preset);
         compile_training(device, street, make_preset(preset));
     }
-    std::vector<KernelSetting> settings(std::begin(kKernelSettings), std::end(kKernelSettings));
-    // The weight of each loss, which enables its kernels.
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
-    settings.push_back({"loss." #setting, "0.1"});
-    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
-#undef RELIDAR_TERM
-    for (const PrimitiveProperties& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
-    for (const KernelSetting& setting : settings) {
-        report(std::string(setting.key) + "=" + setting.value);
+    for (const auto& [key, value] : list_kernel_settings()) {
+        report(std::string(key) + "=" + value);
         Config config = make_preset("default");
-        set_value(config, setting.key, setting.value);
+        set_value(config, key, value);
         compile_training(device, street, config);
     }
     report("kernels of the ray traversal and of sums of gradients");
@@ -105,8 +107,8 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_network(device, options);
     }
     report("kernels that add gradients of hits in a fixed order");
-    // Compiles the kernels that sort hits. The training loops above did not compile them,
-    // because BackwardPass creates its RadixSort only when it gets its first batch.
+    // The training loops above did not compile these, because BackwardPass sorts hits by
+    // their rows only in its first batch.
     const RadixSort by_row(device, 1, 1);
 }
 
