@@ -121,7 +121,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         rays.record_sums(stream, frames[f], batch, d_rays);
         stream.submit_and_wait();
         const std::vector<PoseGradient> actual =
-            rays.sum_gradients(rays.gradient_sums().download(), frames[f]);
+            rays.sum_gradients(rays.partial_sums().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
         const std::vector<DeviceRay> all = frames[f].device_rays().download(frames[f].n_rays);
         const Frame& frame = street.frames[std::size_t(frames[f].position)];

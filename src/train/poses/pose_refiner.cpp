@@ -3,7 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
+#include <utility>
 
 #include <relidar/diff/backward.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -45,17 +45,6 @@ Log copy_without_scans(const Log& sequence) {
     return result;
 }
 
-/// Pending iterations need separate buffers.
-void allocate_readbacks(std::vector<ReadbackBuffer>& buffers, Device& device, std::size_t n,
-                        const char* text) {
-    while (int(buffers.size()) < kReadbackLag) buffers.emplace_back(device, n * sizeof(float), text);
-}
-
-template <class T>
-void remove_first(std::vector<T>& values, std::size_t count) {
-    values.erase(values.begin(), values.begin() + std::ptrdiff_t(count));
-}
-
 PoseStepRates pose_rates(const TrainConfig& config, double initial_rate_m, int step) {
     const double decay = interpolate_exp(1.0, kFinalShare, step, config.iterations);
     return {initial_rate_m * decay, initial_rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
@@ -64,10 +53,10 @@ PoseStepRates pose_rates(const TrainConfig& config, double initial_rate_m, int s
 }  // namespace
 
 PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames)
-    : most_knots_(max_frame_poses(frames)),
+    : max_knots_(max_frame_poses(frames)),
       moved_(device, max_frame_rays(frames), "moved rays"),
-      knots_(device, most_knots_, "sensor poses"),
-      rows_(device, std::size_t(kGroupsPerPose) * 6 * most_knots_, "pose gradients"),
+      knots_(device, max_knots_, "sensor poses"),
+      partial_sums_(device, std::size_t(kGroupsPerPose) * 6 * max_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
       gradients_(device, "train/knot_gradients",
                  {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
@@ -92,17 +81,18 @@ void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correct
     frame.moved_rays = &moved_;
 }
 
-/// Records GPU commands that sum the gradients of the rays for each pose of the frame
-/// (knot). A pose has kGroupsPerPose workgroups, each of which writes one partial sum.
+/// Runs a kernel that sums the gradients of the rays for each pose of the frame. A pose
+/// has kGroupsPerPose workgroups, each of which writes one partial sum.
+/// @param ray_gradients  [rays, 6] gradients with respect to origin and direction
 void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                     const Array<float, shared::DeviceRayGradients>& ray_gradients) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
-    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kGroupsPerPose * most_knots_,
+    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kGroupsPerPose * max_knots_,
         {.moved = batch.rays.rays->address(),
          .interpolations = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
          .d_rays = ray_gradients.address(),
-         .rows = rows_.address(),
+         .rows = partial_sums_.address(),
          .n_rays = batch.rays.n_rays,
          .first_ray = batch.rays.first,
          .ray_stride = batch.rays.stride,
@@ -111,19 +101,20 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .first_column = batch.window.first,
          .column_stride = batch.window.stride,
          .n_columns = batch.window.n_columns,
-         .n_knots = most_knots_,
+         .n_knots = max_knots_,
          .n_rows = kGroupsPerPose});
 }
 
-/// Adds the rows of partial sums on the host, which gives one gradient per pose.
-std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> sums,
+std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> partial_sums,
                                                            const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t knot = 0; knot < result.size(); ++knot) {
-        result[knot].pose = frame.first_knot + knot;
-        for (std::size_t row = 0; row < kGroupsPerPose; ++row)
-            for (std::size_t i = 0; i < 6; ++i)
-                result[knot].gradient[i] += sums[6 * (row * most_knots_ + knot) + i];
+        PoseGradient& pose = result[knot];
+        pose.pose = frame.first_knot + knot;
+        for (std::size_t group = 0; group < kGroupsPerPose; ++group) {
+            const auto sums = partial_sums.subspan(6 * (group * max_knots_ + knot), 6);
+            for (std::size_t i = 0; i < 6; ++i) pose.gradient[i] += sums[i];
+        }
     }
     return result;
 }
@@ -234,8 +225,7 @@ PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layou
     if (config.refines("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<PoseCorrectedRays>(device, frames.all());
-        floats_of_rays_ = rays_->gradient_sums().size();
-        allocate_readbacks(of_rays_, device, floats_of_rays_, "pose gradients of rays");
+        sensor_readback_.emplace(device, rays_->partial_sums().size(), "pose gradients of rays");
     }
     if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
@@ -245,8 +235,7 @@ PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layou
     }
     if (actors_.empty()) return;
     // 6 values per instance: rotation and translation
-    floats_of_instances_ = 6 * layout_.instances.size();
-    allocate_readbacks(of_instances_, device, floats_of_instances_, "pose gradients of instances");
+    instance_readback_.emplace(device, 6 * layout_.instances.size(), "pose gradients of instances");
 }
 
 PoseRefiner::~PoseRefiner() = default;
@@ -268,92 +257,113 @@ void PoseRefiner::move_frame(Stream& stream, TrainingFrameData& frame) {
             .translation);
 }
 
+DelayedReadback::DelayedReadback(Device& device, std::size_t n_floats, const char* text)
+    : n_floats_(n_floats) {
+    while (int(buffers_.size()) < kReadbackLag) buffers_.emplace_back(device, n_floats * sizeof(float), text);
+}
+
+void DelayedReadback::record_copy(Stream& stream, const Buffer& source, int step) {
+    buffers_[std::size_t(step) % kReadbackLag].record_copy(stream, source, n_floats_ * sizeof(float));
+}
+
+void DelayedReadback::read(Stream& stream, int step, std::vector<float>& values) {
+    if (!values.empty()) return;
+    const void* bytes = buffers_[std::size_t(step) % kReadbackLag].wait_for_bytes(stream);
+    values.assign(static_cast<const float*>(bytes), static_cast<const float*>(bytes) + n_floats_);
+}
+
 void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                    const SampledBatch& batch, const DeviceGradients& gradients, int step) {
     if (!is_enabled()) return;
-    // The host reads these copies kReadbackLag iterations later, from their own buffers.
-    const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->record_sums(stream, frame, batch, gradients.rays);
-        of_rays_[slot].record_copy(stream, rays_->gradient_sums().buffer(), floats_of_rays_ * sizeof(float));
+        sensor_readback_->record_copy(stream, rays_->partial_sums().buffer(), step);
     }
-    if (!actors_.empty())
-        of_instances_[slot].record_copy(stream, gradients.poses.buffer(),
-                                        floats_of_instances_ * sizeof(float));
-    pending_iterations_.step.push_back(std::uint64_t(step));
-    pending_iterations_.frame.push_back(frame_index);
+    if (instance_readback_) instance_readback_->record_copy(stream, gradients.poses.buffer(), step);
+    PendingPoseGradients& pending = pending_.emplace_back();
+    pending.step = step;
+    pending.frame = frame_index;
     for (const RefinedActor& actor : actors_) {
         // First and last time at which the sweep observes the actor, because the
         // gradients of an actor are divided between its poses at these times.
         const InstancePose& placed = frame.placed[actor.instance];
-        pending_iterations_.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
-        pending_iterations_.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
+        pending.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
+        pending.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
     }
-    // Space for the gradients, which wait_for_gradient() copies when they are available.
-    pending_iterations_.gradient.resize(pending_iterations_.gradient.size() + floats_of_rays_ +
-                                        floats_of_instances_);
 }
 
-std::span<float> PoseRefiner::wait_for_gradient(Stream& stream, std::size_t pending_index) {
-    const std::size_t n_floats = floats_of_rays_ + floats_of_instances_;
-    const std::size_t slot = pending_iterations_.step[pending_index] % kReadbackLag;
-    const std::span<float> gradient(pending_iterations_.gradient.data() + pending_index * n_floats, n_floats);
-    // If no copy is pending, an earlier call or a checkpoint has filled the row.
-    if (rays_ && of_rays_[slot].is_pending())
-        std::memcpy(gradient.data(), of_rays_[slot].wait_for_bytes(stream), floats_of_rays_ * sizeof(float));
-    if (!actors_.empty() && of_instances_[slot].is_pending())
-        std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait_for_bytes(stream),
-                    floats_of_instances_ * sizeof(float));
-    return gradient;
+/// Copies the gradients of a pending iteration from the device. Waits for them.
+void PoseRefiner::read_gradients(Stream& stream, PendingPoseGradients& pending) {
+    if (sensor_readback_) sensor_readback_->read(stream, pending.step, pending.of_sensor);
+    if (instance_readback_) instance_readback_->read(stream, pending.step, pending.of_instances);
 }
 
 void PoseRefiner::wait_for_pending(Stream& stream) {
-    for (std::size_t i = 0; i < pending_iterations_.step.size(); ++i) wait_for_gradient(stream, i);
+    for (PendingPoseGradients& pending : pending_) read_gradients(stream, pending);
 }
 
-/// Updates the poses with the gradients of the oldest pending iteration, and removes it
-/// from the list.
-void PoseRefiner::apply_oldest(Stream& stream) {
-    const std::span<const float> gradient = wait_for_gradient(stream, 0);
-    const int step = static_cast<int>(pending_iterations_.step.front());
+/// Updates the poses of the sensor and of the actors' boxes by one step of Adam each.
+void PoseRefiner::apply_gradients(const PendingPoseGradients& pending) {
     if (rays_) {
-        const TrainingFrameData& frame = frames_.all()[pending_iterations_.frame.front()];
-        for (const PoseGradient& pose : rays_->sum_gradients(gradient.first(floats_of_rays_), frame))
+        for (const PoseGradient& pose : rays_->sum_gradients(pending.of_sensor, frames_.all()[pending.frame]))
             sensor_->add_gradient(pose.pose, 1.0, pose.gradient);
-        sensor_->run_adam_step(pose_rates(config_, config_.pose_rate_m, step));
+        sensor_->run_adam_step(pose_rates(config_, config_.pose_rate_m, pending.step));
         sensor_->remove_mean_motion();
     }
-    apply_actor_gradients(gradient.subspan(floats_of_rays_), step);
-    remove_first(pending_iterations_.step, 1);
-    remove_first(pending_iterations_.frame, 1);
-    remove_first(pending_iterations_.actor_time_s, 2 * actors_.size());
-    remove_first(pending_iterations_.gradient, floats_of_rays_ + floats_of_instances_);
-}
-
-/// Updates the boxes of the actors with the gradients of the oldest pending iteration.
-/// @param instance_gradients [instances, 6]
-void PoseRefiner::apply_actor_gradients(std::span<const float> instance_gradients, int step) {
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         RefinedActor& actor = actors_[k];
-        Twist twist;
-        std::copy_n(instance_gradients.begin() + std::ptrdiff_t(6 * actor.instance), 6, twist.begin());
-        // The pose of the actor is the mean of its poses at the first and the last time
-        // at which a sweep observes it. Each of these two poses gets half of the
-        // gradient.
-        for (double& component : twist) component *= 0.5;
-        // The actor may be absent from the frame. Its gradient is then zero, and
-        // add_gradient() ignores zero gradients.
+        // The pose of an actor in a sweep is the mean of its poses at the first and the
+        // last time at which the sweep observes it. Each of them gets half of the
+        // gradient. An absent actor has the gradient zero, which add_gradient() ignores.
+        Twist half_gradient;
+        for (std::size_t i = 0; i < 6; ++i)
+            half_gradient[i] = 0.5 * pending.of_instances[6 * actor.instance + i];
         for (std::size_t end = 0; end < 2; ++end)
-            actor.correction.add_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
-        actor.correction.run_adam_step(pose_rates(config_, kBoxFactor * config_.pose_rate_m, step));
+            actor.correction.add_gradient(pending.actor_time_s[2 * k + end], half_gradient);
+        actor.correction.run_adam_step(pose_rates(config_, kBoxFactor * config_.pose_rate_m, pending.step));
     }
 }
 
 void PoseRefiner::apply_until(Stream& stream, int last_step) {
-    if (pending_iterations_.step.empty() || int(pending_iterations_.step.front()) > last_step) return;
-    while (!pending_iterations_.step.empty() && int(pending_iterations_.step.front()) <= last_step)
-        apply_oldest(stream);
+    if (pending_.empty() || pending_.front().step > last_step) return;
+    while (!pending_.empty() && pending_.front().step <= last_step) {
+        read_gradients(stream, pending_.front());
+        apply_gradients(pending_.front());
+        pending_.pop_front();
+    }
     update_corrected();
+}
+
+PoseRefiner::PendingArrays PoseRefiner::join_pending() const {
+    PendingArrays arrays;
+    for (const PendingPoseGradients& pending : pending_) {
+        arrays.step.push_back(std::uint64_t(pending.step));
+        arrays.frame.push_back(pending.frame);
+        arrays.actor_time_s.insert(arrays.actor_time_s.end(), pending.actor_time_s.begin(),
+                                   pending.actor_time_s.end());
+        for (const std::vector<float>* part : {&pending.of_sensor, &pending.of_instances})
+            arrays.gradient.insert(arrays.gradient.end(), part->begin(), part->end());
+    }
+    return arrays;
+}
+
+void PoseRefiner::split_pending(const PendingArrays& arrays) {
+    pending_.clear();
+    auto time_s = arrays.actor_time_s.begin();
+    auto gradient = arrays.gradient.begin();
+    const auto next_gradients = [&](const std::optional<DelayedReadback>& readback) {
+        const auto begin = gradient;
+        if (readback) gradient += std::ptrdiff_t(readback->n_floats());
+        return std::vector<float>(begin, gradient);
+    };
+    for (std::size_t i = 0; i < arrays.step.size(); ++i) {
+        const auto first_s = std::exchange(time_s, time_s + std::ptrdiff_t(2 * actors_.size()));
+        pending_.push_back({.step = int(arrays.step[i]),
+                            .frame = arrays.frame[i],
+                            .actor_time_s = {first_s, time_s},
+                            .of_sensor = next_gradients(sensor_readback_),
+                            .of_instances = next_gradients(instance_readback_)});
+    }
 }
 
 void PoseRefiner::update_corrected() {

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <span>
@@ -83,22 +84,49 @@ public:
     /// move_rays() for the same frame before.
     void record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                      const Array<float, shared::DeviceRayGradients>& ray_gradients);
-    /// [kGroupsPerPose, maximum number of poses in a frame, 6] one row for each of the
-    /// `kGroupsPerPose` workgroups that share the work for a pose
-    const Array<float>& gradient_sums() const { return rows_; }
-    std::vector<PoseGradient> sum_gradients(std::span<const float> sums,
+    /// [kGroupsPerPose, max_knots_, 6] partial sums of the gradients of each pose
+    const Array<float>& partial_sums() const { return partial_sums_; }
+    /// Adds the partial sums on the host, which gives one gradient per pose of the frame.
+    std::vector<PoseGradient> sum_gradients(std::span<const float> partial_sums,
                                             const TrainingFrameData& frame) const;
 
 private:
     /// workgroups per pose, so that the GPU has enough parallel work
     static constexpr std::uint32_t kGroupsPerPose = 16;
 
-    std::uint32_t most_knots_;
+    std::uint32_t max_knots_;        ///< maximum number of poses ("knots") of a frame
     Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move_rays()
-    Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the same frame
-    Array<float, shared::KnotGradientRows> rows_;
+    Array<shared::PoseKnot> knots_;  ///< [max_knots_] poses of the same frame
+    Array<float, shared::KnotGradientRows> partial_sums_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;
+};
+
+/// Copies an array from the device to the host in each iteration. The host reads a copy
+/// at most kReadbackLag iterations later.
+class DelayedReadback {
+public:
+    DelayedReadback(Device& device, std::size_t n_floats, const char* text);
+    void record_copy(Stream& stream, const Buffer& source, int step);
+    /// Waits for the copy of an iteration. Does nothing if `values` has it already.
+    void read(Stream& stream, int step, std::vector<float>& values);
+    std::size_t n_floats() const { return n_floats_; }
+
+private:
+    std::size_t n_floats_;
+    std::vector<ReadbackBuffer> buffers_;  ///< [kReadbackLag]
+};
+
+/// An iteration whose pose gradients were not applied yet.
+struct PendingPoseGradients {
+    int step = 0;
+    std::size_t frame = 0;  ///< index in the list of training frames
+    /// [actors, 2] start and end of the time in which each actor was visible
+    std::vector<double> actor_time_s;
+    /// Gradients of the sensor poses, [kGroupsPerPose, max_knots_, 6], and of the actors,
+    /// [instances, 6]. Empty if they are still on the device, or if these poses are not
+    /// corrected.
+    std::vector<float> of_sensor, of_instances;
 };
 
 class TrainingFrames;
@@ -136,11 +164,12 @@ public:
         if (sensor_) sensor_->visit_state("poses/sensor", visit);
         for (RefinedActor& actor : actors_)
             actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
-        // iterations whose gradients were not yet applied
-        visit("poses/coming/step", pending_iterations_.step);
-        visit("poses/coming/frame", pending_iterations_.frame);
-        visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
-        visit("poses/coming/gradient", pending_iterations_.gradient);
+        PendingArrays arrays = join_pending();
+        visit("poses/coming/step", arrays.step);
+        visit("poses/coming/frame", arrays.frame);
+        visit("poses/coming/actor_time_s", arrays.actor_time_s);
+        visit("poses/coming/gradient", arrays.gradient);
+        split_pending(arrays);
     }
     void update_corrected();
 
@@ -151,17 +180,11 @@ private:
         TrackCorrection correction;
     };
 
-    /// Iterations whose pose gradients were not applied yet, oldest first.
-    struct PendingPoseIterations {
-        std::vector<std::uint64_t> step;
-        /// index of the iteration's frame in the list of training frames
-        std::vector<std::uint64_t> frame;
-        /// [iterations, actors, 2] start and end of the time in which each actor was
-        /// visible
+    /// `pending_` in a checkpoint: one array for each member, with a row per iteration.
+    struct PendingArrays {
+        std::vector<std::uint64_t> step, frame;
         std::vector<double> actor_time_s;
-        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; written by
-        /// wait_for_gradient()
-        std::vector<float> gradient;
+        std::vector<float> gradient;  ///< of the sensor poses, then of the instances
     };
 
     const TrainConfig& config_;
@@ -172,16 +195,14 @@ private:
     std::optional<TrackCorrection> sensor_;
     std::unique_ptr<PoseCorrectedRays> rays_;
     std::vector<RefinedActor> actors_;
-    PendingPoseIterations pending_iterations_;
-    std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
-    /// [kReadbackLag] host buffers for gradients; iteration i uses buffer i modulo
-    /// kReadbackLag. Empty if the poses of sensor or actors are not corrected.
-    std::vector<ReadbackBuffer> of_rays_, of_instances_;
+    std::deque<PendingPoseGradients> pending_;  ///< oldest first
+    /// gradients on their way to the host; empty if these poses are not corrected
+    std::optional<DelayedReadback> sensor_readback_, instance_readback_;
 
-    /// Returns the gradients of a pending iteration. Waits until they are on the host.
-    std::span<float> wait_for_gradient(Stream& stream, std::size_t pending_index);
-    void apply_oldest(Stream& stream);
-    void apply_actor_gradients(std::span<const float> instance_gradients, int step);
+    PendingArrays join_pending() const;
+    void split_pending(const PendingArrays& arrays);
+    void read_gradients(Stream& stream, PendingPoseGradients& pending);
+    void apply_gradients(const PendingPoseGradients& pending);
 };
 
 }  // namespace relidar
