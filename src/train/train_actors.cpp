@@ -7,6 +7,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 #include <set>
 
 #include <relidar/run/run.hpp>
@@ -32,9 +34,9 @@ constexpr std::size_t kMaxSectionSurfels = 1'500'000;
 // Rays that the sensor drops more often carry no information about actors.
 constexpr float kMaxDropProbability = 0.5f;
 
-/// An actor in one sweep. `sensor_m` is the position when the LiDAR head faces the actor.
+/// An actor in one sweep.
 struct ActorSighting {
-    glm::dvec3 sensor_m;
+    glm::dvec3 sensor_m;  ///< position of the sensor when the LiDAR head faces the actor
     InstancePose placed;
     glm::dvec3 half_size_m;
 
@@ -59,9 +61,9 @@ private:
 };
 
 struct FrameWithSightings {
-    int position = 0;  ///< index into Log::frames
-    glm::dvec3 sensor_m{0.0};
-    double reach_m = 0.0;  ///< range of the farthest return in the frame
+    int position = 0;          ///< index into Log::frames
+    glm::dvec3 sensor_m{0.0};  ///< at the time of the frame
+    double reach_m = 0.0;      ///< range of the farthest return in the frame
     std::vector<ActorSighting> sights;
 
     bool can_reach(const SceneBlock& block) const {
@@ -88,11 +90,11 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
-        const glm::dvec3 sensor_m = world_from_sensor.pose_at(placed[i].time_s).translation;
-        const glm::dvec3 half_size_m = 0.5 * box->size_m;
-        const double distance_m = glm::distance(sensor_m, placed[i].world_from_model.translation);
-        if (distance_m < result.reach_m + 0.5 * glm::length(box->size_m))
-            result.sights.push_back({.sensor_m = sensor_m, .placed = placed[i], .half_size_m = half_size_m});
+        const ActorSighting actor{.sensor_m = world_from_sensor.pose_at(placed[i].time_s).translation,
+                                  .placed = placed[i],
+                                  .half_size_m = 0.5 * box->size_m};
+        const double distance_m = glm::distance(actor.sensor_m, placed[i].world_from_model.translation);
+        if (distance_m < result.reach_m + 0.5 * glm::length(box->size_m)) result.sights.push_back(actor);
     }
     return result;
 }
@@ -176,23 +178,17 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
     return log;
 }
 
-/// Returns the surfels that can affect rays to actors: a ray that passes near an actor
-/// hits them, in front of the actor or behind it.
-Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWithSightings*>& frames) {
+/// Returns the surfels that can affect rays to actors: some of these rays hit them, in
+/// front of an actor or behind it.
+Surfels select_surfels(const Surfels& surfels, const std::vector<ActorSighting>& sightings) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
         // A sphere around the surfel. Its scales are standard deviations in metres.
         const float log_scale = std::max(surfels.log_scale[index].x, surfels.log_scale[index].y);
         const double radius_m = kReach_sigmas * std::exp(double(log_scale));
-        const auto can_affect = [&](const ActorSighting& actor) {
-            return actor.can_hit_sphere(mean, radius_m);
-        };
-        for (const FrameWithSightings* frame : frames)
-            if (std::ranges::any_of(frame->sights, can_affect)) {
-                is_selected[index] = 1;
-                break;
-            }
+        is_selected[index] = std::ranges::any_of(
+            sightings, [&](const ActorSighting& actor) { return actor.can_hit_sphere(mean, radius_m); });
     });
     std::vector<std::uint32_t> selected;
     for (std::uint32_t i = 0; i < is_selected.size(); ++i)
@@ -206,21 +202,26 @@ struct SectionScene {
     double extent_m = 1.0;
 };
 
-/// Returns the actors of the run in front of the background that rays to actors can hit.
-/// Loads one block at a time, because all blocks may not fit into memory.
+/// Returns the actors of the run, and the surfels of the background that rays to actors
+/// can hit. Loads one block at a time, because all blocks may not fit into memory.
 SectionScene section_scene(const Run& run, const ActorTrainingSection& section) {
-    std::vector<const FrameWithSightings*> all_frames;
-    for (const FrameWithSightings& frame : section.frames) all_frames.push_back(&frame);
+    const auto list_sightings = [&](const auto& is_used) {
+        std::vector<ActorSighting> sightings;
+        for (const FrameWithSightings& frame : section.frames)
+            if (is_used(frame)) sightings.insert(sightings.end(), frame.sights.begin(), frame.sights.end());
+        return sightings;
+    };
     // The background that is not in blocks, then the surfels of the blocks.
     const Surfels unblocked = run.scene.surfels.slice(0, run.scene.models.front().count);
-    Surfels background = select_surfels(unblocked, all_frames);
+    Surfels background =
+        select_surfels(unblocked, list_sightings([](const FrameWithSightings&) { return true; }));
     double extent_m = section.blocks.empty() ? scene_extent_m(run.scene) : 0.0;
     for (const std::size_t i : section.blocks) {
-        const Scene block = wrap_background(load_block(run.scene.blocks[i]));
-        std::vector<const FrameWithSightings*> nearby_frames;
-        for (const FrameWithSightings& frame : section.frames)
-            if (frame.can_reach(run.scene.blocks[i])) nearby_frames.push_back(&frame);
-        background.append_surfels(select_surfels(block.surfels, nearby_frames));
+        const SceneBlock& place = run.scene.blocks[i];
+        const Scene block = wrap_background(load_block(place));
+        background.append_surfels(select_surfels(
+            block.surfels,
+            list_sightings([&](const FrameWithSightings& frame) { return frame.can_reach(place); })));
         extent_m += scene_extent_m(block) / double(section.blocks.size());
     }
     return {replace_background(run.scene, background), extent_m};
@@ -253,6 +254,30 @@ void copy_actors(Run& run, const Scene& trained) {
     run.scene.surfels = std::move(surfels);
 }
 
+/// Trains the actors in the frames of a section, and copies them to the run.
+/// @param after_step  called after each iteration; training stops if it returns false
+/// @return false if training was stopped; the run then keeps its actors
+bool train_section(Device& device, Run& run, const ActorTrainingSection& section,
+                   const std::vector<PoseTrack>& tracks, const std::function<bool()>& after_step) {
+    const Log log = section_log(run, section, tracks);
+    if (log.frames.empty()) return true;
+    Split split;
+    split.train.resize(log.frames.size());
+    std::iota(split.train.begin(), split.train.end(), 0);
+    const auto [scene, extent_m] = section_scene(run, section);
+    const Config config = actor_config(run.config, log.frames.size());
+    TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
+    for (int step = 1; step <= config.train.iterations; ++step) {
+        loop.run_iteration(step);
+        if (!after_step()) return false;
+    }
+    loop.finish();
+    Scene trained = loop.download_scene();
+    fade_far_swings(trained, config.image.alpha_min);
+    copy_actors(run, trained);
+    return true;
+}
+
 }  // namespace
 
 TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session) {
@@ -263,29 +288,15 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
     for (std::size_t lidar = 0; lidar < run.sequence.lidars.size(); ++lidar)
         tracks.push_back(run.sequence.lidar_track(static_cast<int>(lidar)));
     const std::vector<ActorTrainingSection> sections = divide_log(run, tracks);
-    std::size_t n_frames = 0;
-    for (const ActorTrainingSection& section : sections) n_frames += section.frames.size();
-
-    int steps_before = 0;  // steps of earlier sections
-    for (const ActorTrainingSection& section : sections) {
-        const Log log = section_log(run, section, tracks);
-        if (log.frames.empty()) continue;
-        Split split;
-        for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
-        const auto [scene, extent_m] = section_scene(run, section);
-        const Config config = actor_config(run.config, log.frames.size());
-        TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
-        for (int step = 1; step <= config.train.iterations; ++step) {
-            loop.run_iteration(step);
-            if (session.step) session.step(steps_before + step, n_epochs * static_cast<int>(n_frames));
-            if (session.stop && session.stop()) return TrainingEndReason::stopped;
-        }
-        loop.finish();
-        steps_before += config.train.iterations;
-        Scene trained = loop.download_scene();
-        fade_far_swings(trained, config.image.alpha_min);
-        copy_actors(run, trained);
-    }
+    int n_frames = 0, step = 0;
+    for (const ActorTrainingSection& section : sections) n_frames += static_cast<int>(section.frames.size());
+    // An iteration uses one frame. So an epoch has n_frames iterations.
+    const auto after_step = [&] {
+        if (session.step) session.step(++step, n_epochs * n_frames);
+        return !(session.stop && session.stop());
+    };
+    for (const ActorTrainingSection& section : sections)
+        if (!train_section(device, run, section, tracks, after_step)) return TrainingEndReason::stopped;
     return TrainingEndReason::finished;
 }
 
