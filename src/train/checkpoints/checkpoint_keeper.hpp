@@ -34,12 +34,14 @@ ResumeFingerprint fingerprint_scene(const Scene& scene);
 
 std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
                                                      const std::vector<ResumeFingerprint>& fingerprints);
-/// Compares settings or a hash with the values in a checkpoint.
+/// Compares settings and hashes with the values in a checkpoint.
 /// @param prefix  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
-void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix);
-void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix);
+void check_settings(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                    const std::string& prefix);
+void check_fingerprints(const std::vector<ResumeFingerprint>& fingerprints, const Checkpoint& checkpoint,
+                        const std::string& prefix);
 /// Returns the settings that a checkpoint contains, as key and value.
 /// @throws DataError for an unknown key
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
@@ -65,19 +67,23 @@ class TrainLoop;
 class CheckpointFolder {
 public:
     using Texts = std::map<std::string, std::string>;
+    struct Options {
+        std::filesystem::path folder;  ///< if empty, no checkpoint is written
+        int newest_iteration = 0;      ///< of the checkpoints in the folder, 0 if there is none
+        std::string iteration_noun;    ///< for messages
+        double minutes = 0.0;          ///< interval of is_time_due(), never if 0
+        std::function<void(const std::string&)> report_note;
+        /// Returns the settings and hashes that every checkpoint contains. Called by a
+        /// separate thread, because hashing a log takes some time.
+        std::function<Texts()> make_texts;
+    };
     /// Keeps the two newest checkpoints, because a failure of the machine can damage the
     /// newest.
-    /// @param folder  if empty, no checkpoint is written
-    /// @param newest_iteration  of the checkpoints in the folder, 0 if there is none
-    /// @param minutes  interval of is_time_due(), never if 0
-    /// @param texts  settings and hashes that every checkpoint contains; called by a
-    /// separate thread, because hashing a log takes some time
-    CheckpointFolder(std::filesystem::path folder, int newest_iteration, std::string iteration_noun,
-                     double minutes, const std::function<void(const std::string&)>& report_note,
-                     std::function<Texts()> texts);
+    explicit CheckpointFolder(Options options);
 
-    bool is_enabled() const { return !folder_.empty(); }
-    int newest() const { return newest_; }
+    bool is_enabled() const { return !options_.folder.empty(); }
+    /// Returns 0 if the folder has no checkpoint.
+    int newest_iteration() const { return options_.newest_iteration; }
     /// Writes a checkpoint. If the disk or the memory is full, prints a note and training
     /// continues.
     /// @param add_state adds the training state to the checkpoint
@@ -88,11 +94,7 @@ public:
 
 private:
     using Clock = std::chrono::steady_clock;
-    const std::filesystem::path folder_;
-    int newest_;
-    const std::string count_;
-    const double minutes_;
-    const std::function<void(const std::string&)> note_;
+    Options options_;
     std::shared_future<Texts> texts_;
     Clock::time_point last_ = Clock::now();
 };

@@ -103,8 +103,6 @@ void hash_surfels(RunningHash& hash, const Surfels& surfels) {
     }
 }
 
-constexpr const char* kMismatch = "{}: {}: found {}, expected {} as in the checkpoint";
-
 // Number of checkpoints that are kept. If a failure of the machine damages the newest
 // checkpoint, the older one is used.
 constexpr int kMaxCheckpoints = 2;
@@ -150,7 +148,18 @@ struct LogColumns {
         for (std::size_t k = 0; k < densified.size(); ++k)
             visit(std::string("log/densified/") + kDensifyCounts[k].first, densified[k]);
     }
+    bool have_equal_lengths() const {
+        const auto is_complete = [this](const auto& column) { return column.size() == iteration.size(); };
+        return is_complete(seconds) && is_complete(surfels) && std::ranges::all_of(terms, is_complete) &&
+               std::ranges::all_of(densified, is_complete);
+    }
 };
+
+/// Returns count `k` of a report, in the order of kDensifyCounts.
+template <class Report>
+auto& densify_count(Report& report, std::size_t k) {
+    return report.*kDensifyCounts[k].second;
+}
 
 /// Returns a line of the training log without a remaining time and without counts of
 /// densification.
@@ -192,22 +201,28 @@ std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey
     return texts;
 }
 
-void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix) {
+void check_settings(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                    const std::string& prefix) {
     const std::map<std::string, std::string> saved = read_settings(checkpoint);
-    for (const ConfigKey& setting : keys) {
+    for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
             fail("{}: the checkpoint has no value for the setting {}; {}", prefix, setting.key,
                  kTrainAgainAdvice);
         if (it->second != setting.value)
-            fail<UsageError>(kMismatch, prefix, "setting " + setting.key, setting.value, it->second);
+            fail<UsageError>("{}: setting {}: found {}, expected {} as in the checkpoint", prefix,
+                             setting.key, setting.value, it->second);
     }
 }
 
-void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix) {
-    const auto it = checkpoint.texts.find(mark.key);
-    const std::string saved = it == checkpoint.texts.end() ? "nothing" : it->second;
-    if (saved != mark.value) fail(kMismatch, prefix, mark.what, mark.value, saved);
+void check_fingerprints(const std::vector<ResumeFingerprint>& fingerprints, const Checkpoint& checkpoint,
+                        const std::string& prefix) {
+    for (const ResumeFingerprint& now : fingerprints) {
+        const auto it = checkpoint.texts.find(now.key);
+        const std::string saved = it == checkpoint.texts.end() ? "nothing" : it->second;
+        if (saved != now.value)
+            fail("{}: {}: found {}, expected {} as in the checkpoint", prefix, now.what, now.value, saved);
+    }
 }
 
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {
@@ -227,21 +242,13 @@ std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {
 }
 
 /// Starts to compute the texts of all checkpoints in another thread.
-CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iteration,
-                                   std::string iteration_noun, double minutes,
-                                   const std::function<void(const std::string&)>& report_note,
-                                   std::function<Texts()> texts)
-    : folder_(std::move(folder)),
-      newest_(newest_iteration),
-      count_(std::move(iteration_noun)),
-      minutes_(minutes),
-      note_(report_note) {
-    if (is_enabled()) texts_ = std::async(std::launch::async, std::move(texts));
+CheckpointFolder::CheckpointFolder(Options options) : options_(std::move(options)) {
+    if (is_enabled()) texts_ = std::async(std::launch::async, options_.make_texts);
 }
 
 bool CheckpointFolder::is_time_due() const {
     const std::chrono::duration<double> since_last = Clock::now() - last_;
-    return minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
+    return options_.minutes > 0.0 && since_last.count() >= 60.0 * options_.minutes;
 }
 
 void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)>& add_state) {
@@ -249,13 +256,15 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
     // attempt then happens after one interval, not in the next step.
     last_ = Clock::now();
     Checkpoint checkpoint{iteration, texts_.get(), {}};
+    const std::string& noun = options_.iteration_noun;
     const auto report_failure = [&](const std::string& cause) {
         const std::string earlier =
-            newest_ > 0 ? fmt::format("the last checkpoint was written at {} {}", count_, newest_)
-                        : "no earlier checkpoint has been written";
-        if (note_)
-            note_(fmt::format("cannot write the checkpoint at {} {} ({}): {}", count_, iteration, earlier,
-                              cause));
+            newest_iteration() > 0
+                ? fmt::format("the last checkpoint was written at {} {}", noun, newest_iteration())
+                : "no earlier checkpoint has been written";
+        if (options_.report_note)
+            options_.report_note(fmt::format("cannot write the checkpoint at {} {} ({}): {}", noun, iteration,
+                                             earlier, cause));
     };
     try {
         add_state(checkpoint);
@@ -266,11 +275,11 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
     try {
         check_finite_arrays(checkpoint);
     } catch (const DataError& error) {
-        fail("training failed at {} {}: {}", count_, iteration, error.what());
+        fail("training failed at {} {}: {}", noun, iteration, error.what());
     }
     try {
-        save_checkpoint(folder_, checkpoint, kMaxCheckpoints);
-        newest_ = iteration;
+        save_checkpoint(options_.folder, checkpoint, kMaxCheckpoints);
+        options_.newest_iteration = iteration;
     } catch (const DataError& error) {
         report_failure(error.what());
     }
@@ -281,16 +290,20 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
 CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),
-      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration",
-              config.train.checkpoint_minutes, session.note, [&log, &split, &config] {
-                  return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
-              }) {}
+      folder_({.folder = session.checkpoints,
+               .newest_iteration = session.start ? session.start->iteration : 0,
+               .iteration_noun = "iteration",
+               .minutes = config.train.checkpoint_minutes,
+               .report_note = session.note,
+               .make_texts = [&log, &split, &config] {
+                   return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
+               }}) {}
 
 bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
     // A training that was too short for a checkpoint also gets none at its end.
-    const bool is_last = step == config_.iterations && folder_.newest() > 0;
+    const bool is_last = step == config_.iterations && folder_.newest_iteration() > 0;
     return by_count || folder_.is_time_due() || is_last;
 }
 
@@ -315,12 +328,12 @@ void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& spl
     std::vector<ConfigKey> settings = list_config_keys(config);
     // Settings that do not change the result of an iteration may differ.
     std::erase_if(settings, [](const ConfigKey& key) { return is_resume_free(key.key); });
-    check_same(settings, checkpoint, doing);
+    check_settings(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
         fail<UsageError>(
             "{}: setting train.iterations: found {}, expected at least the iteration of the checkpoint",
             doing, config.train.iterations);
-    for (const ResumeFingerprint& mark : fingerprint_log(log, split)) check_same(checkpoint, mark, doing);
+    check_fingerprints(fingerprint_log(log, split), checkpoint, doing);
 }
 
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
@@ -343,7 +356,7 @@ void write_log(CheckpointWriter& writer, const TrainResult& result, double train
         columns.surfels.push_back(line.n_surfels);
         for (std::size_t k = 0; k < line.terms.size(); ++k) columns.terms[k].push_back(line.terms[k]);
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
-            columns.densified[k].push_back(line.densified.*kDensifyCounts[k].second);
+            columns.densified[k].push_back(densify_count(line.densified, k));
     }
     columns.visit_state(writer);
     writer("initialise_s", result.initialise_s);
@@ -353,23 +366,19 @@ void write_log(CheckpointWriter& writer, const TrainResult& result, double train
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config) {
     LogColumns columns;
     columns.visit_state(CheckpointReader(checkpoint));
-    const std::size_t n_lines = columns.iteration.size();
-    const auto is_complete = [n_lines](const auto& column) { return column.size() == n_lines; };
-    if (!is_complete(columns.seconds) || !is_complete(columns.surfels) ||
-        !std::ranges::all_of(columns.terms, is_complete) ||
-        !std::ranges::all_of(columns.densified, is_complete))
+    if (!columns.have_equal_lengths())
         fail(
             "cannot resume from iteration {}: the columns of log.jsonl in the checkpoint have different "
             "lengths; train again",
             checkpoint.iteration);
     std::vector<TrainProgress> lines;
-    for (std::size_t i = 0; i < n_lines; ++i) {
+    for (std::size_t i = 0; i < columns.iteration.size(); ++i) {
         std::array<double, kLossTerms> terms{};
         for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = columns.terms[k][i];
         TrainProgress line =
             make_progress(columns.iteration[i], config, columns.seconds[i], terms, columns.surfels[i]);
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
-            line.densified.*kDensifyCounts[k].second = columns.densified[k][i];
+            densify_count(line.densified, k) = columns.densified[k][i];
         lines.push_back(line);
     }
     return lines;

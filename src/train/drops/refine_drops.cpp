@@ -242,8 +242,8 @@ RayDropTrainState read_drop_state(const Checkpoint& checkpoint) {
 void check_drop_resume(const Checkpoint& checkpoint, const Run& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
-    check_same(list_network_settings(run.config), checkpoint, doing);
-    for (const ResumeFingerprint& mark : fingerprint_run(run)) check_same(checkpoint, mark, doing);
+    check_settings(list_network_settings(run.config), checkpoint, doing);
+    check_fingerprints(fingerprint_run(run), checkpoint, doing);
     read_drop_state(checkpoint);  // throws an error if the state is incomplete
 }
 
@@ -267,10 +267,15 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
         config.refine.network == "paper" || training.actor_pixels.empty()
             ? std::vector<float>{}
             : fit_actor_logits(training, channel_names(config.refine), run.sequence.count_beams());
-    CheckpointFolder checkpoints(
-        session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
-        run.config.train.checkpoint_minutes, session.note,
-        [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); });
+    CheckpointFolder checkpoints({
+        .folder = session.checkpoints,
+        .newest_iteration = session.start ? session.start->iteration : 0,
+        .iteration_noun = "ray-drop training step",
+        .minutes = run.config.train.checkpoint_minutes,
+        .report_note = session.note,
+        .make_texts =
+            [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); },
+    });
     std::optional<RayDropTrainState> start_state;  // empty: training does not resume
     if (session.start) start_state = read_drop_state(*session.start);
     bool stopped = false;
