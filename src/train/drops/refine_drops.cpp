@@ -133,6 +133,14 @@ struct TrainingImages {
     }
 };
 
+/// Returns the drops that the network learns from a rendered frame, [pixels]: 0 returned,
+/// 1 dropped, -1 not used.
+std::vector<float> learned_drops(const Run& run, const Config& config, const Frame& frame,
+                                 const IgnoredMeasurements& masks) {
+    std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
+    return uses_grid_rays(config) ? drops_to_grid(config, frame, dropped) : dropped;
+}
+
 /// Renders a training frame as input of the network, and adds it with its measured drops.
 void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run, const Config& config,
                const Frame& frame, const IgnoredMeasurements& masks) {
@@ -140,19 +148,15 @@ void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run,
     // A stripe is some neighbouring columns. A network of single pixels needs no
     // neighbours, so some stripes of each image suffice.
     const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
-    const int interval = uses_stripes ? choose_interval(sensor.rays) : 1;
-    const ImageStripes stripes(interval, sensor.rays, training.images.size());
+    const ImageStripes stripes(uses_stripes ? choose_interval(sensor.rays) : 1, sensor.rays,
+                               training.images.size());
     // Rotated by half a column, so that no ray is one that trained the scene.
     sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
     const RenderedScan scan = renderer.render(sensor, frame.time_s);
     RayDropImage& image = training.images.emplace_back(
         make_drop_image(scan, channel_names(config.refine), first_position(run.sequence)));
-
-    std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
-    if (uses_grid_rays(config)) dropped = drops_to_grid(config, frame, dropped);
-    image.dropped = stripes.stripe_values(dropped);
-    // Excludes rays that the scene always drops, because the output of the network does
-    // not change them.
+    image.dropped = stripes.stripe_values(learned_drops(run, config, frame, masks));
+    // The output of the network does not change rays that the scene always drops.
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (scan.image.drop_prob[i] == 1.0f) image.dropped[i] = -1.0f;
     // A ray of a grid belongs to no beam, so it cannot help to fit the offsets of beams.
