@@ -80,33 +80,39 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     if (!has_return) std::atomic_ref(drops_[bin]).fetch_add(1, std::memory_order_relaxed);
 }
 
-/// Computes the rates of persistent drops: at such an azimuth, a beam loses its rays in
-/// most frames, for example because the vehicle hides the view. From each bin, grows an
-/// interval until it has enough rays, and gives its rate to all of its bins. A bin keeps
-/// the largest rate of all intervals that contain it.
+/// Sums the rays of the bins from `first` on, until there are enough for a rate.
+/// @return nothing if the beam has fewer rays
+std::optional<RayDropCounts::Interval> RayDropCounts::grow_interval(int channel, int first) const {
+    std::uint32_t n_rays = 0, n_drops = 0;
+    int end = first;
+    for (; end < first + index_.bins && n_rays < kMinRaysPerRate; ++end) {
+        n_rays += rays_[bin_index(channel, end)];
+        n_drops += drops_[bin_index(channel, end)];
+    }
+    if (n_rays < kMinRaysPerRate) return std::nullopt;
+    return Interval{.end = end, .rate = float(n_drops) / float(n_rays)};
+}
+
+/// A beam can lose its rays at an azimuth in most frames, for example because the vehicle
+/// hides the view. Single bins have too few rays to show this, so each bin gets the
+/// largest rate of all intervals that contain it.
 RayDropTable RayDropCounts::persistent_rates() const {
     RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
-    for (int channel = 0; channel < index_.channels; ++channel)
+    for (int channel = 0; channel < index_.channels; ++channel) {
         for (int first = 0; first < index_.bins; ++first) {
-            std::uint32_t n_rays = 0, n_drops = 0;
-            int end = first;
-            while (end < first + index_.bins && n_rays < kMinRaysPerRate) {
-                n_rays += rays_[bin_index(channel, end)];
-                n_drops += drops_[bin_index(channel, end)];
-                ++end;
-            }
-            if (n_rays < kMinRaysPerRate) continue;
-            // A bin gets at most its own rate, because an interval can contain bins whose
-            // rays return. A bin without rays gets the rate of the interval.
-            const float interval_rate = float(n_drops) / float(n_rays);
-            for (int bin = first; bin < end; ++bin) {
+            const std::optional<Interval> interval = grow_interval(channel, first);
+            if (!interval) break;  // the beam has too few rays
+            for (int bin = first; bin < interval->end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
+                // At most the rate of the bin, because an interval can contain bins whose
+                // rays return.
                 const float bin_rate = rays_[i] > 0 ? float(drops_[i]) / float(rays_[i]) : 1.0f;
-                table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval_rate));
+                table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval->rate));
             }
         }
-    for (int channel = 0; channel < index_.channels; ++channel) drop_unfired(table, channel);
+        drop_unfired(table, channel);
+    }
     return table;
 }
 

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <relidar/log/sequence.hpp>
@@ -36,7 +37,14 @@ private:
     RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
+    /// Bins of a beam up to `end`, and the drop rate of their rays together.
+    struct Interval {
+        int end;
+        float rate;
+    };
+
     std::size_t bin_index(int channel, int bin) const;
+    std::optional<Interval> grow_interval(int channel, int first_bin) const;
     void drop_unfired(RayDropTable& drop_table, int channel) const;
     double local_rate(int channel, int bin) const;
 };
