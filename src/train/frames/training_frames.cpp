@@ -55,15 +55,16 @@ double firing_time_s(const Log& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// `frame` refers to `binned` if training uses a grid, otherwise to the frame of the log.
-struct GriddedFrame {
-    std::optional<Frame> binned;
+/// Frame with the rays that training uses: a copy with the rays of a grid, or the frame
+/// of the log.
+struct TrainedFrame {
+    std::optional<Frame> gridded;
     const Frame& frame;
 
-    GriddedFrame(const Log& sequence, int position, const std::optional<RangeImageGrid>& grid)
-        : binned(grid ? std::optional(frame_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
-                      : std::nullopt),
-          frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
+    TrainedFrame(const Log& log, int position, const std::optional<RangeImageGrid>& grid)
+        : gridded(grid ? std::optional(frame_to_grid(log, log.frames[std::size_t(position)], *grid))
+                       : std::nullopt),
+          frame(gridded ? *gridded : log.frames[std::size_t(position)]) {}
 };
 
 /// Sets the range of vehicle poses (knots) between which the rays of a frame were fired:
@@ -78,10 +79,11 @@ void set_knots(TrainingFrameData& data, const Log& log, const Frame& frame) {
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
 }
 
-/// Returns the shape, sensor position and vehicle poses of a frame, without arrays.
+/// Returns the shape, the sensor position and the range of vehicle poses of a frame. Its
+/// device arrays are not allocated yet.
 /// @throws DataError if the frame has no ray
 TrainingFrameData describe_frame(const Log& log, int index, const std::optional<RangeImageGrid>& grid) {
-    const GriddedFrame trained(log, index, grid);
+    const TrainedFrame trained(log, index, grid);
     const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
@@ -169,7 +171,7 @@ void TrainingFrames::upload_frames(Device& device) {
 /// which vehicle poses each ray was fired.
 TrainingFrames::HostFrameArrays TrainingFrames::compute_arrays(std::size_t frame_index) const {
     const TrainingFrameData& data = frames_[frame_index];
-    const GriddedFrame trained(sequence_, data.position, use_.grid);
+    const TrainedFrame trained(sequence_, data.position, use_.grid);
     const Frame& frame = trained.frame;
     HostFrameArrays host;
     make_frame_arrays(sequence_, frame, use_.unknown, host.rays, host.targets);
