@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Searches the start of the sweep and the time of the frame in it with LatticeFitter,
-// first on a coarse grid. The elevations do not show the rotation about z. It follows
-// from the azimuths, which are multiples of a tick of the head.
+// Searches the azimuth of the head at the start of the sweep (the seam) and the time of
+// the start with LatticeFitter, first on a coarse grid. The spread is the robust standard
+// deviation of the points from their cones. The elevations do not show the rotation about
+// z (yaw). It follows from the azimuths, which are multiples of a tick of the head.
 #include "read/scans/firing_recovery.hpp"
 
 #include <algorithm>
@@ -26,7 +27,7 @@ namespace {
 // numbers of points of a sweep in the coarse and the fine search, and in the fit of a
 // motion
 constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 30000;
-constexpr int kSeams = 16, kReferences = 5;  // hypotheses of the coarse search
+constexpr int kSeams = 16, kStarts = 5;  // hypotheses of the coarse search
 // If no hypothesis reduces the spread by this factor, the search ends.
 constexpr double kPromisingRatio = 0.9;
 constexpr double kFinestStep = 1.0 / 4096.0;  // of the fine search, in turns
@@ -50,7 +51,7 @@ constexpr std::size_t kMaxRecoveredRings = 512;
 HeadTurn move_seam(HeadTurn turn, double share) {
     turn.seam_rad =
         std::remainder(turn.seam_rad + (turn.clockwise ? -share : share) * kFullTurn_rad, kFullTurn_rad);
-    turn.reference -= share;
+    turn.start_turns += share;
     return turn;
 }
 
@@ -61,46 +62,54 @@ std::size_t count_rings(const std::vector<CompensatedSweep>& sweeps) {
     return n_rings;
 }
 
-/// Returns the spread if the points were not moved.
-double spread_without_motion(const LatticeFitter& fitter, std::size_t n_sweeps) {
-    LatticeFit still{.turn = {}, .rings = {}, .motions = std::vector<SweepMotion>(n_sweeps)};
+LatticeFitter make_fitter(const std::vector<CompensatedSweep>& sweeps, std::size_t n_points_per_sweep) {
+    const std::size_t n_rings = count_rings(sweeps);
+    std::vector<SweepPoints> picked;
+    for (const CompensatedSweep& sweep : sweeps)
+        picked.push_back(pick_points(sweep.points, n_points_per_sweep, n_rings));
+    return {std::move(picked), n_rings};
+}
+
+/// Returns the spread of the points as they are.
+double spread_without_motion(const LatticeFitter& fitter) {
+    LatticeFit still = fitter.start_fit({});
     fitter.improve(still, 6, FreeValues::cones);
     return still.spread_rad;
 }
 
-/// Fits all hypotheses of seam and reference. The head turns clockwise, because the other
-/// direction with the opposite motion fits equally well.
-std::vector<LatticeFit> try_turns(const LatticeFitter& fitter, std::size_t n_sweeps) {
-    std::vector<LatticeFit> fits(std::size_t(kSeams * kReferences));
-    parallel_for(int(fits.size()), [&](int index) {
-        LatticeFit& fit = fits[std::size_t(index)];
-        fit.turn = {.clockwise = true,
-                    .seam_rad = kFullTurn_rad * (index % kSeams) / kSeams - kPi,
-                    .reference = double(index / kSeams) / (kReferences - 1)};
-        fit.motions.resize(n_sweeps);
-        fitter.improve(fit, 4, FreeValues::all);
-    });
+/// Fits all hypotheses of the seam and the start time. The head turns clockwise, because
+/// the other direction with the opposite motion fits equally well.
+std::vector<LatticeFit> try_turns(const LatticeFitter& fitter) {
+    std::vector<LatticeFit> fits;
+    for (int start = 0; start < kStarts; ++start)
+        for (int seam = 0; seam < kSeams; ++seam)
+            fits.push_back(fitter.start_fit({.clockwise = true,
+                                             .seam_rad = kFullTurn_rad * seam / kSeams - kPi,
+                                             .start_turns = -double(start) / (kStarts - 1)}));
+    parallel_for(int(fits.size()),
+                 [&](int index) { fitter.improve(fits[std::size_t(index)], 4, FreeValues::all); });
     return fits;
 }
 
-/// Improves seam and reference. Tries a step of each in both directions, accepts the best
-/// one, or else halves the step. The cost counts errors far above scale_rad as outliers.
+/// Improves the seam and the start time of a fit. Tries a step of each in both
+/// directions, accepts the best one, or else halves the step. The cost counts errors far
+/// above scale_rad as outliers.
 void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
     // Smaller gains are noise, with which the search could go back and forth.
     constexpr double kMinGain = 1e-3;
     fitter.improve(best, 8, FreeValues::all);
     double scale_rad = 2.0 * best.spread_rad;
-    for (double step = 1.0 / 64.0; step >= kFinestStep;) {
+    for (double step_turns = 1.0 / 64.0; step_turns >= kFinestStep;) {
         const double best_cost = fitter.cost(best, scale_rad);
         std::array<LatticeFit, 4> neighbours;
-        std::array<double, 4> costs{};
         neighbours.fill(best);
+        neighbours[0].turn = move_seam(best.turn, step_turns);
+        neighbours[1].turn = move_seam(best.turn, -step_turns);
+        neighbours[2].turn.start_turns -= step_turns;
+        neighbours[3].turn.start_turns += step_turns;
+        std::array<double, 4> costs{};
         parallel_for(4, [&](int index) {
-            const double share = index % 2 == 0 ? step : -step;
             LatticeFit& fit = neighbours[std::size_t(index)];
-            // fits 0 and 1 move the seam, 2 and 3 the time of the frame
-            if (index < 2) fit.turn = move_seam(fit.turn, share);
-            else fit.turn.reference += share;
             fitter.improve(fit, 2, FreeValues::all);
             costs[std::size_t(index)] = fitter.cost(fit, scale_rad);
         });
@@ -108,26 +117,70 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
         if (*least < (1.0 - kMinGain) * best_cost) {
             best = neighbours[std::size_t(least - costs.begin())];
         } else {
-            step *= 0.5;
+            step_turns *= 0.5;
             scale_rad = 2.0 * best.spread_rad;
         }
     }
     fitter.improve(best, 5, FreeValues::all);
 }
 
+/// Returns the share of the points at azimuths between two seams, on the shorter arc.
+double share_between(const std::vector<CompensatedSweep>& sweeps, double seam_rad, double other_rad) {
+    constexpr std::size_t kStride = 50;  // Some of the points are enough.
+    const double arc_rad = std::remainder(other_rad - seam_rad, kFullTurn_rad);
+    std::size_t n = 0, n_between = 0;
+    for (const CompensatedSweep& sweep : sweeps)
+        for (std::size_t i = 0; i < sweep.points.size(); i += kStride) {
+            const double azimuth_rad = azimuth_rad_of(glm::dvec3(sweep.points.position_m[i]));
+            // 0 at the first seam, 1 at the other seam
+            const double place = std::remainder(azimuth_rad - seam_rad, kFullTurn_rad) / arc_rad;
+            ++n;
+            if (place > 0.0 && place < 1.0) ++n_between;
+        }
+    return double(n_between) / double(n);
+}
+
+/// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
+/// and with some of the points in between.
+double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<CompensatedSweep>& sweeps,
+                         double seam_rad) {
+    constexpr double kFar_rad = kPi / 3.0, kMinShare = 0.1;
+    double least = INFINITY;
+    for (const LatticeFit& fit : fits) {
+        const double distance_rad = std::abs(std::remainder(fit.turn.seam_rad - seam_rad, kFullTurn_rad));
+        if (fit.spread_rad < least && distance_rad >= kFar_rad &&
+            share_between(sweeps, seam_rad, fit.turn.seam_rad) >= kMinShare)
+            least = fit.spread_rad;
+    }
+    return least;
+}
+
 /// Returns the same turn in the opposite direction of rotation. The motions are then
 /// opposite, too.
 HeadTurn reverse_turn(HeadTurn turn) {
     turn.clockwise = !turn.clockwise;
-    turn.reference = 1.0 - turn.reference;
+    turn.start_turns = -turn.end_turns();
     return turn;
 }
 
+/// Returns the motion of each sweep according to the poses of the log, if it has any.
+std::vector<SweepMotion> list_pose_motions(const std::vector<CompensatedSweep>& sweeps,
+                                           const CompensatedSensor& sensor) {
+    std::vector<SweepMotion> motions;
+    if (sensor.world_from_sensor)
+        for (const CompensatedSweep& sweep : sweeps)
+            motions.push_back(
+                twists_of(make_track(*sensor.world_from_sensor, sweep.time_s, sensor.period_s)));
+    return motions;
+}
+
+/// Returns the mean translation of both halves of a sweep, in metres per turn.
 glm::dvec3 velocity_of(const SweepMotion& motion) {
     return {0.5 * (motion[0][0] + motion[1][0]), 0.5 * (motion[0][1] + motion[1][1]),
             0.5 * (motion[0][2] + motion[1][2])};
 }
 
+/// Returns the sum of the translations of all sweeps along a direction.
 double motion_along(const std::vector<SweepMotion>& motions, const glm::dvec3& direction) {
     double sum = 0.0;
     for (const SweepMotion& motion : motions) sum += glm::dot(velocity_of(motion), direction);
@@ -145,78 +198,55 @@ double motion_share(const std::vector<SweepMotion>& motions, const std::vector<S
     return squares > 0.0 ? product / squares : 0.0;
 }
 
-/// Chooses the direction of rotation, and whether the poses of the log explain the
-/// compensation. Returns false if the motion contradicts the poses.
-bool choose_direction(FiringRecovery& recovery, const LatticeFit& best, const LatticeFitter& fitter,
-                      const std::vector<CompensatedSweep>& sweeps) {
-    const CompensatedSensor& sensor = recovery.sensor;
-    recovery.turn = best.turn;
-    recovery.rings = best.rings;
-    recovery.spread_rad = best.spread_rad;
+/// Returns the turn of a fit, or the reverse turn if the motion of the fit is opposite to
+/// that of the poses. Without poses, the vehicle is assumed to drive forward. Returns
+/// nothing if the motion contradicts the poses, or is too short.
+std::optional<HeadTurn> choose_direction(const LatticeFit& fit, const CompensatedSensor& sensor,
+                                         const std::vector<SweepMotion>& pose_motions) {
     if (!sensor.world_from_sensor) {
-        const double forward = motion_along(best.motions, sensor.forward);
-        if (forward < 0.0) recovery.turn = reverse_turn(best.turn);
-        return std::abs(forward) > kMinForward_m * double(best.motions.size());
+        const double forward_m = motion_along(fit.motions, sensor.forward);
+        if (!(std::abs(forward_m) > kMinForward_m * double(fit.motions.size()))) return std::nullopt;
+        return forward_m < 0.0 ? reverse_turn(fit.turn) : fit.turn;
     }
-    std::vector<SweepMotion> of_poses;
-    for (const CompensatedSweep& sweep : sweeps)
-        of_poses.push_back(twists_of(make_track(*sensor.world_from_sensor, sweep.time_s, sensor.period_s)));
-    const double share = motion_share(best.motions, of_poses);
-    if (share < 0.0) recovery.turn = reverse_turn(best.turn);
     // Inverse poses look as if the vehicle drives backward. They would reverse the turn.
-    if (motion_along(of_poses, sensor.forward) < 0.0 || std::abs(share) < kMinMotion ||
-        std::abs(share) > kMaxMotion)
-        return false;
-    LatticeFit fit{.turn = recovery.turn, .rings = {}, .motions = of_poses};
-    fitter.improve(fit, 5, FreeValues::cones);
-    recovery.uses_poses = fit.spread_rad <= kMaxPoseSpread * best.spread_rad;
-    if (recovery.uses_poses) {
-        recovery.rings = fit.rings;
-        recovery.spread_rad = fit.spread_rad;
-    }
-    return true;
+    if (motion_along(pose_motions, sensor.forward) < 0.0) return std::nullopt;
+    const double share = motion_share(fit.motions, pose_motions);
+    if (std::abs(share) < kMinMotion || std::abs(share) > kMaxMotion) return std::nullopt;
+    return share < 0.0 ? reverse_turn(fit.turn) : fit.turn;
 }
 
 /// Fits the motion of the sensor in a sweep to its points. The cones show all but the
-/// rotation about z, which follows from the ticks.
-/// @param azimuth_rad  [points] azimuths of the points
-SweepMotion fit_motion(const LidarPoints& points, const std::vector<double>& azimuth_rad,
-                       const FiringRecovery& recovery) {
+/// yaw, which follows from the ticks.
+SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
     const std::size_t n_rings = recovery.rings.size();
     LatticeFit fit{.turn = recovery.turn, .rings = recovery.rings, .motions = {SweepMotion{}}};
+    SweepMotion& motion = fit.motions[0];
+    // A fit of few points is the start for the fit of many points.
     LatticeFitter({pick_points(points, kFinePoints, n_rings)}, n_rings).improve(fit, 6, FreeValues::motions);
     const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     fitter.improve(fit, 2, FreeValues::motions);
-    if (recovery.sensor.n_ticks == 0) return fit.motions[0];
-    // The rotation changes the firing times a little, so the fit is repeated.
+    if (recovery.ticks.n == 0) return motion;
+    // The yaw changes the firing times a little, so both fits are repeated.
     std::vector<FiredPoint> fired(points.size());
     for (int pass = 0; pass < 2; ++pass) {
-        for (std::size_t i = 0; i < points.size(); ++i)
-            fired[i] =
-                find_firing(glm::dvec3(points.position_m[i]), azimuth_rad[i], fit.motions[0], recovery.turn);
-        const YawFit yaw =
-            fit_yaw(fired, points.ring, recovery.turn, recovery.sensor.n_ticks, recovery.left_m);
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            const glm::dvec3 p(points.position_m[i]);
+            fired[i] = find_firing(p, azimuth_rad_of(p), motion, recovery.turn);
+        }
+        const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.ticks);
         if (yaw.coherence < kMinCoherence) break;
-        for (std::size_t half = 0; half < 2; ++half) fit.motions[0][half][5] += yaw.turned_rad[half];
+        for (std::size_t half = 0; half < 2; ++half) motion[half][kYaw] += yaw.turned_rad[half];
         fitter.improve(fit, 2, FreeValues::motions);
     }
-    return fit.motions[0];
+    return motion;
 }
 
-/// Returns the restored points of a sweep with their places in the turn.
-std::vector<FiredPoint> list_firings(const LidarPoints& restored, const HeadTurn& turn) {
+/// Returns the remaining yaw of restored points.
+YawFit fit_remaining_yaw(const LidarPoints& restored, const HeadTurn& turn, const HeadTicks& ticks) {
     std::vector<FiredPoint> fired;
     for (const glm::vec3& p : restored.position_m)
-        fired.push_back({glm::dvec3(p), turn.turn_at(azimuth_rad_of(glm::dvec3(p)))});
-    return fired;
-}
-
-/// Returns the rotation about z in a turn that the poses of the log have. Logs without
-/// poses have 0.
-double yaw_of_poses(const CompensatedSensor& sensor, double time_s) {
-    if (!sensor.world_from_sensor) return 0.0;
-    const SweepMotion motion = twists_of(make_track(*sensor.world_from_sensor, time_s, sensor.period_s));
-    return 0.5 * (motion[0][5] + motion[1][5]);
+        fired.push_back({glm::dvec3(p), turn.time_turns(azimuth_rad_of(glm::dvec3(p)))});
+    return fit_yaw(fired, restored.ring, turn, ticks);
 }
 
 /// Returns a multiple of 128 or 100 near a number of ticks, or else the number itself.
@@ -230,69 +260,76 @@ int round_ticks(double count) {
     return int(std::lround(count));
 }
 
-/// Returns the number of ticks in a turn, and sets the left offsets of the beams. A yaw
-/// that all sweeps have cannot be separated from another number of ticks. So the function
-/// uses the yaw of the poses, or prefers round numbers near the number without yaw.
-/// @param restored  points of the first sweeps at their firing times, without correction
-/// of the yaw
-int find_ticks(const std::vector<CompensatedSweep>& sweeps, const std::vector<LidarPoints>& restored,
-               FiringRecovery& recovery) {
-    const CompensatedSensor& sensor = recovery.sensor;
-    const auto fit_sweep_yaw = [&](std::size_t sweep, int n_ticks) {
-        const LidarPoints& points = restored[sweep];
-        return fit_yaw(list_firings(points, recovery.turn), points.ring, recovery.turn, n_ticks,
-                       recovery.left_m);
-    };
-    const auto fit_left = [&](int n_ticks) {
-        recovery.left_m = fit_left_offsets(restored, recovery.rings.size(), n_ticks);
-    };
-    if (sensor.n_ticks > 0) {
-        fit_left(sensor.n_ticks);
-        if (fit_sweep_yaw(0, sensor.n_ticks).coherence >= kMinCoherence) return sensor.n_ticks;
-    }
-    int n_ticks = 0;
+/// Estimates the ticks from restored sweeps. If the head has N ticks, the phases of n
+/// ticks drift by 2 pi (N - n) in a clockwise turn, as they do in a yaw. So the function
+/// subtracts the yaw of the poses. Without poses, it prefers a round number.
+/// @param pose_motions  [sweeps] motions of the poses; empty if the log has none
+/// @return no ticks if the azimuths show none
+HeadTicks estimate_ticks(const std::vector<LidarPoints>& restored, const FiringRecovery& recovery,
+                         const std::vector<SweepMotion>& pose_motions) {
+    HeadTicks ticks;
     try {
-        n_ticks = fit_spinning_sensor(restored, sensor.period_s).sensor.columns;
+        ticks.n = fit_spinning_sensor(restored, recovery.sensor.period_s).sensor.columns;
     } catch (const DataError&) {
-        return 0;
+        return {};
     }
-    fit_left(n_ticks);
-    std::vector<double> counts;
+    ticks.left_m = fit_left_offsets(restored, recovery.rings.size(), ticks.n);
+    std::vector<double> counts;  // estimates of N from the sweeps
     for (std::size_t s = 0; s < restored.size(); ++s) {
-        const YawFit yaw = fit_sweep_yaw(s, n_ticks);
+        const YawFit yaw = fit_remaining_yaw(restored[s], recovery.turn, ticks);
         if (yaw.coherence < kMinCoherence) continue;
-        const double turned_rad =
-            0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]) - yaw_of_poses(sensor, sweeps[s].time_s);
-        // This rotation is due to a wrong number of ticks: if the head has N of them, the
-        // phases of n_ticks drift by 2 pi (N - n_ticks) in a clockwise turn.
+        double drift_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
+        if (!pose_motions.empty()) drift_rad -= 0.5 * (pose_motions[s][0][kYaw] + pose_motions[s][1][kYaw]);
         const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
-        counts.push_back(n_ticks * (1.0 + sign * turned_rad / kFullTurn_rad));
+        counts.push_back(ticks.n * (1.0 + sign * drift_rad / kFullTurn_rad));
     }
-    if (counts.empty()) return 0;
+    if (counts.empty()) return {};
     const double count = compute_median(std::move(counts));
-    return sensor.world_from_sensor ? int(std::lround(count)) : round_ticks(count);
+    ticks.n = pose_motions.empty() ? round_ticks(count) : int(std::lround(count));
+    return ticks;
 }
 
-/// Computes the firing of a point at the seam, where the azimuth does not show whether
-/// the point is at the start or at the end of the sweep. Chooses the end at which the
-/// point is nearer to its cone.
+/// Returns the ticks of the head. Tests the known number, or else estimates it.
+HeadTicks find_ticks(const std::vector<CompensatedSweep>& sweeps, const FiringRecovery& recovery,
+                     const std::vector<SweepMotion>& pose_motions) {
+    const int n_known = recovery.sensor.n_ticks;
+    // Without poses and ticks, restoring keeps the yaw, which fit_yaw() measures.
+    FiringRecovery without_yaw = recovery;
+    without_yaw.uses_poses = false;
+    std::vector<LidarPoints> restored;
+    const std::size_t n_restored = n_known > 0 ? std::min(kOffsetSweeps, sweeps.size()) : sweeps.size();
+    for (std::size_t s = 0; s < n_restored; ++s) {
+        restored.push_back(sweeps[s].points);
+        restore_firings(restored.back(), without_yaw, sweeps[s].time_s);
+    }
+    if (n_known > 0) {
+        const HeadTicks known{n_known, fit_left_offsets(restored, recovery.rings.size(), n_known)};
+        if (fit_remaining_yaw(restored[0], recovery.turn, known).coherence >= kMinCoherence) return known;
+    }
+    return estimate_ticks(restored, recovery, pose_motions);
+}
+
+/// Finds the firing of a point near the seam. Its azimuth does not show whether the point
+/// is at the start or at the end of the sweep, so the end at which it is nearer to its
+/// cone is chosen. Returns nothing if it is outside of the sweep at both ends.
 template <class Motion>
-FiredPoint find_seam_firing(const glm::dvec3& point_m, const Motion& motion, const HeadTurn& turn,
-                            const RingCone& cone) {
-    FiredPoint best = find_firing(point_m, azimuth_rad_of(point_m), motion, turn);
+std::optional<FiredPoint> find_seam_firing(const glm::dvec3& point_m, const Motion& motion,
+                                           const HeadTurn& turn, const RingCone& cone) {
+    std::optional<FiredPoint> best;
     double least_error = INFINITY;
-    for (const double end : {-turn.reference, 1.0 - turn.reference}) {  // start and end of the sweep
-        FiredPoint fired{point_m, end};
+    for (const double end_turns : {turn.start_turns, turn.end_turns()}) {
+        FiredPoint fired{point_m, end_turns};
+        // The azimuth depends on the firing time. It changes little, so three passes are
+        // enough.
         for (int pass = 0; pass < 3; ++pass) {
-            const glm::dvec3 moved_m = undo_motion(point_m, motion, fired.turn);
-            const double share = turn.turn_at(azimuth_rad_of(moved_m));
-            // adds -1, 0 or 1 turns: the same azimuth, near this end of the sweep
-            fired.turn = share + std::round(end - share);
+            const glm::dvec3 moved_m = undo_motion(point_m, motion, fired.time_turns);
+            const double time_turns = turn.time_turns(azimuth_rad_of(moved_m));
+            // the time with the same azimuth that is nearest to this end
+            fired.time_turns = time_turns + std::round(end_turns - time_turns);
         }
-        fired.position_m = undo_motion(point_m, motion, fired.turn);
-        const bool is_inside = fired.turn >= -turn.reference && fired.turn <= 1.0 - turn.reference;
-        const glm::dvec3& p = fired.position_m;
-        const double error = std::abs((p.z - cone.z0_m) / axis_distance_m(p) - cone.slope);
+        fired.position_m = undo_motion(point_m, motion, fired.time_turns);
+        const bool is_inside = fired.time_turns >= turn.start_turns && fired.time_turns <= turn.end_turns();
+        const double error = std::abs(cone_error(fired.position_m, cone));
         if (!is_inside || !(error < least_error)) continue;
         least_error = error;
         best = fired;
@@ -301,51 +338,21 @@ FiredPoint find_seam_firing(const glm::dvec3& point_m, const Motion& motion, con
 }
 
 /// Sets the times of points, and moves them to their firing times with a known motion.
-/// @param azimuth_rad  [points] azimuths of the points
 template <class Motion>
-void restore_points(LidarPoints& points, const std::vector<double>& azimuth_rad, const Motion& motion,
-                    const FiringRecovery& recovery) {
-    // A point within this share of the turn from the seam can be at both ends.
-    constexpr double kSeamShare = 0.05;
+void restore_points(LidarPoints& points, const Motion& motion, const FiringRecovery& recovery) {
+    constexpr double kNearSeam_turns = 0.05;
+    const HeadTurn& turn = recovery.turn;
     points.time_offset_s.resize(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3 p(points.position_m[i]);
-        FiredPoint fired = find_firing(p, azimuth_rad[i], motion, recovery.turn);
-        const double share = fired.turn + recovery.turn.reference;
-        if (std::min(share, 1.0 - share) < kSeamShare && points.ring[i] < recovery.rings.size())
-            fired = find_seam_firing(p, motion, recovery.turn, recovery.rings[points.ring[i]]);
+        FiredPoint fired = find_firing(p, azimuth_rad_of(p), motion, turn);
+        const double since_start_turns = fired.time_turns - turn.start_turns;
+        const bool is_near_seam = std::min(since_start_turns, 1.0 - since_start_turns) < kNearSeam_turns;
+        if (is_near_seam && points.ring[i] < recovery.rings.size())
+            fired = find_seam_firing(p, motion, turn, recovery.rings[points.ring[i]]).value_or(fired);
         points.position_m[i] = glm::vec3(fired.position_m);
-        points.time_offset_s[i] = float(fired.turn * recovery.sensor.period_s);
+        points.time_offset_s[i] = float(fired.time_turns * recovery.sensor.period_s);
     }
-}
-
-/// Returns the share of the points at azimuths between two seams, on the shorter arc.
-double share_between(const std::vector<CompensatedSweep>& sweeps, double seam_rad, double other_rad) {
-    constexpr std::size_t kStride = 50;
-    const double arc_rad = std::remainder(other_rad - seam_rad, kFullTurn_rad);
-    std::size_t n = 0, n_between = 0;
-    for (const CompensatedSweep& sweep : sweeps)
-        for (std::size_t i = 0; i < sweep.points.size(); i += kStride) {
-            const double azimuth_rad = azimuth_rad_of(glm::dvec3(sweep.points.position_m[i])),
-                         from_seam_rad = std::remainder(azimuth_rad - seam_rad, kFullTurn_rad);
-            ++n;
-            if (from_seam_rad * arc_rad > 0.0 && std::abs(from_seam_rad) < std::abs(arc_rad)) ++n_between;
-        }
-    return n > 0 ? double(n_between) / double(n) : 0.0;
-}
-
-/// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
-/// and with some of the points in between.
-double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<CompensatedSweep>& sweeps,
-                         double seam_rad) {
-    constexpr double kFar_rad = kPi / 3.0, kMinShare = 0.1;
-    double least = INFINITY;
-    for (const LatticeFit& fit : fits)
-        if (fit.spread_rad < least &&
-            std::abs(std::remainder(fit.turn.seam_rad - seam_rad, kFullTurn_rad)) >= kFar_rad &&
-            share_between(sweeps, seam_rad, fit.turn.seam_rad) >= kMinShare)
-            least = fit.spread_rad;
-    return least;
 }
 
 }  // namespace
@@ -354,39 +361,36 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
                                            const CompensatedSensor& sensor) {
     const std::size_t n_rings = count_rings(sweeps);
     if (n_rings == 0 || n_rings > kMaxRecoveredRings) return std::nullopt;
-    std::vector<SweepPoints> coarse, fine;
-    for (const CompensatedSweep& sweep : sweeps) {
-        coarse.push_back(pick_points(sweep.points, kCoarsePoints, n_rings));
-        fine.push_back(pick_points(sweep.points, kFinePoints, n_rings));
-    }
-    const LatticeFitter coarse_fitter(std::move(coarse), n_rings), fitter(std::move(fine), n_rings);
-    const double still_rad = spread_without_motion(fitter, sweeps.size());
+    const LatticeFitter fitter = make_fitter(sweeps, kFinePoints);
+    const double still_rad = spread_without_motion(fitter);
     if (!(still_rad > kMinSpread_rad)) return std::nullopt;
-    const std::vector<LatticeFit> fits = try_turns(coarse_fitter, sweeps.size());
+
+    // the turn and the motions with the smallest spread
+    const std::vector<LatticeFit> fits = try_turns(make_fitter(sweeps, kCoarsePoints));
     LatticeFit best = *std::ranges::min_element(fits, {}, &LatticeFit::spread_rad);
     if (best.spread_rad > kPromisingRatio * still_rad) return std::nullopt;
     refine_turn(fitter, best);
-    FiringRecovery recovery;
-    recovery.sensor = sensor;
-    recovery.compensated_spread_rad = still_rad;
-    recovery.other_seam_rad = other_seam_spread(fits, sweeps, best.turn.seam_rad);
-    if (best.spread_rad > kMaxSpreadRatio * still_rad ||
-        recovery.other_seam_rad < kMinOtherSeam * best.spread_rad ||
-        !choose_direction(recovery, best, fitter, sweeps))
+    const double other_seam_rad = other_seam_spread(fits, sweeps, best.turn.seam_rad);
+    if (best.spread_rad > kMaxSpreadRatio * still_rad || other_seam_rad < kMinOtherSeam * best.spread_rad)
         return std::nullopt;
-    // Restores some sweeps without the rotation about z, which find_ticks() measures.
-    FiringRecovery without_yaw = recovery;
-    without_yaw.uses_poses = false;
-    without_yaw.sensor.n_ticks = 0;
-    std::vector<LidarPoints> restored;
-    const std::size_t n_restored =
-        sensor.n_ticks > 0 ? std::min(kOffsetSweeps, sweeps.size()) : sweeps.size();
-    for (std::size_t s = 0; s < n_restored; ++s) {
-        restored.push_back(sweeps[s].points);
-        restore_firings(restored.back(), without_yaw, sweeps[s].time_s);
-        restored.back().time_offset_s.clear();
+
+    const std::vector<SweepMotion> pose_motions = list_pose_motions(sweeps, sensor);
+    const std::optional<HeadTurn> turn = choose_direction(best, sensor, pose_motions);
+    if (!turn) return std::nullopt;
+    FiringRecovery recovery;
+    if (sensor.world_from_sensor) {
+        LatticeFit of_poses{.turn = *turn, .rings = {}, .motions = pose_motions};
+        fitter.improve(of_poses, 5, FreeValues::cones);
+        recovery.uses_poses = of_poses.spread_rad <= kMaxPoseSpread * best.spread_rad;
+        if (recovery.uses_poses) best = std::move(of_poses);
     }
-    recovery.sensor.n_ticks = find_ticks(sweeps, restored, recovery);
+    recovery.sensor = sensor;
+    recovery.turn = *turn;
+    recovery.rings = best.rings;
+    recovery.spread_rad = best.spread_rad;
+    recovery.compensated_spread_rad = still_rad;
+    recovery.other_seam_rad = other_seam_rad;
+    recovery.ticks = find_ticks(sweeps, recovery, pose_motions);
     return recovery;
 }
 
@@ -400,26 +404,19 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
         first_s.push_back(double(first));
         last_s.push_back(double(last));
     }
-    const std::size_t n_rings = count_rings(sweeps);
-    if (sweeps.empty() || n_rings > kMaxRecoveredRings) return std::nullopt;
-    const auto spread_after = [&](std::optional<double> moved_to_s) {
-        std::vector<SweepPoints> picked;
-        for (const CompensatedSweep& sweep : sweeps) {
-            LidarPoints points = sweep.points;
-            if (moved_to_s) undo_deskew_to(points, world_from_sensor, sweep.time_s, *moved_to_s);
-            picked.push_back(pick_points(points, kFinePoints, n_rings));
-        }
-        return spread_without_motion(LatticeFitter(std::move(picked), n_rings), sweeps.size());
-    };
-    const double as_is_rad = spread_after(std::nullopt);
+    if (sweeps.empty() || count_rings(sweeps) > kMaxRecoveredRings) return std::nullopt;
+    const double as_is_rad = spread_without_motion(make_fitter(sweeps, kFinePoints));
     if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;
     double least_rad = kMaxSpreadRatio * as_is_rad;
     std::optional<double> best;
-    for (const double moved_to_s : {0.0, compute_median(first_s), compute_median(last_s)})
-        if (const double spread_rad = spread_after(moved_to_s); spread_rad < least_rad) {
-            least_rad = spread_rad;
-            best = moved_to_s;
-        }
+    for (const double moved_to_s : {0.0, compute_median(first_s), compute_median(last_s)}) {
+        std::vector<CompensatedSweep> restored = sweeps;
+        for (auto& [points, time_s] : restored) undo_deskew_to(points, world_from_sensor, time_s, moved_to_s);
+        const double spread_rad = spread_without_motion(make_fitter(restored, kFinePoints));
+        if (!(spread_rad < least_rad)) continue;
+        least_rad = spread_rad;
+        best = moved_to_s;
+    }
     return best;
 }
 
@@ -437,15 +434,13 @@ void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double
     if (points.size() == 0) return;
     const CompensatedSensor& sensor = recovery.sensor;
     // Extrapolated poses do not show the motion at the start and the end of the log.
-    const double start_s = frame_time_s - recovery.turn.reference * sensor.period_s;
+    const double start_s = frame_time_s + recovery.turn.start_turns * sensor.period_s;
     const bool has_poses = recovery.uses_poses && sensor.world_from_sensor->contains_time(start_s) &&
                            sensor.world_from_sensor->contains_time(start_s + sensor.period_s);
-    std::vector<double> azimuth_rad;
-    for (const glm::vec3& p : points.position_m) azimuth_rad.push_back(azimuth_rad_of(glm::dvec3(p)));
     if (has_poses)
-        restore_points(points, azimuth_rad,
-                       make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s), recovery);
-    else restore_points(points, azimuth_rad, fit_motion(points, azimuth_rad, recovery), recovery);
+        restore_points(points, make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s),
+                       recovery);
+    else restore_points(points, fit_motion(points, recovery), recovery);
 }
 
 void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const EncoderTickGrid& ticks,
@@ -454,7 +449,7 @@ void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const E
     for (std::size_t i = 0; i < points.size(); ++i) {
         const double head_rad = azimuth_facing_rad(beams[points.ring[i]], glm::dvec3(points.position_m[i])),
                      fired_rad = ticks.tick_azimuth_rad(ticks.nearest_tick(head_rad));
-        points.time_offset_s[i] = float(recovery.turn.turn_at(fired_rad) * recovery.sensor.period_s);
+        points.time_offset_s[i] = float(recovery.turn.time_turns(fired_rad) * recovery.sensor.period_s);
     }
 }
 
@@ -466,7 +461,7 @@ std::string describe_recovery(const FiringRecovery& recovery) {
         "the frame; the motion is that of the {}. The elevations of a beam then differ by {:.4f} instead "
         "of {:.4f} degrees (other starts: at least {:.4f})",
         recovery.turn.clockwise ? "clockwise" : "counter-clockwise", recovery.sensor.period_s,
-        recovery.turn.seam_rad * kDegrees, 100.0 * recovery.turn.reference,
+        recovery.turn.seam_rad * kDegrees, 100.0 * (0.0 - recovery.turn.start_turns),
         recovery.uses_poses ? "poses" : "points", recovery.spread_rad * kDegrees,
         recovery.compensated_spread_rad * kDegrees, recovery.other_seam_rad * kDegrees);
 }

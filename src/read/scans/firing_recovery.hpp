@@ -19,15 +19,16 @@ struct EncoderTickGrid;
 
 namespace relidar::read {
 
-/// One turn of a head. The unit of shares is a full turn.
+/// The turn of a head in a sweep. The unit of times is the duration of a turn, and time 0
+/// is that of the frame.
 struct HeadTurn {
     bool clockwise = true;
-    double seam_rad = kPi;   ///< azimuth of the head at the start of the sweep
-    double reference = 0.5;  ///< share of the turn before the time of the frame
+    double seam_rad = kPi;      ///< azimuth of the head at the start and the end of the sweep
+    double start_turns = -0.5;  ///< time of the start
 
-    /// Returns the share of the turn between the time of the frame and the time at which
-    /// the head has an azimuth. The sweep is in [-reference, 1 - reference).
-    double turn_at(double azimuth_rad) const;
+    double end_turns() const { return start_turns + 1.0; }
+    /// Returns the time at which the head has an azimuth, from the start to the end.
+    double time_turns(double azimuth_rad) const;
 };
 
 /// Cone of the points of a beam: z = z0_m + slope * (distance from the axis)
@@ -49,13 +50,18 @@ struct CompensatedSensor {
     glm::dvec3 forward{1, 0, 0};  ///< driving direction in the sensor frame, for logs without poses
 };
 
+/// Steps of the head at which beams fire.
+struct HeadTicks {
+    int n = 0;                   ///< number in a turn; 0: unknown
+    std::vector<double> left_m;  ///< [rings] distance by which the beam starts to the left of the axis
+};
+
 /// Turn of the head and beams of a LiDAR, found by find_firings().
 struct FiringRecovery {
     CompensatedSensor sensor;
     HeadTurn turn;
     std::vector<RingCone> rings;  ///< [rings] a ring without points has slope NaN
-    /// [rings] distances by which the beams start to the left of the axis, metres
-    std::vector<double> left_m;
+    HeadTicks ticks;
     /// True if the poses of the log explain the compensation. Otherwise each sweep gets
     /// the motion that fits its points best.
     bool uses_poses = false;

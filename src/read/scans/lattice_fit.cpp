@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The motion of the sensor in a sweep has two constant twists, before and after the time
-// of the frame, because many programs interpolate between the poses of frames. With the
-// turn u since this time, the twist (v, w) of a full turn gives the point
+// of the frame, because many programs interpolate between the poses of frames. At the
+// time u in turns, the twist (v, w) of a full turn gives the point
 //   x = R(-w u) (p - v u)
 // in the frame at its firing time. Gauss-Newton steps with Geman-McClure weights minimise
 //   e = (z - z0) / rho - slope
@@ -21,25 +21,17 @@ namespace {
 constexpr double kMinDistance_m = 2.0;
 constexpr double kMadToSigma = 1.4826;
 
-Twist negated(Twist twist) {
-    for (double& value : twist) value = -value;
-    return twist;
-}
-
 }  // namespace
 
-double HeadTurn::turn_at(double azimuth_rad) const {
-    const double share = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / kFullTurn_rad;
-    return share - std::floor(share) - reference;
-}
-
-PoseTrack make_track(const SweepMotion& motion) {
-    return {{-1.0, 0.0, 1.0}, {apply_twist({}, negated(motion[0])), {}, apply_twist({}, motion[1])}};
+double HeadTurn::time_turns(double azimuth_rad) const {
+    const double turns = (clockwise ? seam_rad - azimuth_rad : azimuth_rad - seam_rad) / kFullTurn_rad;
+    return turns - std::floor(turns) + start_turns;
 }
 
 PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s) {
     const std::vector<double>& times = world_from_sensor.time_s;
-    // One pose beyond the sweep on each side, so that the interpolation stays the same.
+    // Poses of the turn before and after the frame, and two more on each side: one for
+    // the interpolation at the ends, and one because scaled times are rounded.
     const auto first = std::ranges::lower_bound(times, time_s - period_s) - times.begin(),
                last = std::ranges::upper_bound(times, time_s + period_s) - times.begin();
     const Pose frame_from_world = inverse(world_from_sensor.pose_at(time_s));
@@ -52,18 +44,20 @@ PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double p
 }
 
 SweepMotion twists_of(const PoseTrack& track) {
-    return {negated(compute_twist({}, track.pose_at(-1.0))), compute_twist({}, track.pose_at(1.0))};
+    Twist before = compute_twist({}, track.pose_at(-1.0));
+    for (double& value : before) value = -value;
+    return {before, compute_twist({}, track.pose_at(1.0))};
 }
 
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn) {
-    return inverse(track.pose_at(turn)) * point_m;
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double time_turns) {
+    return inverse(track.pose_at(time_turns)) * point_m;
 }
 
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn) {
-    const Twist& twist = motion[turn < 0.0 ? 0 : 1];
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double time_turns) {
+    const Twist& twist = motion[time_turns < 0.0 ? 0 : 1];
     // The rotation by the vector w is the series p + w x p + w x (w x p) / 2 + ...
-    const glm::dvec3 p = point_m - turn * glm::dvec3(twist[0], twist[1], twist[2]),
-                     w = -turn * glm::dvec3(twist[3], twist[4], twist[5]), first = glm::cross(w, p),
+    const glm::dvec3 p = point_m - time_turns * glm::dvec3(twist[0], twist[1], twist[2]),
+                     w = -time_turns * glm::dvec3(twist[3], twist[4], twist[5]), first = glm::cross(w, p),
                      second = glm::cross(w, first), third = glm::cross(w, second);
     return p + first + 0.5 * second + (1.0 / 6.0) * third;
 }
@@ -133,11 +127,8 @@ void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) c
 template <class Visit>
 void LatticeFitter::visit_errors(const LatticeFit& fit, const Firings& firings, const Visit& visit) const {
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
-        for (std::size_t i = 0; i < firings[s].size(); ++i) {
-            const RingCone& cone = fit.rings[sweeps_[s].ring[i]];
-            const glm::dvec3& p = firings[s][i].position_m;
-            visit(s, i, (p.z - cone.z0_m) / axis_distance_m(p) - cone.slope);
-        }
+        for (std::size_t i = 0; i < firings[s].size(); ++i)
+            visit(s, i, cone_error(firings[s][i].position_m, fit.rings[sweeps_[s].ring[i]]));
 }
 
 double LatticeFitter::spread_of(const LatticeFit& fit, const Firings& firings) const {
@@ -197,7 +188,8 @@ void LatticeFitter::join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal,
         for (std::size_t k = 0; k < kMotionParameters; ++k) {
             const auto before = Eigen::Index(motion_index(s, 0) + k),
                        after = Eigen::Index(motion_index(s, 1) + k);
-            // adds penalty / 2 * (before - after)^2 to the cost; lower triangle only
+            // Adds penalty / 2 * (before - after)^2 to the cost. Only the lower triangle
+            // of the symmetric matrix is used, and `after` is the larger index.
             const double penalty = kPenalty * (normal(before, before) + normal(after, after)),
                          difference = fit.motions[s][0][k] - fit.motions[s][1][k];
             normal(before, before) += penalty;

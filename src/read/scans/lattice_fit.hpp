@@ -13,12 +13,15 @@
 
 namespace relidar::read {
 
-/// parameters of a twist that elevations show: all but the rotation about z
-inline constexpr std::size_t kMotionParameters = 5;
+/// index of the rotation about z in a twist
+inline constexpr std::size_t kYaw = 5;
+/// parameters of a twist that elevations show: all before the yaw
+inline constexpr std::size_t kMotionParameters = kYaw;
 
 inline constexpr double kFullTurn_rad = 2.0 * kPi;
 
-/// Twists of a full turn, before and after the time of the frame.
+/// Motion of the sensor in a full turn, with the twist before the time of the frame and
+/// the twist after it.
 using SweepMotion = std::array<Twist, 2>;
 
 /// Points of a sweep in the frame of the log.
@@ -28,10 +31,10 @@ struct SweepPoints {
     std::vector<std::size_t> ring;
 };
 
-/// A point in the frame at its firing time, and its share of the turn.
+/// A point in the sensor frame at its firing time.
 struct FiredPoint {
     glm::dvec3 position_m;
-    double turn = 0.0;
+    double time_turns = 0.0;  ///< firing time after the time of the frame
 };
 
 inline double azimuth_rad_of(const glm::dvec3& p) { return std::atan2(p.y, p.x); }
@@ -51,17 +54,22 @@ inline double moved_azimuth_rad(const glm::dvec3& moved_m, const glm::dvec3& poi
 /// Returns the distance from the axis of the head.
 inline double axis_distance_m(const glm::dvec3& p) { return std::sqrt(p.x * p.x + p.y * p.y); }
 
-/// Returns the poses of the sensor relative to the time of the frame. Times are turns.
-PoseTrack make_track(const SweepMotion& motion);
-/// Returns the same for the poses of the log.
+/// Returns the difference of the slopes of a point and its cone: 0 if it is on the cone.
+inline double cone_error(const glm::dvec3& p, const RingCone& cone) {
+    return (p.z - cone.z0_m) / axis_distance_m(p) - cone.slope;
+}
+
+/// Returns the poses of the sensor around a frame, in the sensor frame at its time. The
+/// times of the track are in turns after this time.
 PoseTrack make_track(const PoseTrack& world_from_sensor, double time_s, double period_s);
 /// Returns the twists that a track has in the turn before and after time 0.
 SweepMotion twists_of(const PoseTrack& track);
 
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double turn);
+/// Moves a point from the sensor frame at time 0 to the sensor frame at another time.
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const PoseTrack& track, double time_turns);
 /// Fast version with a rotation of third order. The error is below 1e-5 rad for rotations
 /// below 0.12 rad, which are 2.4 rad/s at 10 Hz.
-glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double turn);
+glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, double time_turns);
 
 /// Computes the firing of a point. The azimuth at the firing time differs from that of
 /// the moved point, so the function iterates.
@@ -69,12 +77,12 @@ glm::dvec3 undo_motion(const glm::dvec3& point_m, const SweepMotion& motion, dou
 template <class Motion>
 FiredPoint find_firing(const glm::dvec3& point_m, double azimuth_rad, const Motion& motion,
                        const HeadTurn& turn) {
-    FiredPoint fired{point_m, turn.turn_at(azimuth_rad)};
+    FiredPoint fired{point_m, turn.time_turns(azimuth_rad)};
     for (int pass = 0; pass < 2; ++pass) {
-        fired.position_m = undo_motion(point_m, motion, fired.turn);
-        fired.turn = turn.turn_at(moved_azimuth_rad(fired.position_m, point_m, azimuth_rad));
+        fired.position_m = undo_motion(point_m, motion, fired.time_turns);
+        fired.time_turns = turn.time_turns(moved_azimuth_rad(fired.position_m, point_m, azimuth_rad));
     }
-    fired.position_m = undo_motion(point_m, motion, fired.turn);
+    fired.position_m = undo_motion(point_m, motion, fired.time_turns);
     return fired;
 }
 
@@ -97,7 +105,13 @@ public:
     LatticeFitter(std::vector<SweepPoints> sweeps, std::size_t n_rings)
         : sweeps_(std::move(sweeps)), n_rings_(n_rings) {}
 
+    /// Returns a fit without cones and motion for improve().
+    LatticeFit start_fit(const HeadTurn& turn) const {
+        return {.turn = turn, .rings = {}, .motions = std::vector<SweepMotion>(sweeps_.size())};
+    }
     /// Improves a fit. Starts with the median slopes if the fit has no cones.
+    /// @param n_steps  Gauss-Newton steps: 2 after a small change of the turn, otherwise
+    /// 4 to 8
     void improve(LatticeFit& fit, int n_steps, FreeValues free_values) const;
     /// Returns the mean robust error of all points, from 0 to 1.
     double cost(const LatticeFit& fit, double scale_rad) const;
@@ -108,23 +122,29 @@ private:
     std::vector<SweepPoints> sweeps_;
     std::size_t n_rings_;
 
+    /// Moves all points to their firing times, with the turn and the motions of the fit.
     Firings compute_firings(const LatticeFit& fit) const;
+    /// Sets the first cones: z0 = 0, and the median slope of the points of the ring. The
+    /// slope of a ring without points is NaN; no error depends on it.
     void set_median_slopes(LatticeFit& fit, const Firings& firings) const;
     /// Calls visit(sweep, point, elevation error), in radians at a slope of 0.
     template <class Visit>
     void visit_errors(const LatticeFit& fit, const Firings& firings, const Visit& visit) const;
     double spread_of(const LatticeFit& fit, const Firings& firings) const;
-    /// Returns the index of a twist in the equations, after the cones.
+    /// Returns the index of the first value of a twist in the unknowns of the equations.
+    /// They are z0 and slope of each ring, then (v, w.x, w.y) of the twists of each
+    /// sweep.
+    /// @param half  0: before the time of the frame, 1: after it
     std::size_t motion_index(std::size_t sweep, std::size_t half) const {
         return 2 * n_rings_ + (2 * sweep + half) * kMotionParameters;
     }
 
-    /// Returns the Gauss-Newton step: z0 and slope of each ring, then the twists
-    /// (v, w.x, w.y) of each sweep before and after the frame.
+    /// Returns the Gauss-Newton step of all unknowns.
     Eigen::VectorXd solve_step(const LatticeFit& fit, const Firings& firings, FreeValues free_values) const;
     /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
     /// without points equals the other one.
     void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const;
+    /// @param change  step of all unknowns
     void apply_change(LatticeFit& fit, const Eigen::VectorXd& change) const;
 };
 

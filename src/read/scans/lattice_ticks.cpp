@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <complex>
+#include <span>
 
 #include "base/parallel.hpp"
 
@@ -15,29 +16,32 @@ namespace {
 // The azimuths of nearer points are inaccurate, because beams start beside the axis.
 constexpr double kMinYawDistance_m = 4.0;
 
-/// Adds up the phases of points at neighbouring azimuths for each trial of the distance
-/// by which their beam starts to the left of the axis. The trials have equal steps, so
+/// Returns the distance by which a beam starts to the left of the axis. Adds up the
+/// phases of neighbouring points for each trial of the distance. A sum is longest if its
+/// phases are equal, which the right trial makes them. The trials have equal steps, so
 /// each phase follows from the one before by a multiplication.
-class PhaseTrials {
-public:
-    static constexpr int kTrials = 121;
-    static constexpr double kStep_m = 0.001;
-    static constexpr double left_m(int trial) { return (trial - kTrials / 2) * kStep_m; }
-
-    /// @param rho_m  distance of the point from the axis
-    void add(double azimuth_rad, double rho_m, int n_ticks) {
-        std::complex<double> phase = std::polar(1.0, n_ticks * (azimuth_rad - left_m(0) / rho_m));
-        const std::complex<double> step = std::polar(1.0, -n_ticks * kStep_m / rho_m);
-        for (std::complex<double>& sum : sums_) {
-            sum += phase;
-            phase *= step;
+/// @param bins  azimuth and distance from the axis of the points at neighbouring azimuths
+double find_left_offset(std::span<const std::vector<glm::dvec2>> bins, int n_ticks) {
+    constexpr std::size_t kTrials = 121;
+    constexpr double kStep_m = 0.001;
+    const auto left_m = [](std::size_t trial) { return (int(trial) - int(kTrials / 2)) * kStep_m; };
+    std::array<double, kTrials> lengths{};
+    for (const std::vector<glm::dvec2>& points : bins) {
+        std::array<std::complex<double>, kTrials> sums{};
+        for (const glm::dvec2& point : points) {
+            const double azimuth_rad = point.x, rho_m = point.y;
+            std::complex<double> phase = std::polar(1.0, n_ticks * (azimuth_rad - left_m(0) / rho_m));
+            const std::complex<double> step = std::polar(1.0, -n_ticks * kStep_m / rho_m);
+            for (std::complex<double>& sum : sums) {
+                sum += phase;
+                phase *= step;
+            }
         }
+        for (std::size_t trial = 0; trial < kTrials; ++trial) lengths[trial] += std::abs(sums[trial]);
     }
-    double length(int trial) const { return std::abs(sums_[std::size_t(trial)]); }
-
-private:
-    std::array<std::complex<double>, std::size_t(kTrials)> sums_{};
-};
+    const auto longest = std::ranges::max_element(lengths);
+    return *longest > 0.0 ? left_m(std::size_t(longest - lengths.begin())) : 0.0;
+}
 
 }  // namespace
 
@@ -55,24 +59,17 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
             const auto bin = std::size_t((0.5 + azimuth_rad / kFullTurn_rad) * (kBins - 1));
             points_of_bin[(sweeps[s].ring[i] * n_sweeps + s) * kBins + bin].emplace_back(azimuth_rad, rho_m);
         }
-    std::vector<double> left_m(n_rings, 0.0);
+    std::vector<double> left_m(n_rings);
+    const std::size_t n_bins = n_sweeps * kBins;  // of a ring
     parallel_for(int(n_rings), [&](int ring) {
-        // A sum of phases is longest if they are equal, which the right trial makes them.
-        std::array<double, std::size_t(PhaseTrials::kTrials)> lengths{};
-        const std::size_t first = std::size_t(ring) * n_sweeps * kBins;
-        for (std::size_t bin = first; bin < first + n_sweeps * kBins; ++bin) {
-            PhaseTrials trials;
-            for (const glm::dvec2& point : points_of_bin[bin]) trials.add(point.x, point.y, n_ticks);
-            for (int t = 0; t < PhaseTrials::kTrials; ++t) lengths[std::size_t(t)] += trials.length(t);
-        }
-        const auto longest = std::ranges::max_element(lengths);
-        if (*longest > 0.0) left_m[std::size_t(ring)] = PhaseTrials::left_m(int(longest - lengths.begin()));
+        const auto bins = std::span(points_of_bin).subspan(std::size_t(ring) * n_bins, n_bins);
+        left_m[std::size_t(ring)] = find_left_offset(bins, n_ticks);
     });
     return left_m;
 }
 
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
-               const HeadTurn& turn, int n_ticks, const std::vector<double>& left_m) {
+               const HeadTurn& turn, const HeadTicks& ticks) {
     // A bin is 1/256 of the turn. Each bin of a ring has the sum of its points' phases.
     constexpr std::size_t kBins = 256, kMaxLag = 32;
     const std::size_t n_rings = std::size_t(std::ranges::max(rings)) + 1;
@@ -80,20 +77,21 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec3& p = points[i].position_m;
         const double rho = axis_distance_m(p);
-        if (rho < kMinYawDistance_m || rings[i] >= left_m.size()) continue;
-        const auto bin = std::size_t(std::clamp((points[i].turn + turn.reference) * kBins, 0.0, kBins - 1.0));
+        if (rho < kMinYawDistance_m || rings[i] >= ticks.left_m.size()) continue;
+        const double since_start_turns = points[i].time_turns - turn.start_turns;
+        const auto bin = std::size_t(std::clamp(since_start_turns * kBins, 0.0, kBins - 1.0));
         phases[rings[i] * kBins + bin] +=
-            std::polar(1.0, n_ticks * (azimuth_rad_of(p) - left_m[rings[i]] / rho));
+            std::polar(1.0, ticks.n * (azimuth_rad_of(p) - ticks.left_m[rings[i]] / rho));
     }
-    const auto reference_bin = std::size_t(std::clamp(turn.reference * kBins, 0.0, double(kBins)));
+    const auto frame_bin = std::size_t(std::clamp(-turn.start_turns * kBins, 0.0, double(kBins)));
     YawFit fit;
     // length of the sum of phase differences, and its value if all of them are equal
     double joint = 0.0, possible = 0.0;
     for (std::size_t half = 0; half < 2; ++half) {
-        const std::size_t begin = half == 0 ? 0 : reference_bin, end = half == 0 ? reference_bin : kBins;
+        const std::size_t begin = half == 0 ? 0 : frame_bin, end = half == 0 ? frame_bin : kBins;
         std::complex<double> sum = 0.0;
         double possible_length = 0.0;
-        // A rotation by r rad in a turn changes the phase by n_ticks * r * lag / kBins
+        // A rotation by r rad in a turn changes the phase by ticks.n * r * lag / kBins
         // between bins at a distance of `lag`. The change is known only within +-pi, so
         // the rotation from one lag predicts it for the next, which is more exact.
         for (std::size_t lag = 1; lag <= kMaxLag && 2 * lag <= end - begin; lag *= 2) {
@@ -105,16 +103,16 @@ YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uin
                     sum += second * std::conj(first);
                     possible_length += std::abs(first) * std::abs(second);
                 }
-            const double turns = double(lag) / kBins, predicted = n_ticks * fit.turned_rad[half] * turns,
+            const double turns = double(lag) / kBins, predicted = ticks.n * fit.turned_rad[half] * turns,
                          remaining = std::arg(sum * std::polar(1.0, -predicted));
-            fit.turned_rad[half] += remaining / (n_ticks * turns);
+            fit.turned_rad[half] += remaining / (ticks.n * turns);
         }
         joint += std::abs(sum);  // of the largest lag
         possible += possible_length;
     }
     // A half that is too short for a lag turns like the other one.
-    if (reference_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
-    if (reference_bin + 2 > kBins) fit.turned_rad[1] = fit.turned_rad[0];
+    if (frame_bin < 2) fit.turned_rad[0] = fit.turned_rad[1];
+    if (frame_bin + 2 > kBins) fit.turned_rad[1] = fit.turned_rad[0];
     fit.coherence = possible > 0.0 ? joint / possible : 0.0;
     return fit;
 }

@@ -30,8 +30,7 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
 /// Measures the rotation about z that the compensation added to the azimuths. The phases
 /// of the ticks then drift in the turn. Compares the phases of bins that are more and
 /// more distant.
-/// @param left_m [rings] result of fit_left_offsets()
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
-               const HeadTurn& turn, int n_ticks, const std::vector<double>& left_m);
+               const HeadTurn& turn, const HeadTicks& ticks);
 
 }  // namespace relidar::read
