@@ -23,7 +23,7 @@ constexpr double kMinDuration = 0.05, kMaxDuration = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
 constexpr double kLeastSweep_s = 0.1;
-constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
+constexpr double kMinCloudShare = 0.8;  // minimum share of the clouds that must agree
 // If all points of a cloud have the same time and it can change only in steps above this
 // value, the time is rounded: 32-bit floats of seconds since 1970 have steps of 128.
 constexpr double kLargestStep = 16.0;
@@ -55,6 +55,12 @@ std::vector<TimeRange> list_time_ranges(const std::vector<PointTable>& clouds,
     return ranges;
 }
 
+/// Returns true if a test holds for most clouds. Some clouds can have wrong times.
+template <class Test>
+bool holds_for_most(const std::vector<TimeRange>& ranges, const Test& test) {
+    return double(std::ranges::count_if(ranges, test)) >= kMinCloudShare * double(ranges.size());
+}
+
 /// Returns true if point times advance from cloud to cloud like the stamps, as those of a
 /// clock do. Offsets within the cloud do not advance.
 bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
@@ -67,36 +73,34 @@ bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
     return 2 * n_like_stamps + 1 > ranges.size();  // at least half of the steps
 }
 
-/// Returns true if the first times of some clouds differ by more than a sweep. Then they
-/// are no offsets from stamps, but for example times within a second.
-bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
+/// Returns true if the first times of most clouds differ by less than a sweep, as those
+/// of offsets do. Times within a second, for example, differ more.
+bool are_firsts_similar(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
     std::vector<double> first_s;
     for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
     const double middle_s = compute_median(first_s);
-    const auto n_near =
-        std::ranges::count_if(first_s, [&](double t_s) { return std::abs(t_s - middle_s) <= sweep_s; });
-    return double(n_near) < kMostClouds * double(ranges.size());
+    return holds_for_most(ranges, [&](const TimeRange& range) {
+        return std::abs(range.first * time_unit_s - middle_s) <= sweep_s;
+    });
 }
 
 /// Returns what the point times of the clouds are relative to: the stamp of the cloud (if
 /// they are near 0), the zero of the stamps (epoch, if they are near the stamps), or else
-/// another zero. Some clouds can have wrong times, so only most of them must agree.
+/// another zero.
 PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
     const auto is_near = [&](const TimeRange& range, double time_s) {
         return std::abs(range.first * unit_s - time_s) <= kBesideStamp_s &&
                std::abs(range.last * unit_s - time_s) <= kBesideStamp_s;
     };
-    const double n_required = kMostClouds * double(ranges.size());
-    const auto n_near_zero =
-        std::ranges::count_if(ranges, [&](const TimeRange& range) { return is_near(range, 0.0); });
-    // Small times can also be those of a clock that started recently, or that restarts
-    // every second.
-    if (double(n_near_zero) >= n_required && !follow_stamps(ranges, unit_s) &&
-        !first_times_differ(ranges, unit_s, sweep_s))
+    const auto is_near_zero = [&](const TimeRange& range) { return is_near(range, 0.0); };
+    const auto is_near_stamp = [&](const TimeRange& range) { return is_near(range, range.stamp_s); };
+    // Small times can also be those of a clock that started recently (they then follow
+    // the stamps), or that restarts every second (the first times then differ).
+    if (holds_for_most(ranges, is_near_zero) && !follow_stamps(ranges, unit_s) &&
+        are_firsts_similar(ranges, unit_s, sweep_s))
         return PointTimeReference::stamp;
-    const auto n_near_stamp =
-        std::ranges::count_if(ranges, [&](const TimeRange& range) { return is_near(range, range.stamp_s); });
-    return double(n_near_stamp) >= n_required ? PointTimeReference::epoch : PointTimeReference::sensor_clock;
+    return holds_for_most(ranges, is_near_stamp) ? PointTimeReference::epoch
+                                                 : PointTimeReference::sensor_clock;
 }
 
 /// Returns true if a cloud has one time that is its stamp in some unit, rounded to steps
@@ -109,22 +113,18 @@ bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
     });
 }
 
-/// Returns true if the times have lost the precision to resolve a sweep, for example in a
-/// conversion to 32-bit floats.
-/// @param span  usual time from the first to the last point of a cloud
-bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
+/// Returns true if the times of clouds are rounded too much to order the clouds. All
+/// points of a cloud have the same time. The unit is not known yet, so all are tried.
+bool are_cloud_times_coarse(const std::vector<TimeRange>& ranges, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
-    if (span > 0.0) return is_coarse_time(cloud.resolution, span);
-    // All points of a cloud have the same time: either the points were moved to one time,
-    // or the time is rounded. Its unit is not known yet, so all units are tried.
     if (is_rounded_stamp(cloud, cloud_interval_s)) return true;
     // Times that increase like the stamps are exact times of the clouds.
     const auto is_clock = [&](const TimeUnit& unit) { return follow_stamps(ranges, unit.seconds); };
     if (ranges.size() > 1 && std::ranges::any_of(kTimeUnits, is_clock)) return false;
-    if (cloud.resolution > kLargestStep) return true;
     const bool is_constant = std::ranges::all_of(
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
-    return !is_constant && is_coarse_time(cloud.resolution, cloud_interval_s);
+    return cloud.resolution > kLargestStep ||
+           (!is_constant && is_coarse_time(cloud.resolution, cloud_interval_s));
 }
 
 /// Returns the longest of the units s, ms, us and ns with which the duration of a cloud
@@ -137,46 +137,52 @@ const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
     return nullptr;
 }
 
-/// Sets the unit and the reference of the point times, and a note about them. If no unit
-/// fits, the reference remains `none`.
+/// Returns the unit and the reference of the point times, with a note. If no unit fits,
+/// the reference is `none`. Does not set the fields.
 /// @param signed_ranges  the same times if large unsigned numbers are negative offsets
-void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
-                   const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
-    if (time_ranges.empty()) return;
-    std::vector<double> spans;  // [clouds] time from the first to the last point, in the unit of the file
-    for (const TimeRange& range : time_ranges) spans.push_back(range.last - range.first);
-    std::ranges::sort(spans);
-    const double usual_span = spans[spans.size() / 2];
-    if (are_times_coarse(time_ranges, usual_span, cloud_interval_s)) {
-        const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
+PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
+                               const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
+    PointCloudUnits units;
+    if (ranges.empty()) return units;
+    std::vector<double> spans;  // [clouds]
+    for (const TimeRange& range : ranges) spans.push_back(range.last - range.first);
+    const double usual_span = compute_median(spans);
+
+    // Some conversions lose the precision of times, for example those to 32-bit floats.
+    const TimeRange& cloud = ranges[ranges.size() / 2];
+    if (usual_span > 0.0 ? is_coarse_time(cloud.resolution, usual_span)
+                         : are_cloud_times_coarse(ranges, cloud_interval_s)) {
         units.time_note = describe_coarse(cloud.last, cloud.resolution);
-        return;
+        return units;
     }
     // After motion compensation, all points of a cloud can have the same time.
-    units.is_deskewed = spans.back() == 0.0;
+    units.is_deskewed = std::ranges::max(spans) == 0.0;
+    if (units.is_deskewed) {
+        units.time_note =
+            "all points of a cloud have the same time, so each cloud is assumed to be motion-compensated to "
+            "its stamp";
+        return units;
+    }
     const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
     if (!unit) {
-        units.time_note = units.is_deskewed
-                              ? "all points of a cloud have the same time, so each cloud is assumed to be "
-                                "motion-compensated to its stamp"
-                              : fmt::format(
-                                    "the times of points are ignored, because no unit of time fits them: the "
-                                    "points of a cloud span {:.4g} units, but clouds are {:.3g} s apart",
-                                    usual_span, cloud_interval_s);
-        return;
+        units.time_note = fmt::format(
+            "the times of points are ignored, because no unit of time fits them: the points of a cloud span "
+            "{:.4g} units, but clouds are {:.3g} s apart",
+            usual_span, cloud_interval_s);
+        return units;
     }
     const double duration_s = usual_span * unit->seconds;
     const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
     units.time_unit_s = unit->seconds;
-    units.time_reference = find_time_reference(time_ranges, unit->seconds, sweep_s);
+    units.time_reference = find_time_reference(ranges, unit->seconds, sweep_s);
     // Without signs, negative offsets look like the large times of a clock.
-    const bool are_negative_offsets =
-        units.time_reference == PointTimeReference::sensor_clock &&
-        find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp;
-    if (are_negative_offsets) units.time_reference = PointTimeReference::stamp;
+    if (units.time_reference == PointTimeReference::sensor_clock &&
+        find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp)
+        units.time_reference = PointTimeReference::stamp;
     units.time_note =
         fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit->name,
                     kReferenceTexts[std::size_t(units.time_reference)], 1e3 * usual_span * unit->seconds);
+    return units;
 }
 
 namespace fs = std::filesystem;
@@ -185,7 +191,7 @@ namespace fs = std::filesystem;
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
                                       const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points = scan_files;
-    if (!has_npz_points(scan_files))
+    if (!has_npz_points(scan_files))  // The .npz files then contain rays.
         std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
     std::vector<PointTable> samples;
     read_samples(with_points.size(),
@@ -214,22 +220,15 @@ void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& sam
     constexpr double kTypicalSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
-        if (!range || units.ignore_times) continue;
+        if (!range) continue;
         const auto [first, last] = *range;
         const double resolution = time_resolution(cloud);
         const double span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
-        units.ignore_times = is_coarse_time(resolution, span);
-        if (units.ignore_times) notes.push_back(describe_coarse(last, resolution));
+        if (!is_coarse_time(resolution, span)) continue;
+        units.ignore_times = true;
+        notes.push_back(describe_coarse(last, resolution));
+        return;
     }
-}
-
-/// Estimates the scale of the intensities of range images.
-IntensityScale estimate_image_scale(const std::vector<PointTable>& images) {
-    std::vector<double> intensities;
-    for (const PointTable& image : images)
-        if (const PointFieldView* field = image.find_field("intensity"))
-            field->for_each(image.n, [&](std::size_t, double value) { intensities.push_back(value); });
-    return estimate_scale(intensities);
 }
 
 }  // namespace
@@ -237,14 +236,13 @@ IntensityScale estimate_image_scale(const std::vector<PointTable>& images) {
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
                                      const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
     std::vector<PointTable> continuous_clouds = clouds;
-    for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, false);
+    for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, /*are_offsets=*/false);
     // Large unsigned times may be negative offsets, so both are compared.
     std::vector<PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, restore_signs);
 
-    PointCloudUnits units;
-    set_time_unit(units, list_time_ranges(continuous_clouds, cloud_stamps_s),
-                  list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
+    PointCloudUnits units = estimate_times(list_time_ranges(continuous_clouds, cloud_stamps_s),
+                                           list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
     units.fields = interpret_fields(continuous_clouds);
     if (!units.fields.scale.note.empty()) units.fields.notes.push_back(units.fields.scale.note);
     return units;
@@ -252,18 +250,17 @@ PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
 
 void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
     std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
-    for (PointTable& cloud : samples) unwrap_times(cloud, !units.absolute_times);
+    for (PointTable& cloud : samples) unwrap_times(cloud, /*are_offsets=*/!units.absolute_times);
     PointFieldSemantics fields = interpret_fields(samples);
-    drop_coarse_times(units, samples, notes);
-    if (samples.empty()) {
-        // No file of points was read, so units are estimated from range images.
-        const std::vector<PointTable> images = sample_images(scan_files);
-        drop_coarse_times(units, images, notes);
-        if (!units.intensity_max) fields.scale = estimate_image_scale(images);
+    if (samples.empty()) {  // The log has range images instead of points.
+        samples = sample_images(scan_files);
+        fields.scale = estimate_scale(list_values(samples, "intensity"));
     }
+    drop_coarse_times(units, samples, notes);
     units.intensity_field = fields.intensity_field;
     units.no_return = fields.no_return;
     units.returns = fields.returns;
+    // If the scale is not sure, intensities above 1 are an error.
     if (!units.intensity_max && fields.scale.is_sure && fields.scale.max > 1.0) {
         units.intensity_max = fields.scale.max;
         notes.push_back(fields.scale.note +

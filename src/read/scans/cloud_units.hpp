@@ -24,14 +24,14 @@ struct PointCloudUnits {
     double time_unit_s = 1.0;  ///< seconds per unit of the point times
     /// True if all points of a cloud were motion-compensated to the same time.
     bool is_deskewed = false;
-    read::PointFieldSemantics fields;
+    PointFieldSemantics fields;
     std::string time_note;  ///< text about the point times for the user, stored in the notes of the log
 };
 
 /// Estimates unit and reference of the point times, and which fields are read.
 /// @param clouds  sample clouds of one topic
 /// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
-PointCloudUnits estimate_cloud_units(const std::vector<read::PointTable>& clouds,
+PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
                                      const std::vector<double>& cloud_stamps_s, double cloud_interval_s);
 
 }  // namespace relidar::read

@@ -17,7 +17,7 @@ namespace {
 
 // Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercentScale = 100.0, kByteScale = 255.0, kTwoByteScale = 65535.0;
-constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
+constexpr double kFewBrighter = 0.995;  // share of the intensities within the scale of other files
 // A position marks "no return" if (points at this position / all points) is between these
 // limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
@@ -25,24 +25,15 @@ constexpr std::ptrdiff_t kFewestMarked = 16;
 // Size of the sample that gives a candidate, and how often it must repeat there.
 constexpr std::size_t kSampledPoints = 1024, kFewestRepeats = 3;
 
-/// Returns true if a field has only zeros, or does not exist.
-bool is_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
-    bool is_zero = true;
-    for (const PointTable& cloud : clouds)
-        if (const PointFieldView* values = cloud.find_field(field_name))
-            values->for_each(cloud.n,
-                             [&](std::size_t, double value) { is_zero = is_zero && !(value != 0.0); });
-    return is_zero;
-}
-
 /// Selects the field that contains the intensities: the first candidate that has a value
 /// other than 0. Adds a note if this is not the usual field.
 void choose_intensity(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     // all fields with a usual name of intensities, the most usual first
     const std::vector<std::string> names = clouds[0].list_fields(PointAttribute::intensity);
     if (names.empty()) return;
-    const auto used =
-        std::ranges::find_if(names, [&](const std::string& name) { return !is_all_zero(clouds, name); });
+    const auto used = std::ranges::find_if(names, [&](const std::string& name) {
+        return std::ranges::any_of(list_values(clouds, name), [](double value) { return value != 0.0; });
+    });
     const bool are_all_zero = used == names.end();
     const std::string& chosen = are_all_zero ? names[0] : *used;
     semantics.intensity_field = chosen;
@@ -84,7 +75,7 @@ std::string describe_negatives(const std::vector<PointTable>& clouds, const std:
     return fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest);
 }
 
-/// Returns the most frequent of some positions, or nothing if none repeats.
+/// Returns the most frequent of some positions, or nothing if it is rare.
 std::optional<glm::vec3> find_repeated_position(std::vector<glm::vec3> positions) {
     std::ranges::sort(positions, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
     std::size_t most_repeats = 0, last_of_most = 0, n_repeats = 0;
@@ -119,29 +110,36 @@ std::optional<glm::vec3> find_marker(const PointTable& cloud) {
 
 }  // namespace
 
-IntensityScale estimate_scale(std::vector<double>& intensities) {
+std::vector<double> list_values(const std::vector<PointTable>& clouds, const std::string& field_name) {
+    std::vector<double> values;
+    for (const PointTable& cloud : clouds)
+        if (const PointFieldView* field = cloud.find_field(field_name))
+            field->for_each(cloud.n, [&](std::size_t, double value) { values.push_back(value); });
+    return values;
+}
+
+IntensityScale estimate_scale(std::vector<double> intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
-    IntensityScale scale;
-    // Values up to 100 can be percentages or bytes, so their scale is not sure.
-    scale.is_sure =
-        lowest >= 0.0 && (highest <= 1.0 || (highest > kPercentScale && highest <= kTwoByteScale));
+    IntensityScale scale{.is_sure = lowest >= 0.0, .note = {}};
     if (highest <= 1.0) return scale;
     if (highest <= kByteScale) {
         scale.max = kByteScale;
+        // Values up to 100 can be percentages or bytes.
+        if (highest <= kPercentScale) scale.is_sure = false;
         scale.note = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
                                  scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
     }
+    if (highest > kTwoByteScale) scale.is_sure = false;
     // Few returns, such as those of reflectors, are much brighter than all others.
     const auto percentile =
         intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
     std::nth_element(intensities.begin(), percentile, intensities.end());
     scale.max = std::max(*percentile, 1.0);
-    scale.note =
-        fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their 99.5th percentile",
-                    highest, scale.max);
+    scale.note = fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their {}th percentile",
+                             highest, scale.max, 100.0 * kFewBrighter);
     return scale;
 }
 
@@ -151,16 +149,15 @@ PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_cloud
     choose_intensity(sample_clouds, semantics);
     note_unread_fields(sample_clouds, semantics);
 
-    std::vector<double> intensities;
-    for (const PointTable& cloud : sample_clouds)
-        if (const PointFieldView* values = cloud.find_field(semantics.intensity_field))
-            values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
-    semantics.scale = estimate_scale(intensities);
+    semantics.scale = estimate_scale(list_values(sample_clouds, semantics.intensity_field));
     const std::string negatives = describe_negatives(sample_clouds, semantics.intensity_field);
     if (!negatives.empty()) semantics.notes.push_back(negatives);
 
     semantics.returns = find_unnumbered(sample_clouds);
-    if (semantics.returns.exist) semantics.notes.push_back(semantics.returns.note);
+    if (semantics.returns.exist)
+        semantics.notes.push_back(
+            "the points have two returns of each ray without numbers; equal returns are read as one return, "
+            "and of two other returns the stronger is first");
 
     for (const PointTable& cloud : sample_clouds)
         if (!semantics.no_return) semantics.no_return = find_marker(cloud);

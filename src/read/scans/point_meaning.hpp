@@ -18,23 +18,25 @@ namespace relidar::read {
 /// Returns the positions of all points. A missing coordinate is 0.
 std::vector<glm::vec3> read_positions(const PointTable& table);
 
+/// Returns the values of a field in all clouds that have it.
+std::vector<double> list_values(const std::vector<PointTable>& clouds, const std::string& field_name);
+
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable
     std::string note;     ///< text about the scale for the user; empty if the scale is 0 to 1
 };
 /// Estimates which intensity becomes 1: 1, or 255, or a value that only a few intensities
-/// exceed. Reorders the values.
-IntensityScale estimate_scale(std::vector<double>& intensities);
+/// exceed.
+IntensityScale estimate_scale(std::vector<double> intensities);
 
-/// How a cloud stores two returns of each ray without numbers.
+/// How clouds store two returns of each ray without numbers.
 struct UnnumberedReturns {
     bool exist = false;
-    /// Difference between the indices of both returns. Blocks of `distance` points are
-    /// alternately first and second returns. 0: the returns have equal rings and times.
-    std::size_t distance = 0;
-    bool are_halves = false;  ///< true if the distance is half of the points of each cloud
-    std::string note;         ///< for the user
+    /// Blocks of this many points are alternately first and second returns: 1 if both
+    /// returns of a ray are neighbours. 0: the returns have equal rings and times.
+    std::size_t block_size = 0;
+    bool are_halves = false;  ///< true: all second returns follow, so a block is half of each cloud
 };
 
 /// Finds out whether clouds have two returns of each ray without return numbers.

@@ -71,13 +71,13 @@ std::vector<IndexPair> find_repeated(const std::vector<glm::vec3>& points, std::
     return pairs;
 }
 
-/// Counts groups of points with equal ring and time, over some clouds.
+/// Numbers of groups of points with equal ring and time in some clouds.
 struct PairCounts {
     std::size_t n_groups = 0;
     std::size_t n_pairs = 0;   ///< groups of two points
     std::size_t n_large = 0;   ///< groups of more points
-    std::size_t n_on_ray = 0;  ///< pairs whose directions differ by less than kOneRay_rad
-    std::size_t n_exact = 0;   ///< pairs whose directions differ by less than kSameRay_rad
+    std::size_t n_on_ray = 0;  ///< pairs that can be returns of one ray, within kOneRay_rad
+    std::size_t n_exact = 0;   ///< pairs with equal directions, within kSameRay_rad
 
     /// Returns true if the pairs are the two returns of one ray. If most groups are
     /// pairs, they could also be two columns that share a time, so their directions must
@@ -91,8 +91,7 @@ struct PairCounts {
     }
 };
 
-/// Counts the groups of points with equal ring and time in a cloud, and how many of them
-/// are pairs on one ray.
+/// Adds the groups of a cloud to the counts.
 /// @param keys  [points] ring and time
 /// @param indices  points that are compared
 void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
@@ -111,78 +110,58 @@ void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const
     }
 }
 
-/// Returns the difference d between the indices of nearly all pairs, or 0 if it varies. A
-/// file then has blocks of d first returns and d second returns in turn. So d = 1 if both
-/// returns of a ray are neighbours, and d = n_points / 2 if all second returns follow.
-std::size_t find_pair_distance(const std::vector<IndexPair>& pairs, std::size_t n_points) {
-    std::map<std::size_t, std::size_t> n_pairs_of_distance;
-    for (const auto& [first, second] : pairs) {
-        const std::size_t distance = second - first;
-        const bool is_in_first_block = first / distance % 2 == 0;
-        if (is_in_first_block) ++n_pairs_of_distance[distance];
-    }
-    std::size_t usual_distance = 0;
-    for (const auto& [distance, n_pairs] : n_pairs_of_distance)
-        if (double(n_pairs) >= kMinRegularShare * double(pairs.size()) && n_points % (2 * distance) == 0)
-            usual_distance = distance;
-    return usual_distance;
+/// Returns true if a point is in a block of first returns.
+bool is_first_return(std::size_t point, std::size_t block_size) { return point / block_size % 2 == 0; }
+
+/// Returns the size of the blocks in which a cloud stores its first and second returns,
+/// or 0. The returns of a ray have the same place in their blocks. So the size is the
+/// difference of the indices of nearly all pairs.
+std::size_t find_block_size(const std::vector<IndexPair>& pairs, std::size_t n_points) {
+    std::map<std::size_t, std::size_t> n_pairs_of_size;
+    for (const auto& [first, second] : pairs)
+        if (is_first_return(first, second - first)) ++n_pairs_of_size[second - first];
+    for (const auto& [size, n_pairs] : n_pairs_of_size)
+        if (double(n_pairs) >= kMinRegularShare * double(pairs.size()) && n_points % (2 * size) == 0)
+            return size;
+    return 0;
 }
 
-/// Finds out how a cloud stores second returns, from the points that occur twice. A
-/// sensor repeats the only return of a ray, so both points of such a pair are stored like
-/// a first and a second return: in blocks, or with equal ring and time. If few points
-/// occur twice, only adds the pairs of equal ring and time to `counts`.
-UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
-    if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
-        return {};
-    const std::vector<glm::vec3> points = read_positions(cloud);
-    std::vector<std::size_t> valid;
-    for (std::size_t i = 0; i < cloud.n; ++i)
-        if (is_return_point(points[i])) valid.push_back(i);
-    const std::vector<IndexPair> repeated = find_repeated(points, valid);
-    const std::vector<RayKey> keys = read_ray_keys(cloud);
-    UnnumberedReturns returns{.note =
-                                  "the points have two returns of each ray without numbers; equal returns "
-                                  "are read as one return, and of two other returns the stronger is first"};
-    const double n_points_in_pairs = 2.0 * double(repeated.size());
-    if (repeated.empty() || n_points_in_pairs < kLeastRepeated * double(valid.size())) {
-        if (!keys.empty()) count_pairs(counts, points, keys, valid);
-        return returns;
-    }
-    returns.distance = find_pair_distance(repeated, cloud.n);
-    returns.are_halves = 2 * returns.distance == cloud.n;
-    const auto have_equal_keys = [&](const IndexPair& pair) {
-        return !keys.empty() && keys[pair[0]] == keys[pair[1]];
-    };
-    const auto n_equal_keys = std::ranges::count_if(repeated, have_equal_keys);
-    const bool are_in_blocks = returns.distance > 0;
+/// Returns the layout of a cloud's second returns, from the points that occur twice. A
+/// sensor repeats the only return of a ray, so such a pair is stored like a first and a
+/// second return: in blocks, or with equal ring and time.
+/// @param repeated  pairs of equal points
+/// @param keys  [points] ring and time; may be empty
+UnnumberedReturns find_layout(const std::vector<IndexPair>& repeated, const std::vector<RayKey>& keys,
+                              std::size_t n_points) {
+    UnnumberedReturns returns;
+    returns.block_size = find_block_size(repeated, n_points);
+    returns.are_halves = 2 * returns.block_size == n_points;
+    const auto n_equal_keys = std::ranges::count_if(
+        repeated, [&](const IndexPair& pair) { return !keys.empty() && keys[pair[0]] == keys[pair[1]]; });
     const bool share_keys = double(n_equal_keys) >= kMinRegularShare * double(repeated.size());
-    returns.exist = are_in_blocks || share_keys;
+    returns.exist = returns.block_size > 0 || share_keys;
     return returns;
 }
 
-/// Pairs each selected point of a block of first returns with the point `distance` later
-/// in the table. Returns positions in `selected`, or kNoPoint.
-std::vector<std::size_t> pair_by_distance(const std::vector<std::uint32_t>& selected, std::size_t n_points,
-                                          std::size_t distance) {
+/// Pairs each selected first return with the point at the same place in the next block.
+/// Returns positions in `selected`, or kNoPoint.
+std::vector<std::size_t> pair_by_block(const std::vector<std::uint32_t>& selected, std::size_t n_points,
+                                       std::size_t block_size) {
     std::vector<std::size_t> position_of_point(n_points, kNoPoint);
     for (std::size_t k = 0; k < selected.size(); ++k) position_of_point[selected[k]] = k;
     std::vector<std::size_t> partner(selected.size(), kNoPoint);
-    for (std::size_t k = 0; k < selected.size(); ++k) {
-        const bool is_in_first_block = selected[k] / distance % 2 == 0;
-        if (is_in_first_block) partner[k] = position_of_point[selected[k] + distance];
-    }
+    for (std::size_t k = 0; k < selected.size(); ++k)
+        if (is_first_return(selected[k], block_size))
+            partner[k] = position_of_point[selected[k] + block_size];
     return partner;
 }
 
 /// Pairs points of equal ring and time that are on the same ray. A time alone is not
 /// enough, because rounded times join several columns.
-/// @param keys  [selected] ring and time
-/// @param order  becomes the positions in `selected`, sorted by key
+/// @param order  all points, sorted by key
 std::vector<std::size_t> pair_by_key(const std::vector<RayKey>& keys, const std::vector<glm::vec3>& points,
-                                     std::vector<std::size_t>& order) {
+                                     const std::vector<std::size_t>& order) {
     const std::size_t n = keys.size();
-    std::ranges::stable_sort(order, {}, [&](std::size_t k) { return keys[k]; });
     std::vector<std::size_t> partner(n, kNoPoint);
     std::vector<bool> is_second(n, false);
     for (std::size_t place = 0; place < n; ++place) {
@@ -200,23 +179,29 @@ std::vector<std::size_t> pair_by_key(const std::vector<RayKey>& keys, const std:
     return partner;
 }
 
-/// Returns for each selected point the other return of its ray, or kNoPoint. Each pair
-/// occurs once.
-/// @param order  positions in `selected`; sorted so that the returns of a ray are close
-/// together
-std::vector<std::size_t> find_partners(const PointTable& table, const UnnumberedReturns& layout,
-                                       const std::vector<std::uint32_t>& selected,
-                                       const std::vector<glm::vec3>& points,
-                                       std::vector<std::size_t>& order) {
-    const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
-    const bool has_whole_blocks = distance > 0 && table.n % (2 * distance) == 0;
-    if (has_whole_blocks) return pair_by_distance(selected, table.n, distance);
+/// The other return of each ray.
+struct ReturnPairs {
+    std::vector<std::size_t> order;    ///< points, the returns of a ray close together
+    std::vector<std::size_t> partner;  ///< [points] the other return, or kNoPoint; each pair occurs once
+};
 
-    const std::vector<RayKey> keys_of_table = read_ray_keys(table);
-    if (keys_of_table.empty()) return std::vector<std::size_t>(selected.size(), kNoPoint);
-    std::vector<RayKey> keys;
-    for (const std::uint32_t point : selected) keys.push_back(keys_of_table[point]);
-    return pair_by_key(keys, points, order);
+/// Pairs the selected points of a table. Points are positions in `selected`.
+ReturnPairs pair_returns(const PointTable& table, const UnnumberedReturns& layout,
+                         const std::vector<std::uint32_t>& selected, const std::vector<glm::vec3>& points) {
+    ReturnPairs pairs{std::vector<std::size_t>(selected.size()),
+                      std::vector<std::size_t>(selected.size(), kNoPoint)};
+    std::iota(pairs.order.begin(), pairs.order.end(), std::size_t(0));
+    const std::size_t block_size = layout.are_halves ? table.n / 2 : layout.block_size;
+    const bool has_full_blocks = block_size > 0 && table.n % (2 * block_size) == 0;
+    if (has_full_blocks) {
+        pairs.partner = pair_by_block(selected, table.n, block_size);
+    } else if (const std::vector<RayKey> key_of_point = read_ray_keys(table); !key_of_point.empty()) {
+        std::vector<RayKey> keys;
+        for (const std::uint32_t point : selected) keys.push_back(key_of_point[point]);
+        std::ranges::stable_sort(pairs.order, {}, [&](std::size_t k) { return keys[k]; });
+        pairs.partner = pair_by_key(keys, points, pairs.order);
+    }
+    return pairs;
 }
 
 }  // namespace
@@ -231,11 +216,24 @@ std::vector<glm::vec3> read_positions(const PointTable& table) {
 }
 
 UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds) {
-    UnnumberedReturns returns;
     PairCounts counts;
-    for (const PointTable& cloud : clouds)  // in some clouds, all rays can have one return
-        if (!returns.exist) returns = find_in_cloud(cloud, counts);
-    returns.exist = returns.exist || counts.are_returns();
+    UnnumberedReturns returns;
+    for (const PointTable& cloud : clouds) {  // in some clouds, all rays can have one return
+        if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
+            continue;
+        const std::vector<glm::vec3> points = read_positions(cloud);
+        std::vector<std::size_t> valid;
+        for (std::size_t i = 0; i < cloud.n; ++i)
+            if (is_return_point(points[i])) valid.push_back(i);
+        const std::vector<RayKey> keys = read_ray_keys(cloud);
+        const std::vector<IndexPair> repeated = find_repeated(points, valid);
+        const double n_points_in_pairs = 2.0 * double(repeated.size());
+        const bool has_copies = n_points_in_pairs >= kLeastRepeated * double(valid.size());
+        if (!repeated.empty() && has_copies) returns = find_layout(repeated, keys, cloud.n);
+        else if (!keys.empty()) count_pairs(counts, points, keys, std::move(valid));
+        if (returns.exist) return returns;
+    }
+    returns.exist = counts.are_returns();
     return returns;
 }
 
@@ -244,9 +242,7 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
                                          std::vector<std::uint32_t>& selected,
                                          std::vector<glm::vec3>& points) {
     // All indices below are positions in `selected` and `points`.
-    std::vector<std::size_t> order(selected.size());
-    std::iota(order.begin(), order.end(), std::size_t(0));
-    const std::vector<std::size_t> partner = find_partners(table, layout, selected, points, order);
+    const auto [order, partner] = pair_returns(table, layout, selected, points);
     const PointFieldView* intensity = table.find_field(intensity_field);
     std::vector<std::uint8_t> numbers;
     std::vector<std::uint32_t> sorted;
