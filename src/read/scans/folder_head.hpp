@@ -97,10 +97,9 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
                                       const std::vector<LogFrame>& loaded_frames,
                                       const std::vector<LogFrame>& all_frames);
 
-/// Reads the scans of all frames from files, as the other read_scans() does. Estimates
-/// missing units.
+/// Reads the scans of all frames from files with read_scans(). Estimates missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scans(Log& sequence, const ScanLayout& layout, PointFileUnits units,
-                const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
+void read_scan_files(Log& sequence, const ScanLayout& layout, PointFileUnits units,
+                     const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::read

@@ -80,9 +80,6 @@ public:
           recovers_firings_(options.rolling_shutter),
           broken_(broken),
           plans_(sequence.lidars.size()),
-          time_limits_(sequence.lidars.size()),
-          firings_(sequence.lidars.size()),
-          moved_to_s_(sequence.lidars.size()),
           counts_(sequence.frames.size()) {}
 
     /// Plans the scans of all LiDARs. Sets their sensors. A log has either a rolling
@@ -98,7 +95,6 @@ public:
         sequence_.notes = notes;
         sequence_.lidars = lidars;
         samples_.clear();
-        std::ranges::fill(firings_, std::nullopt);
         std::ranges::fill(counts_, PointCounts{});
         plan_each_lidar();
     }
@@ -126,14 +122,21 @@ private:
     const bool recovers_firings_;  ///< true: searches firing times that the log does not contain
     bool may_undo_motion_ = true;  ///< false if motion compensation can be undone for some LiDARs only
     ScanErrorCollector& broken_;
-    std::vector<ScanPlan> plans_;                     ///< [lidars]
-    std::vector<TimeLimits> time_limits_;             ///< [lidars]
-    std::vector<std::optional<FiringPlan>> firings_;  ///< [lidars] recovered times of points
-    /// [lidars] time after the frame to which the points were moved; empty if not
-    std::vector<std::optional<double>> moved_to_s_;
+    std::vector<ScanPlan> plans_;      ///< [lidars]
     std::vector<PointCounts> counts_;  ///< [frames]
     /// [frames] points that were already read to estimate the beams
     std::map<std::size_t, LidarPoints> samples_;
+
+    /// Returns true if stored motion compensation can be undone for points with times.
+    bool can_undo_motion() const { return layout_.motion_compensated && has_poses_ && may_undo_motion_; }
+    ScanPlan& plan_of(std::size_t frame_index) {
+        return plans_[std::size_t(sequence_.frames[frame_index].lidar)];
+    }
+
+    double sweep_duration_s(int lidar_index) const {
+        const double known_s = layout_.lidars[std::size_t(lidar_index)].sweep_duration_s;
+        return known_s > 0.0 ? known_s : estimate_sweep_s(sequence_, lidar_index);
+    }
 
     /// Plans the scans of each LiDAR on its own.
     void plan_each_lidar() {
@@ -147,7 +150,7 @@ private:
             // period. If its beams are unknown, it is treated as not rotating (period 0).
             if (!with_points.empty()) plan_lidar(l, with_points);
             else if (!layout_.lidars[std::size_t(l)].has_beams) sensor.period_s = 0.0;
-            else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_s(sequence_, layout_, l);
+            else if (sensor.period_s == 0.0) sensor.period_s = sweep_duration_s(l);
         }
         sequence_.rolling_shutter =
             !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undoes_motion);
@@ -169,10 +172,9 @@ private:
     LidarPoints load_points(std::size_t frame_index) {
         const auto sample = samples_.find(frame_index);
         if (sample != samples_.end()) return std::move(sample->second);
-        const ScanPlan& plan = plans_[std::size_t(sequence_.frames[frame_index].lidar)];
         LidarPoints points;
         try {
-            points = read_points(frame_index, plan.undoes_motion);
+            points = read_points(frame_index, plan_of(frame_index).undoes_motion);
             restore(frame_index, points);
         } catch (const MostTimesWrong& error) {
             broken_.record_broken(frame_index, error.what());
@@ -183,7 +185,7 @@ private:
     /// Removes points whose times are outside the sweep. Returns false if the scan is
     /// skipped, because most of its points have such times.
     bool remove_late(std::size_t frame_index, LidarPoints& points) {
-        const TimeLimits& limits = time_limits_[std::size_t(sequence_.frames[frame_index].lidar)];
+        const TimeLimits& limits = plan_of(frame_index).time_limits;
         const std::size_t n_points = points.size();
         const double middle_s = limits.middle_s.value_or(0.0);
         double worst_s = middle_s;
@@ -204,7 +206,7 @@ private:
     /// Assigns the points of a frame to the rays of its LiDAR.
     void make_scan(std::size_t frame_index, LidarPoints& points) {
         Frame& frame = sequence_.frames[frame_index];
-        const ScanPlan& plan = plans_[std::size_t(frame.lidar)];
+        const ScanPlan& plan = plan_of(frame_index);
         const bool has_rings = !points.ring.empty(), has_times = !points.time_offset_s.empty();
         if (points.size() > 0 && (plan.has_rings != has_rings || plan.has_times != has_times))
             fail(
@@ -213,16 +215,15 @@ private:
                 source_.frame_name(frame_index), has_rings ? "rings" : "no rings",
                 has_times ? "times" : "no times");
         // Without a sensor model, dropped rays are unknown, so each point becomes a ray.
-        if (!plan.is_ordered) {
+        if (!plan.has_beams) {
             frame.scan = scan_of_points(points);
             return;
         }
-        if (plan.order) plan.order->number_rings(points);
-        if (plan.has_rings || plan.order) map_rings(points, plan, frame_index);
+        if (plan.ring_order) plan.ring_order->number_rings(points);
+        if (plan.has_rings || plan.ring_order) map_rings(points, plan, frame_index);
         else assign_rings(points, plan.sensor.beams);
         const SweepFirings sweep = fit_even_sweep(points, plan.sensor);
-        if (const auto& firings = firings_[std::size_t(frame.lidar)])
-            set_head_times(points, plan.sensor.beams, sweep.lattice, firings->recovery);
+        if (plan.firings) set_head_times(points, plan.sensor.beams, sweep.lattice, plan.firings->recovery);
         frame.scan = spinning_scan(points, plan.sensor, sweep);
         PointCounts& counts = counts_[frame_index];
         counts.first = count_firsts(points);
@@ -233,10 +234,9 @@ private:
     /// wrong, adds the error to `wrong` instead.
     void load_sample(std::size_t frame_index, std::map<std::size_t, LidarPoints>& samples,
                      std::map<std::size_t, std::string>& wrong) {
-        const bool undo_motion = layout_.motion_compensated && has_poses_ && may_undo_motion_;
         broken_.guard(frame_index, [&] {
             try {
-                LidarPoints points = read_points(frame_index, undo_motion);
+                LidarPoints points = read_points(frame_index, can_undo_motion());
                 if (points.size() > 0) samples.emplace(frame_index, std::move(points));
             } catch (const MostTimesWrong& error) {
                 wrong.emplace(frame_index, error.what());
@@ -256,7 +256,7 @@ private:
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             load_sample(frame_indices[k], samples, wrong);
         for (const auto& [frame_index, text] : wrong) {
-            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken(frame_index, text);
+            if (double(samples.size()) >= kMinScanShare * double(n)) broken_.record_broken(frame_index, text);
             else broken_.guard(frame_index, [&] { throw DataError(text); });
         }
         if (samples.empty()) broken_.report_broken(sequence_, broken_.size());
@@ -280,36 +280,38 @@ private:
         if (has_poses_) sensor.world_from_sensor = sequence_.lidar_track(lidar_index);
         // The points were moved, but their times are not stored.
         if (layout_.motion_compensated && may_undo_motion_ && !has_times)
-            firings_[l] = plan_firings(std::move(sweeps), sensor);
+            plans_[l].firings = plan_firings(std::move(sweeps), sensor);
         // The times are stored, but the points may have been moved without notice.
         if (!layout_.motion_compensated && has_times && has_poses_)
-            moved_to_s_[l] = find_moved_time(sweeps, *sensor.world_from_sensor);
+            plans_[l].moved_to_s = find_moved_time(sweeps, *sensor.world_from_sensor);
         for (auto& [frame_index, points] : samples) restore(frame_index, points);
     }
 
     /// Moves points back to their firing times, if recover_firings() found how they were
     /// moved.
-    void restore(std::size_t frame_index, LidarPoints& points) const {
+    void restore(std::size_t frame_index, LidarPoints& points) {
         const Frame& frame = sequence_.frames[frame_index];
-        const auto l = std::size_t(frame.lidar);
-        if (firings_[l]) firings_[l]->restore(points, frame.time_s);
-        if (moved_to_s_[l])
-            undo_deskew_to(points, sequence_.lidar_track(frame.lidar), frame.time_s, *moved_to_s_[l]);
+        const ScanPlan& plan = plan_of(frame_index);
+        if (plan.firings) plan.firings->restore(points, frame.time_s);
+        if (plan.moved_to_s)
+            undo_deskew_to(points, sequence_.lidar_track(frame.lidar), frame.time_s, *plan.moved_to_s);
     }
 
     /// Decides from a few sample scans how the scans of a LiDAR are read. Points with
     /// wrong times are removed first, because they would disturb the fit of the sensor.
     void plan_lidar(int lidar_index, const std::vector<std::size_t>& frame_indices) {
         const auto l = std::size_t(lidar_index);
+        ScanPlan& plan = plans_[l];
+        plan = {};
         std::map<std::size_t, LidarPoints> sample_of_frame = load_samples(frame_indices);
         const auto list_samples = [&] {
             std::vector<LidarPoints> samples;
             for (const auto& [frame_index, points] : sample_of_frame) samples.push_back(points);
             return samples;
         };
-        const double sweep_s = find_sweep_s(sequence_, layout_, lidar_index);
+        const double sweep_s = sweep_duration_s(lidar_index);
         recover_firings(lidar_index, sample_of_frame, sweep_s);
-        time_limits_[l] = find_time_limits(list_samples(), sweep_s);
+        plan.time_limits = find_time_limits(list_samples(), sweep_s);
         for (auto sample = sample_of_frame.begin(); sample != sample_of_frame.end();) {
             const bool is_usable = remove_late(sample->first, sample->second);
             sample = is_usable ? std::next(sample) : sample_of_frame.erase(sample);
@@ -317,16 +319,14 @@ private:
 
         const std::vector<LidarPoints> samples = list_samples();
         Lidar& lidar = sequence_.lidars[l];
-        ScanPlan& plan = plans_[l];
-        plan = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
-                          has_poses_ && may_undo_motion_);
-        if (firings_[l]) plan.undoes_motion = true;
+        plan.sensor = lidar.sensor;
+        plan_rays(plan, layout_.lidars[l], sweep_s, samples);
+        plan.undoes_motion = plan.firings || (can_undo_motion() && plan.has_times);
         if (plan.is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
-                 sequence_.source, lidar.name, plan.problem);
+                 sequence_.source, lidar.name, plan.why_no_beams);
         lidar.sensor = plan.sensor;
         note_plan(sequence_, layout_, lidar_index, plan, samples);
-        note_recovery(sequence_, lidar_index, firings_[l], moved_to_s_[l]);
         samples_.merge(sample_of_frame);
     }
 
@@ -379,8 +379,8 @@ void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& sca
     broken.remove_broken(sequence);
 }
 
-void read_scans(Log& sequence, const ScanLayout& layout, PointFileUnits units,
-                const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
+void read_scan_files(Log& sequence, const ScanLayout& layout, PointFileUnits units,
+                     const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
     fill_units(units, scan_files, sequence.notes);
     read_scans(sequence, layout, FolderScans(sequence, layout, units, scan_files), options);
 }

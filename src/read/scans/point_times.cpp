@@ -31,29 +31,9 @@ constexpr double kLastPart = 15.0 / 16.0;
 // scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
-double middle_of(std::array<double, 2> range) { return 0.5 * (range[0] + range[1]); }
-
-/// Returns true if a counter with this period overflows in the cloud: its times are close
-/// to both ends of the period, and the pause between them is long.
-/// @param range  smallest and largest time
-bool overflows(const std::vector<double>& times, std::array<double, 2> range, double period) {
-    const auto [smallest, largest] = range;
-    const double span = largest - smallest;
-    if (span < kMinSpanShare * period || span > period) return false;
-    // The small times follow the overflow, the large times precede it. Times in the
-    // middle of the period are missing, because a scan lasts less than half of it.
-    double last_small = smallest, first_large = largest;
-    for (const double t : times) {
-        if (t < middle_of(range)) last_small = std::max(last_small, t);
-        else first_large = std::min(first_large, t);
-    }
-    const double pause = first_large - last_small;
-    return pause > kLeastPause * period && pause < span;
-}
-
 /// Lists the periods after which times in this range can start again: those of counters
-/// with 16 or 32 bits, and those of clocks. The unit of the file is not known here, so
-/// the periods of clocks are listed in s, ms, us and ns.
+/// with 16 or 32 bits, and those of clocks, in ascending order. The unit of the file is
+/// not known here, so the periods of clocks are listed in s, ms, us and ns.
 /// @param are_offsets  true: times are relative to the scan, so no clock starts again
 std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) {
     std::vector<double> periods(kCounterPeriods.begin(), kCounterPeriods.end());
@@ -66,6 +46,7 @@ std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) 
             const bool can_start_anywhere = period_s == 1.0 || period_s == 3600.0;
             if (can_start_anywhere || (range[0] >= 0.0 && range[1] <= period)) periods.push_back(period);
         }
+    std::ranges::sort(periods);
     return periods;
 }
 
@@ -122,11 +103,11 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
     std::erase_if(times, [](double t) { return !std::isfinite(t); });
     if (times.empty()) return std::nullopt;
     std::ranges::sort(times);
-    const auto [span, n_outer] = estimate_span(times);
-    if (span == 0.0) return std::array{times.front(), times.back()};
     // Values this many spans outside of the middle 80 % are outliers. The limit is wide,
     // because most points can be in a small part of the sweep.
     constexpr double kMaxSpanRatio = 10.0;
+    const auto [span, n_outer] = estimate_span(times);
+    if (span == 0.0) return std::array{times.front(), times.back()};
     const double lowest = times[n_outer] - kMaxSpanRatio * span;
     const double highest = times[times.size() - 1 - n_outer] + kMaxSpanRatio * span;
     const auto first = std::ranges::lower_bound(times, lowest);
@@ -137,15 +118,25 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
 void unwrap_times(PointTable& table, bool are_offsets) {
     std::vector<double> times = read_times(table);
     const std::array<double, 2> range = value_range(times);
-    // The shortest possible period is right, because times span nearly all of it.
-    std::vector<double> periods = list_periods(range, are_offsets);
-    std::ranges::sort(periods);
-    const auto period =
-        std::ranges::find_if(periods, [&](double candidate) { return overflows(times, range, candidate); });
-    if (period == periods.end()) return;
-    for (double& t : times)
-        if (t >= middle_of(range)) t -= *period;
-    replace_times(table, std::move(times));
+    const auto [smallest, largest] = range;
+    // If the counter overflows, the small times follow the overflow and the large times
+    // precede it. Between them is a pause, because a scan lasts less than half a period.
+    const double middle = 0.5 * (smallest + largest);
+    double last_small = smallest, first_large = largest;
+    for (const double t : times) {
+        if (t < middle) last_small = std::max(last_small, t);
+        else first_large = std::min(first_large, t);
+    }
+    const double span = largest - smallest, pause = first_large - last_small;
+    if (!(pause < span)) return;  // only two different times
+    // Times span nearly all of the period, so the shortest possible one is right.
+    for (const double period : list_periods(range, are_offsets)) {
+        if (span < kMinSpanShare * period || span > period || pause <= kLeastPause * period) continue;
+        for (double& t : times)
+            if (t >= middle) t -= period;
+        replace_times(table, std::move(times));
+        return;
+    }
 }
 
 void restore_signs(PointTable& table) {
@@ -229,7 +220,8 @@ std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, doubl
     const double middle_s = compute_median(middles_s);
     const auto n_near =
         std::ranges::count_if(middles_s, [&](double t_s) { return std::abs(t_s - middle_s) <= limit_s; });
-    return double(n_near) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
+    return double(n_near) >= kMinScanShare * double(middles_s.size()) ? std::optional(middle_s)
+                                                                      : std::nullopt;
 }
 
 void select_points(LidarPoints& points, const std::vector<std::size_t>& indices) {

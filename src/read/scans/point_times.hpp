@@ -29,8 +29,8 @@ void unwrap_times(PointTable& table, bool are_offsets);
 void restore_signs(PointTable& table);
 
 /// Returns the distance between neighbouring values that the times of a cloud can have,
-/// in the unit of the file. Detects former 32-bit floats, and whole seconds since 1970.
-/// Returns 0 for other numbers.
+/// in the unit of the file. Detects numbers that were 32-bit floats before, and whole
+/// seconds since 1970. Returns 0 for other numbers.
 double time_resolution(const PointTable& table);
 /// Returns true if times in steps of `resolution` cannot order the points of a scan that
 /// lasts `span`.
@@ -50,7 +50,7 @@ double sweep_span_s(const LidarPoints& points);
 std::string describe_span(const std::vector<LidarPoints>& scans, double frame_step_s);
 
 /// Share of the scans that must agree before a scan with other times is skipped.
-inline constexpr double kMostScans = 0.8;
+inline constexpr double kMinScanShare = 0.8;
 
 /// Returns the usual time of the points of a scan, relative to its frame: the median of
 /// the scans' medians. Returns nothing if too many scans are farther from it than

@@ -46,56 +46,55 @@ void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index
                                n_skipped, n_all, 100.0 * double(n_skipped) / double(n_all), cause));
 }
 
+/// Returns how points are assigned to rays, or an empty text if this is as usual.
+/// @param is_described  the user describes the LiDAR in sequence.json
+std::string describe_assignment(const ScanPlan& plan, bool is_described) {
+    if (!plan.why_no_beams.empty())
+        return fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown{}",
+                           plan.why_no_beams,
+                           is_described && !plan.has_rings
+                               ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
+                               : "");
+    if (plan.is_fitted)
+        return fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
+                           plan.sensor.beams.size(), plan.sensor.columns,
+                           plan.has_rings ? "" : ", which have no rings",
+                           plan.ring_order ? "; their order in the file shows the rings" : "");
+    if (plan.has_beams && !plan.has_rings)
+        return "the points have no rings; each point is assigned to the beam with the nearest elevation";
+    return "";
+}
+
 }  // namespace
 
 void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples) {
-    const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
+    const auto add = [&](const std::string& text) {
+        if (!text.empty()) add_lidar_note(sequence, lidar_index, text);
+    };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
-
-    // how points are assigned to rays
-    if (!plan.problem.empty()) {
-        const bool can_describe_beams = layout.is_described && !plan.has_rings;
-        add(fmt::format(
-            "{}; therefore each point becomes one ray, and dropped rays are unknown{}", plan.problem,
-            can_describe_beams ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
-                               : ""));
-    } else if (plan.is_fitted) {
-        add(fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
-                        plan.sensor.beams.size(), plan.sensor.columns,
-                        plan.has_rings ? "" : ", which have no rings",
-                        plan.order ? "; their order in the file shows the rings" : ""));
-    } else if (plan.is_ordered && !plan.has_rings) {
-        add("the points have no rings; each point is assigned to the beam with the nearest elevation");
+    add(describe_assignment(plan, layout.is_described));
+    if (layout.motion_compensated) {
+        if (!plan.undoes_motion)
+            add(fmt::format(
+                "the scans stay motion-compensated, because the firing times{} or the poses are not "
+                "known; all rays start at the sensor's position at the time of the frame",
+                layout.lidars.size() > 1 ? " of all LiDARs" : ""));
+    } else {
+        if (plan.has_beams && !plan.has_times)
+            add(fmt::format(
+                "the points have no times; relidar computes them from the azimuths and assumes that "
+                "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
+                plan.sensor.period_s));
+        const double step_s = median_step_s(sequence, lidar_index).value_or(INFINITY);
+        if (step_s <= kMaxFrameStep_s) add(describe_span(samples, step_s));
     }
-    // when points were measured
-    if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
+    if (plan.firings) add(describe_recovery(plan.firings->recovery));
+    if (plan.moved_to_s)
         add(
-            fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
-                        "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
-                        plan.sensor.period_s));
-    const double step_s = median_step_s(sequence, lidar_index).value_or(INFINITY);
-    if (!layout.motion_compensated && step_s <= kMaxFrameStep_s) {
-        const std::string text = describe_span(samples, step_s);
-        if (!text.empty()) add(text);
-    }
-    if (layout.motion_compensated && !plan.undoes_motion)
-        add(
-            fmt::format("the scans stay motion-compensated, because the firing times{} or the poses are not "
-                        "known; all rays start at the sensor's position at the time of the frame",
-                        layout.lidars.size() > 1 ? " of all LiDARs" : ""));
-}
-
-void note_recovery(Log& sequence, int lidar_index, const std::optional<FiringPlan>& firings,
-                   std::optional<double> moved_to_s) {
-    if (firings) add_lidar_note(sequence, lidar_index, describe_recovery(firings->recovery));
-    if (moved_to_s)
-        add_lidar_note(
-            sequence, lidar_index,
-            fmt::format("the points were moved to the time {:.4f} s after the frame, because their "
-                        "beams then have constant elevations; relidar moved each point back to its "
-                        "firing time",
-                        *moved_to_s));
+            fmt::format("the points were moved to the time {:.4f} s after the frame, because their beams "
+                        "then have constant elevations; relidar moved each point back to its firing time",
+                        *plan.moved_to_s));
 }
 
 void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts) {

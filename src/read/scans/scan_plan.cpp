@@ -28,52 +28,46 @@ bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     const RingOrderDetector order(samples);
     if (!order.is_ring_by_ring()) return false;
     for (LidarPoints& sample : samples) order.number_rings(sample);
-    plan.order = order;
+    plan.ring_order = order;
     return true;
 }
 
-/// Returns why the samples cannot be scans of the fitted sensor, or an empty text.
-std::string find_contradiction(const ScanPlan& plan, const SpinningSensor& fitted_sensor,
-                               const std::vector<LidarPoints>& samples) {
-    const std::string why = why_not_spinning(samples, fitted_sensor, plan.sensor.period_s);
-    return why.empty() && !plan.has_rings ? why_thinned(samples, fitted_sensor) : why;
-}
-
-/// Fits the beams of a spinning LiDAR to the samples and checks the fit. Sets the sensor
-/// of the plan, or the reason why the points cannot be rays of such a sensor.
+/// Fits the beams of a spinning LiDAR to the samples. Sets the sensor of the plan, or the
+/// reason why the points cannot be rays of such a sensor.
 void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     if (!plan.has_rings && !add_rings(plan, samples)) {
-        plan.problem =
+        plan.why_no_beams =
             "the points have no rings, and neither their order nor their elevations show the rings";
         return;
     }
+    FittedSensor fit;
     try {
-        FittedSensor fit = fit_spinning_sensor(samples, plan.sensor.period_s);
+        fit = fit_spinning_sensor(samples, plan.sensor.period_s);
         if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
             fail("the fitted sensor has {} beams and {} columns, expected at most {} rays",
                  fit.sensor.beams.size(), fit.sensor.columns, kMaxRays);
-        plan.beam_of_ring = fit.beam_of_ring;
-        plan.problem = find_contradiction(plan, fit.sensor, samples);
-        if (plan.problem.empty()) {
-            // Points do not show these properties.
-            fit.sensor.name = plan.sensor.name;
-            fit.sensor.min_range_m = plan.sensor.min_range_m;
-            fit.sensor.max_range_m = plan.sensor.max_range_m;
-            fit.sensor.divergence_rad = plan.sensor.divergence_rad;
-            plan.sensor = std::move(fit.sensor);
-            plan.is_ordered = plan.is_fitted = true;
-        }
     } catch (const DataError& error) {
-        plan.problem = error.what();
+        plan.why_no_beams = error.what();
         plan.is_contradiction = true;
+        return;
     }
-    if (!plan.is_ordered) plan.order.reset();
+    plan.why_no_beams = why_not_spinning(samples, fit.sensor, plan.sensor.period_s);
+    if (plan.why_no_beams.empty() && !plan.has_rings) plan.why_no_beams = why_thinned(samples, fit.sensor);
+    if (!plan.why_no_beams.empty()) return;
+    // Points do not show these properties.
+    fit.sensor.name = plan.sensor.name;
+    fit.sensor.min_range_m = plan.sensor.min_range_m;
+    fit.sensor.max_range_m = plan.sensor.max_range_m;
+    fit.sensor.divergence_rad = plan.sensor.divergence_rad;
+    plan.sensor = std::move(fit.sensor);
+    plan.beam_of_ring = std::move(fit.beam_of_ring);
+    plan.has_beams = plan.is_fitted = true;
 }
 
 /// Sets rings for the recovery of firing times, if the points have none.
 void number_rings(const FiringPlan& plan, LidarPoints& points) {
     if (!points.ring.empty()) return;
-    if (plan.order) plan.order->number_rings(points);
+    if (plan.ring_order) plan.ring_order->number_rings(points);
     else if (!plan.beams.empty()) assign_rings(points, plan.beams);
 }
 
@@ -89,17 +83,19 @@ void FiringPlan::restore(LidarPoints& points, double frame_time_s) const {
 
 std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps,
                                        const CompensatedSensor& sensor) {
-    const auto has_no_rings = [](const CompensatedSweep& sweep) { return sweep.points.ring.empty(); };
+    const auto n_without_rings = std::ranges::count_if(
+        sweeps, [](const CompensatedSweep& sweep) { return sweep.points.ring.empty(); });
+    const bool are_alike = n_without_rings == 0 || n_without_rings == std::ssize(sweeps);
+    if (!are_alike) return std::nullopt;
     FiringPlan plan;
-    if (std::ranges::any_of(sweeps, has_no_rings)) {
-        if (!std::ranges::all_of(sweeps, has_no_rings)) return std::nullopt;
+    if (n_without_rings > 0) {
         std::vector<LidarPoints> samples;
         for (const CompensatedSweep& sweep : sweeps) samples.push_back(sweep.points);
         // Motion compensation changes the elevations, but not the order of the points.
         const RingOrderDetector order(samples);
-        if (order.is_ring_by_ring()) plan.order = order;
+        if (order.is_ring_by_ring()) plan.ring_order = order;
         else plan.beams = estimate_beams(samples);
-        if (!plan.order && plan.beams.empty()) return std::nullopt;
+        if (!plan.ring_order && plan.beams.empty()) return std::nullopt;
         for (CompensatedSweep& sweep : sweeps) number_rings(plan, sweep.points);
     }
     std::optional<FiringRecovery> recovery = find_firings(sweeps, sensor);
@@ -128,25 +124,18 @@ std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
     return steps_s.empty() ? std::nullopt : std::optional(compute_median(std::move(steps_s)));
 }
 
-double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar_index) {
-    const double known_s = layout.lidars[std::size_t(lidar_index)].sweep_duration_s;
-    if (known_s > 0.0) return known_s;
+double estimate_sweep_s(const Log& sequence, int lidar_index) {
     const double step_s = median_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
-    // A log can have only every n-th scan, so the step can be several revolutions.
     return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
 }
 
-ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double sweep_s,
-                    std::vector<LidarPoints> samples, bool motion_compensated, bool has_poses) {
-    ScanPlan plan;
-    plan.sensor = std::move(sensor);
+void plan_rays(ScanPlan& plan, const LidarScanLayout& layout, double sweep_s,
+               std::vector<LidarPoints> samples) {
     plan.has_rings = samples.empty() || !samples[0].ring.empty();
     plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
-    // Motion compensation can be undone only with the poses and the times of points.
-    plan.undoes_motion = motion_compensated && has_poses && plan.has_times;
     if (plan.sensor.period_s == 0.0 || !layout.has_beams) plan.sensor.period_s = sweep_s;
     if (layout.has_beams) {
-        plan.is_ordered = true;
+        plan.has_beams = true;
         const std::size_t n = plan.sensor.beams.size();
         for (std::size_t ring = 0; ring < n; ++ring)
             // Beams are sorted from the highest to the lowest.
@@ -154,8 +143,7 @@ ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double
     } else if (layout.spins && !samples.empty()) {
         fit_sensor(plan, samples);
     }
-    if (!plan.is_ordered) plan.sensor.period_s = 0.0;
-    return plan;
+    if (!plan.has_beams) plan.sensor.period_s = 0.0;
 }
 
 }  // namespace relidar::read

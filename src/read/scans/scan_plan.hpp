@@ -55,8 +55,10 @@ struct ScanLayout {
 /// from.
 struct FiringPlan {
     FiringRecovery recovery;
-    std::optional<RingOrderDetector> order = {};  ///< finds rings by the order of the file
-    std::vector<Beam> beams = {};                 ///< finds rings by elevation
+    /// Finds the rings of points without rings by their order in the file. If it is not
+    /// set, `beams` find them by their elevations.
+    std::optional<RingOrderDetector> ring_order = {};
+    std::vector<Beam> beams = {};
 
     /// Sets the times of points and moves the points to where the sensor saw them at
     /// these times. Without rings, the points stay as they are.
@@ -67,42 +69,50 @@ struct FiringPlan {
 /// @param sweeps  some sweeps
 std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps, const CompensatedSensor& sensor);
 
-/// How the points of one LiDAR are converted to scans.
-struct ScanPlan {
-    SpinningSensor sensor;                      ///< beams of the rays; period 0 if each point becomes a ray
-    bool is_ordered = false;                    ///< true if points are assigned to beams and columns
-    bool is_fitted = false;                     ///< true if the sensor was fitted to the points
-    bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
-    bool undoes_motion = false;                 ///< true: motion compensation is undone
-    /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
-    /// ignored
-    std::vector<std::uint16_t> beam_of_ring;
-    std::optional<RingOrderDetector> order;  ///< finds rings by the order of the file, not by elevation
-    std::string problem;                     ///< why no sensor fits the points of a LiDAR that may spin
-    bool is_contradiction = false;           ///< true if the fit failed, although the LiDAR should spin
-};
-
 /// Interval of plausible times of points, relative to the time of the frame.
 struct TimeLimits {
     double longest_offset_s = INFINITY;  ///< largest plausible distance from the median time
     std::optional<double> middle_s;      ///< median time of most scans; not set if they disagree
 };
+/// How the points of one LiDAR are read and converted to scans.
+struct ScanPlan {
+    TimeLimits time_limits;
+    std::optional<FiringPlan> firings;  ///< recovered firing times of the points
+    /// Time after the frame to which the points were moved. Not set if they were not.
+    std::optional<double> moved_to_s;
+    bool undoes_motion = false;  ///< true: motion compensation is undone
+
+    SpinningSensor sensor;  ///< beams of the rays; period 0 if each point becomes a ray
+    /// True: points are assigned to the beams and columns of the sensor. False: each
+    /// point becomes a ray.
+    bool has_beams = false;
+    bool is_fitted = false;                     ///< true if the beams were fitted to the points
+    bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
+    /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
+    /// ignored
+    std::vector<std::uint16_t> beam_of_ring;
+    /// Finds the rings of points without rings by their order in the file. If it is not
+    /// set, the elevations show them.
+    std::optional<RingOrderDetector> ring_order;
+    std::string why_no_beams;       ///< why no beams fit the points of a LiDAR that may spin
+    bool is_contradiction = false;  ///< true if the fit failed, although the LiDAR should spin
+};
+
 /// Returns the interval in which the times of the points of a scan must be.
 /// @param sweep_s  duration of a sweep
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
 
 /// Returns the median time between the frames of a LiDAR, or nothing for a single frame.
 std::optional<double> median_step_s(const Log& sequence, int lidar);
-/// Returns the duration of a revolution: the known one, or the median time between frames
-/// divided by the number of revolutions if the log has only every n-th scan.
-double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar);
+/// Returns the duration of a revolution: the median time between frames, divided by the
+/// number of revolutions if the log has only every n-th scan.
+double estimate_sweep_s(const Log& sequence, int lidar);
 
-/// Returns the plan for a LiDAR. Estimates unknown beams from the points.
-/// @param sensor  sensor of the LiDAR as far as it is known
+/// Plans how points become rays. Estimates unknown beams from the points.
+/// @param plan  with the sensor of the LiDAR as far as it is known
 /// @param samples  points of some scans; may be empty
-/// @param has_poses  false: motion compensation cannot be undone
-ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double sweep_s,
-                    std::vector<LidarPoints> samples, bool motion_compensated, bool has_poses);
+void plan_rays(ScanPlan& plan, const LidarScanLayout& layout, double sweep_s,
+               std::vector<LidarPoints> samples);
 
 /// Numbers of points of a frame, for notes.
 struct PointCounts {
@@ -115,10 +125,6 @@ struct PointCounts {
 /// @param samples  points of some scans
 void note_plan(Log& sequence, const ScanLayout& layout, int lidar, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples);
-/// Adds a note for the user if the motion compensation of points was undone.
-/// @param moved_to_s  result of find_moved_time()
-void note_recovery(Log& sequence, int lidar, const std::optional<FiringPlan>& firings,
-                   std::optional<double> moved_to_s);
 /// Adds notes for the user about points that are skipped.
 /// @param counts  [frames]
 void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts);

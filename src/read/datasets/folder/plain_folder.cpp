@@ -150,7 +150,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
                                   .motion_compensated = head.motion_compensated,
                                   .is_described = true};
-    read::read_scans(sequence, layout, head.units, files, options);
+    read::read_scan_files(sequence, layout, head.units, files, options);
     return sequence;
 }
 

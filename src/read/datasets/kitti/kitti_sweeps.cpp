@@ -56,9 +56,7 @@ std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<Ri
     std::vector<read::CompensatedSweep> samples;
     for (const std::size_t i : read::spread_indices(scans.size(), kFitScans))
         if (scans[i].is_complete()) samples.push_back({scans[i].points, sequence.frames[i].time_s});
-    const read::ScanLayout unknown_sweep{.lidars = {{}}};
-    read::CompensatedSensor sensor{.period_s = read::find_sweep_s(sequence, unknown_sweep, 0),
-                                   .n_ticks = kEncoderTicks};
+    read::CompensatedSensor sensor{.period_s = read::estimate_sweep_s(sequence, 0), .n_ticks = kEncoderTicks};
     if (has_poses) sensor.world_from_sensor = sequence.lidar_track(0);
     const std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
     if (!recovery) return recovery;

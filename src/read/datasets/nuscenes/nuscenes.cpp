@@ -377,8 +377,8 @@ private:
         const read::LidarScanLayout lidar{
             .lowest_first = format_.has_rings,
             .sweep_duration_s = format_.has_times ? step_s_ : kLyftRevolution_s};
-        read::read_scans(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units, files,
-                         options_);
+        read::read_scan_files(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units,
+                              files, options_);
         // The times of compensated points are unknown, so all have the time of the frame.
         if (format_.has_rings) sequence_.rolling_shutter = false;
     }
