@@ -27,8 +27,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kLargestOfHead = 1e12;   // maximum value of all lengths and times
-constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
+constexpr double kMaxHeaderNumber = 1e12;  // maximum value of all lengths and times
+constexpr double kFarthestWorld_m = 1e9;   // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
 // A scan is missing if scan numbers differ by this multiple of the smallest difference.
@@ -51,15 +51,14 @@ std::vector<std::string> read_text_list(const JsonField& field, const std::strin
     return texts;
 }
 
-/// Returns the position of a text in the list of allowed texts.
-/// @throws DataError for another text, with the most similar allowed one
-std::size_t read_word_index(const JsonField& field, const std::vector<std::string>& allowed_words) {
-    const auto word = std::find(allowed_words.begin(), allowed_words.end(), field.text());
-    if (word == allowed_words.end())
+/// Returns a text that must be one of some words.
+/// @throws DataError for another text, with the most similar word
+std::string read_word(const JsonField& field, const std::vector<std::string>& allowed_words) {
+    if (std::ranges::find(allowed_words, field.text()) == allowed_words.end())
         field.reject(fmt::format("found \"{}\"{}", quote(field.text()),
                                  did_you_mean(field.text(), allowed_words, "\"")),
                      fmt::format("expected one of: {}", fmt::join(allowed_words, ", ")));
-    return std::size_t(word - allowed_words.begin());
+    return field.text();
 }
 
 glm::dquat read_quaternion(const JsonField& field) {
@@ -89,37 +88,29 @@ Pose read_mounting(const JsonField& field, const std::string& where) {
 
 /// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
 /// @param folder  folder of the log, which contains sensor files
-void read_named_sensor(const JsonField& field, const fs::path& folder, bool must_spin, Lidar& lidar) {
+void read_named_sensor(const JsonField& field, const fs::path& folder, Lidar& lidar) {
     const std::string name = field.short_text(kLongestPath);
-    const auto has_ending = [&](const char* ending) { return name.find(ending) != std::string::npos; };
-    const bool is_file = has_ending(".csv") || has_ending(".json") || has_ending(".npz");
-    SensorModel model;
+    const auto contains = [&](const char* ending) { return name.find(ending) != std::string::npos; };
+    const bool is_file = contains(".csv") || contains(".json") || contains(".npz");
     try {
-        model = find_sensor(is_file ? (folder / name).string() : name, {}, lidar.sensor.max_range_m);
+        set_sensor(lidar,
+                   find_sensor(is_file ? (folder / name).string() : name, {}, lidar.sensor.max_range_m));
     } catch (const UsageError& error) {  // The name is in a file, not on the command line.
         fail("{}: {}", (folder / kHeadFile).string(), error.what());
     }
-    if (!std::holds_alternative<SpinningSensor>(model.pattern) && must_spin)
-        field.reject(fmt::format("found the sensor {}, which does not spin", quote(name)),
-                     "expected a spinning sensor, or \"spins\": false");
-    set_sensor(lidar, model);
 }
 
 /// Sets the sensor of a LiDAR from a JSON object: {"<kind>": {members}}, or only the
-/// members, which are then those of a spinning sensor. If the object lacks them,
-/// max_range_m keeps the default of the log, and the period_s of a spinning sensor
-/// becomes 0. It is later estimated from the time between frames.
-/// @param must_spin  true: rejects kinds that do not spin. Only these set lidar.pattern.
-void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
+/// members of a spinning sensor. Without the member max_range_m, the LiDAR keeps its
+/// maximum range.
+void read_sensor_object(const JsonField& field, Lidar& lidar) {
     const double default_max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_kind(field);
-    const JsonField members = kind ? field.at(kind->name) : field;
     set_sensor(lidar, kind ? read_sensor_json(field, "") : sensor::parse_spinning(field, ""));
-    if (lidar.pattern && must_spin)
-        field.reject(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
-                     "expected a spinning sensor, or \"spins\": false");
-    if (!lidar.pattern && !members.has_member("period_s")) lidar.sensor.period_s = 0.0;
+    const JsonField members = kind ? field.at(kind->name) : field;
     if (!members.has_member("max_range_m")) lidar.sensor.max_range_m = default_max_range_m;
+    // 0: estimated later from the time between frames
+    if (!members.has_member("period_s")) lidar.sensor.period_s = 0.0;
 }
 
 /// Reads an element of "lidars".
@@ -138,18 +129,22 @@ HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, con
                           fmt::format("{}: LiDAR '{}', vehicle_from_sensor", json_file, quote(lidar.name)));
 
     header.spins = read_flag_or(field, "spins", true);
-    if (field.has_member("sensor") && field.at("sensor").is_string())
-        read_named_sensor(field.at("sensor"), folder, header.spins, lidar);
-    else if (field.has_member("sensor")) read_sensor_object(field.at("sensor"), header.spins, lidar);
+    if (field.has_member("sensor")) {
+        const JsonField sensor = field.at("sensor");
+        if (sensor.is_string()) read_named_sensor(sensor, folder, lidar);
+        else read_sensor_object(sensor, lidar);
+        if (lidar.pattern && header.spins)
+            sensor.reject("found a sensor that does not spin",
+                          "expected a spinning sensor, or \"spins\": false");
+    }
     header.has_beams = !lidar.sensor.beams.empty();
     if (header.has_beams && !header.spins)
         field.at("spins").reject("found false, but the key sensor defines the beams of a spinning LiDAR",
                                  "expected true, or a sensor without a list of beams");
 
     header.scans = read_text_or(field, "scans", "", kLongestPath);
-    constexpr std::size_t kLowestWord = 1;  // in the list of words; without the key, ring 0 is the highest
-    header.lowest_first = field.has_member("ring_0") &&
-                          read_word_index(field.at("ring_0"), {"highest", "lowest"}) == kLowestWord;
+    header.lowest_first =
+        field.has_member("ring_0") && read_word(field.at("ring_0"), {"highest", "lowest"}) == "lowest";
     return header;
 }
 
@@ -192,7 +187,7 @@ std::vector<LogFrame> read_frame_list(const JsonField& frame_list, const std::ve
         const JsonField entry = frame_list.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
         frames.push_back({.number = int(entry.at("number").integer_in(0, kMaxFrame)),
-                          .time_s = entry.at("time_s").number_in(-kLargestOfHead, kLargestOfHead),
+                          .time_s = entry.at("time_s").number_in(-kMaxHeaderNumber, kMaxHeaderNumber),
                           .lidar = find_frame_lidar(entry, lidars),
                           .scan = folder / entry.at("scan").short_text(kLongestPath)});
     }
@@ -263,17 +258,18 @@ std::string note_missing_scan(const std::vector<std::string>& stems) {
     }
     if (steps.empty()) return "";
     const int smallest = std::ranges::min(steps);
-    const bool are_sorted = smallest > 0;
-    const auto irregular = std::ranges::find_if(steps, [&](int step) {
-        return are_sorted ? double(step) >= kMissingScan * double(smallest) : step <= 0;
-    });
-    if (irregular == steps.end()) return "";
-    const auto i = std::size_t(irregular - steps.begin());
-    const std::string &before = stems[i], &after = stems[i + 1];
-    if (are_sorted) return fmt::format("no scan was found between {} and {}", before, after);
-    return fmt::format(
-        "the scans are sorted by name, so {} is before {}, because the numbers have no leading zeros", before,
-        after);
+    const auto find_step = [&](const auto& test) {
+        return std::size_t(std::ranges::find_if(steps, test) - steps.begin());
+    };
+    if (smallest <= 0) {
+        const std::size_t i = find_step([](int step) { return step <= 0; });
+        return fmt::format(
+            "the scans are sorted by name, so {} is before {}, because the numbers have no leading zeros",
+            stems[i], stems[i + 1]);
+    }
+    const std::size_t i = find_step([&](int step) { return double(step) >= kMissingScan * smallest; });
+    return i == steps.size() ? ""
+                             : fmt::format("no scan was found between {} and {}", stems[i], stems[i + 1]);
 }
 
 /// Returns notes for the user if LiDARs have missing scans, or unequal numbers of scans.
@@ -305,13 +301,12 @@ PointFileUnits read_units(const JsonField& root) {
         root.at("columns").reject(fmt::format("found {} names", units.columns.size()),
                                   fmt::format("expected at most {} names", kMostFieldsOfPoint));
     if (root.has_member("intensity_max"))
-        units.intensity_max = root.at("intensity_max").number_in(1e-12, kLargestOfHead);
-    constexpr double kUnitSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
+        units.intensity_max = root.at("intensity_max").number_in(1e-12, kMaxHeaderNumber);
+    const std::map<std::string, double> seconds = {{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}};
     if (root.has_member("time_unit"))
-        units.time_unit_s = kUnitSeconds[read_word_index(root.at("time_unit"), {"s", "ms", "us", "ns"})];
-    constexpr std::size_t kAbsoluteWord = 1;
+        units.time_unit_s = seconds.at(read_word(root.at("time_unit"), {"s", "ms", "us", "ns"}));
     units.absolute_times = root.has_member("point_times") &&
-                           read_word_index(root.at("point_times"), {"offsets", "absolute"}) == kAbsoluteWord;
+                           read_word(root.at("point_times"), {"offsets", "absolute"}) == "absolute";
     return units;
 }
 
