@@ -66,33 +66,34 @@ SelectedPoints select_returns(const PointTable& table, const PointFileUnits& uni
     const std::vector<glm::vec3> positions_m = read_positions(table);
     const std::vector<char> has_no_range = flag_no_returns(table, positions_m);
     SelectedPoints returns;
-    returns.index.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
         const bool is_marked =
             positions_m[i] == units.no_return || (!has_no_range.empty() && has_no_range[i]);
-        if (is_return_point(positions_m[i]) && !is_marked) returns.index.push_back(std::uint32_t(i));
+        if (is_marked || !is_return_point(positions_m[i])) continue;
+        returns.index.push_back(std::uint32_t(i));
+        returns.position_m.push_back(positions_m[i]);
     }
-    for (const std::uint32_t i : returns.index) returns.position_m.push_back(positions_m[i]);
     return returns;
 }
 
 /// Converts fields of the selected points to arrays.
 struct FieldConverter {
-    std::vector<std::uint32_t> selected_indices;
+    const std::vector<std::uint32_t>& selected;  ///< indices of points in the table
     const std::string& where;
 
     /// Sets the values of the selected points. Does nothing if the field does not exist.
+    /// @param convert  function of a value; begins its errors with ": "
     /// @throws DataError from `convert`, with the number of the point
     template <class T, class OfValue>
     void convert_field(std::vector<T>& values, const PointFieldView* field, const OfValue& convert) const {
         if (!field) return;
-        values.resize(selected_indices.size());
+        values.resize(selected.size());
         field->with_reader([&](const auto& value_at) {
             std::size_t k = 0;
             try {
-                for (; k < values.size(); ++k) values[k] = convert(double(value_at(selected_indices[k])));
+                for (; k < values.size(); ++k) values[k] = convert(double(value_at(selected[k])));
             } catch (const DataError& error) {
-                fail("{}: point {}{}", where, selected_indices[k], error.what());
+                fail("{}: point {}{}", where, selected[k], error.what());
             }
         });
     }
@@ -107,11 +108,10 @@ void convert_times(LidarPoints& points, const FieldConverter& convert, PointTabl
     unwrap_times(table, !units.absolute_times);
     if (!units.absolute_times) restore_signs(table);
     std::size_t n_wrong = 0;
-    std::string first_error;
-    const std::string of_point;  // empty, because convert_field() adds the number of the point
+    std::string first_error;  // begins with ": "
     convert.convert_field(points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
         try {
-            return frame_offset_s(value, units, frame_time_s, of_point);
+            return frame_offset_s(value, units, frame_time_s, "");
         } catch (const DataError& error) {
             if (!units.skip_wrong_times) throw;
             if (n_wrong == 0) first_error = error.what();
@@ -119,19 +119,9 @@ void convert_times(LidarPoints& points, const FieldConverter& convert, PointTabl
             return kMaxTimeOffset_s;
         }
     });
-    if (2 * n_wrong > convert.selected_indices.size())
+    if (2 * n_wrong > points.time_offset_s.size())
         throw MostTimesWrong(fmt::format("{}: {} of {} points have wrong times{}", convert.where, n_wrong,
-                                         convert.selected_indices.size(), first_error));
-}
-
-/// Returns 1 if the file counts from 1, otherwise 0. Every file has first returns, so
-/// this is the smallest number.
-double first_return_number(const PointFieldView& return_numbers, std::size_t n_points) {
-    double least = return_numbers[0];
-    return_numbers.for_each(n_points, [&](std::size_t, double value) {
-        if (value < least) least = value;
-    });
-    return least == 1.0 ? 1.0 : 0.0;
+                                         points.time_offset_s.size(), first_error));
 }
 
 /// Sets the return number of each point and sorts the points by ray. Points with the same
@@ -189,15 +179,18 @@ void convert_intensities(LidarPoints& points, const FieldConverter& convert, con
                          const PointFileUnits& units) {
     const auto* intensity = table.find_field(units.intensity_field);
     if (!intensity) intensity = table.find_field(PointAttribute::intensity);
-    if (!intensity) points.intensity.assign(convert.selected_indices.size(), 0.0f);
+    if (!intensity) points.intensity.assign(points.size(), 0.0f);
     convert.convert_field(points.intensity, intensity,
                           [&](double value) { return scale_intensity(value, units, ""); });
 }
 
-/// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1.
+/// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1. Every
+/// file has first returns, so the smallest number is that of a first return.
 void convert_numbers(LidarPoints& points, const FieldConverter& convert, const PointFieldView& numbers,
                      std::size_t n_points) {
-    const double first_number = first_return_number(numbers, n_points);
+    double least = numbers[0];
+    numbers.for_each(n_points, [&](std::size_t, double value) { least = std::min(least, value); });
+    const double first_number = least == 1.0 ? 1.0 : 0.0;
     convert.convert_field(points.return_number, &numbers, [&](double value) {
         const double number_from_0 = value - first_number;
         if (!(number_from_0 >= 0.0 && number_from_0 < double(kMostReturns)))
@@ -227,13 +220,13 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
                           const std::string& where) {
     SelectedPoints selected = select_returns(table, units);
     LidarPoints points;
-    if (units.returns.exist)
+    if (units.returns.exist)  // also sorts the selected points by ray
         points.return_number =
             number_returns(table, units.returns, units.intensity_field, selected.index, selected.position_m);
     check_positions(table, selected, where);
     points.position_m = std::move(selected.position_m);
 
-    const FieldConverter convert{std::move(selected.index), where};
+    const FieldConverter convert{selected.index, where};
     convert_intensities(points, convert, table, units);
     convert.convert_field(points.ring, table.find_field(PointAttribute::ring),
                           [&](double value) { return convert_ring(value, ""); });
