@@ -30,8 +30,7 @@ constexpr double kLongestStep_s = 1.0;
 // The points fit the nominal beams if their median distance from the beams is below this
 // share of the beam spacing. Points of another LiDAR have about 0.25.
 constexpr double kMaxBeamMisfit = 0.15;
-// A pose with almost the requested time is used without interpolation. The tolerance is
-// relative to the time between poses.
+// Tolerance for a pose at the requested time, relative to the time between poses.
 constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
@@ -62,7 +61,7 @@ PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, con
 }
 
 /// Returns the interpolated pose at a time. Returns nothing near the ends of the poses,
-/// or in a gap between poses that is too long.
+/// or in a gap between poses that is too long, except at its ends.
 std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.contains_time(time_s - log.pose_margin_s) || !track.contains_time(time_s + log.pose_margin_s))
@@ -76,17 +75,17 @@ std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
 
 /// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
 /// axes.
-class StampedScans : public read::ScanProvider {
+class StampedScans : public ScanProvider {
 public:
     StampedScans(const Log& sequence, const std::vector<fs::path>& files, const FileFormat& format)
         : sequence_(sequence), files_(files), format_(format) {}
 
     std::string frame_name(std::size_t index) const override { return files_[index].string(); }
     LidarPoints read_points(std::size_t index) const override {
-        read::PointTable table = read::read_point_file(files_[index], format_.units.columns);
+        PointTable table = read_point_file(files_[index], format_.units.columns);
         if (format_.complete) format_.complete(table, frame_name(index));
         LidarPoints points =
-            read::convert_table(table, format_.units, sequence_.frames[index].time_s, frame_name(index));
+            convert_table(table, format_.units, sequence_.frames[index].time_s, frame_name(index));
         // Rotates the points about z, from the axes of the files to relidar's axes.
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
@@ -104,25 +103,14 @@ private:
     const FileFormat& format_;
 };
 
-/// Reads the points of a few scans. Leaves out scans without points.
-std::vector<LidarPoints> read_sample_scans(const StampedScans& scan_provider, std::size_t n_scans) {
-    std::vector<LidarPoints> samples;
-    read::read_samples(n_scans, [&](std::size_t i) {
-        samples.push_back(scan_provider.read_points(i));
-        if (samples.back().size() == 0) samples.pop_back();
-    });
-    return samples;
-}
-
 /// Returns the angle from a beam to the nearest other beam.
 /// @param beams  sorted by elevation
 double angle_to_next_beam(const std::vector<Beam>& beams, std::size_t beam) {
-    const double elevation_rad = beams[beam].elevation_rad;
-    double angle_rad = INFINITY;
-    if (beam > 0) angle_rad = std::min(angle_rad, std::abs(beams[beam - 1].elevation_rad - elevation_rad));
-    if (beam + 1 < beams.size())
-        angle_rad = std::min(angle_rad, std::abs(beams[beam + 1].elevation_rad - elevation_rad));
-    return angle_rad;
+    const auto angle_to = [&](std::size_t other) {  // an index below 0 wraps around
+        return other < beams.size() ? std::abs(beams[other].elevation_rad - beams[beam].elevation_rad)
+                                    : INFINITY;
+    };
+    return std::min(angle_to(beam - 1), angle_to(beam + 1));
 }
 
 /// Returns true if most points are close to the nominal beams in elevation, compared with
@@ -141,36 +129,44 @@ bool match_beams(const std::vector<LidarPoints>& sample_scans, const FittedSenso
     return compute_median(std::move(misfits)) < kMaxBeamMisfit;
 }
 
+/// Returns the mean of angles that are known only up to multiples of 2 pi / n.
+double mean_modulo(const std::vector<double>& angles_rad, int n) {
+    std::complex<double> sum = 0.0;
+    for (const double angle_rad : angles_rad) sum += std::polar(1.0, n * angle_rad);
+    return std::arg(sum) / n;
+}
+
 /// Corrects the elevations and the azimuth offsets of the nominal beams by a fit. Azimuth
-/// offsets change by less than a column, because the fit cannot detect whole columns.
+/// offsets change by less than a column, because the fit cannot detect full columns. A
+/// change that all beams share is the start of the columns, and is ignored.
 /// @param nominal_beams  [rings] beams of the data sheet
 std::vector<Beam> adjust_beams(const std::vector<Beam>& nominal_beams, const FittedSensor& fit) {
-    const double column_rad = 2.0 * kPi / fit.sensor.columns;
-    const std::size_t n_rings = std::min(nominal_beams.size(), fit.beam_of_ring.size());
-    const auto offset_change_rad = [&](std::size_t ring) {
-        const Beam& fitted_beam = fit.sensor.beams[fit.beam_of_ring[ring]];
-        return fitted_beam.azimuth_offset_rad - nominal_beams[ring].azimuth_offset_rad;
-    };
-    // All beams share a change, which is known only as a part of a column. So its mean is
-    // the angle of the sum of exp(i columns change).
-    std::complex<double> sum = 0.0;
-    for (std::size_t ring = 0; ring < n_rings; ++ring)
-        if (fit.beam_of_ring[ring] != kNoBeam)
-            sum += std::polar(1.0, fit.sensor.columns * offset_change_rad(ring));
-    const double common_rad = std::arg(sum) / fit.sensor.columns;
     std::vector<Beam> beams = nominal_beams;
-    for (std::size_t ring = 0; ring < n_rings; ++ring) {
+    std::vector<Beam*> found;         // beams that the fit has
+    std::vector<double> changes_rad;  // [found] of the azimuth offset
+    for (std::size_t ring = 0; ring < std::min(beams.size(), fit.beam_of_ring.size()); ++ring) {
         if (fit.beam_of_ring[ring] == kNoBeam) continue;
-        beams[ring].azimuth_offset_rad += std::remainder(offset_change_rad(ring) - common_rad, column_rad);
-        beams[ring].elevation_rad = fit.sensor.beams[fit.beam_of_ring[ring]].elevation_rad;
+        const Beam& fitted_beam = fit.sensor.beams[fit.beam_of_ring[ring]];
+        beams[ring].elevation_rad = fitted_beam.elevation_rad;
+        found.push_back(&beams[ring]);
+        changes_rad.push_back(fitted_beam.azimuth_offset_rad - beams[ring].azimuth_offset_rad);
     }
+    const double column_rad = 2.0 * kPi / fit.sensor.columns;
+    const double shared_rad = mean_modulo(changes_rad, fit.sensor.columns);
+    for (std::size_t k = 0; k < found.size(); ++k)
+        found[k]->azimuth_offset_rad += std::remainder(changes_rad[k] - shared_rad, column_rad);
     return beams;
 }
 
-/// Returns a sensor with the beams in `format`, fitted to the points. Returns nothing if
-/// the points come from another LiDAR. Also returns nothing if their azimuths are not on
-/// a regular grid, for example after motion compensation.
-std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& scans, const FileFormat& format) {
+/// Returns a sensor with the beams in `format`, fitted to the points of a few scans.
+/// Returns nothing if the points come from another LiDAR. Also returns nothing if their
+/// azimuths are not on a regular grid, for example after motion compensation.
+std::optional<SpinningSensor> fit_nominal(const StampedScans& source, std::size_t n_scans,
+                                          const FileFormat& format) {
+    std::vector<LidarPoints> scans;
+    read_samples(n_scans, [&](std::size_t i) {
+        if (LidarPoints points = source.read_points(i); points.size() > 0) scans.push_back(std::move(points));
+    });
     if (scans.empty()) return std::nullopt;
     FittedSensor fit;
     try {
@@ -184,6 +180,7 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& scans,
 }
 
 /// Adds a note about scans that are skipped because they have no pose.
+/// @param without_pose  at least one scan
 /// @throws DataError if no scan has a pose
 void note_without_pose(Log& sequence, const StampedLog& log,
                        const std::vector<const StampedScanFile*>& without_pose, std::size_t n_with_pose) {
@@ -258,20 +255,20 @@ DrivingDirection driving_direction(const PoseTrack& world_from_sensor) {
     double sum_of_squares = 0.0;  // of the z components
     std::size_t from = 0;         // pose at which the present step begins
     for (std::size_t to = 1; to < poses.size(); ++to) {
-        const glm::dvec3 step_m = poses[to].translation - poses[from].translation;
-        const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
-        if (!is_late && glm::length(step_m) < kMinDrive_m) continue;
-        // Ignores the motion between poses that are too far apart in time.
-        if (!is_late) {
-            // Mean of the directions in both sensor frames, because the sensor rotates
-            // between the poses in a curve.
-            const glm::dvec3 direction = glm::normalize(step_m);
-            const glm::dvec3 direction_in_sensor = 0.5 * (glm::conjugate(poses[from].rotation) * direction +
-                                                          glm::conjugate(poses[to].rotation) * direction);
-            driving.mean += direction_in_sensor;
-            sum_of_squares += direction_in_sensor.z * direction_in_sensor.z;
-            ++driving.n_steps;
+        if (world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s) {
+            from = to;  // The step took too long, so its motion is ignored.
+            continue;
         }
+        const glm::dvec3 step_m = poses[to].translation - poses[from].translation;
+        if (glm::length(step_m) < kMinDrive_m) continue;  // The step continues to the next pose.
+        // Mean of the directions in both sensor frames, because the sensor rotates
+        // between the poses in a curve.
+        const glm::dvec3 direction = glm::normalize(step_m);
+        const glm::dvec3 direction_in_sensor = 0.5 * (glm::conjugate(poses[from].rotation) * direction +
+                                                      glm::conjugate(poses[to].rotation) * direction);
+        driving.mean += direction_in_sensor;
+        sum_of_squares += direction_in_sensor.z * direction_in_sensor.z;
+        ++driving.n_steps;
         from = to;
     }
     if (driving.n_steps == 0) return driving;
@@ -323,11 +320,10 @@ void check_pose_source(const fs::path& pose_file, const DatasetOptions& options)
 
 void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, FileFormat format,
                       const DatasetOptions& options) {
-    const StampedScans source(sequence, scan_files, format);
-    read::ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
+    ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {
         std::optional<SpinningSensor> fitted =
-            fit_nominal(read_sample_scans(source, scan_files.size()), format);
+            fit_nominal(StampedScans(sequence, scan_files, format), scan_files.size(), format);
         if (fitted) {
             SpinningSensor& sensor = sequence.lidars[0].sensor;
             fitted->name = sensor.name;
@@ -339,21 +335,17 @@ void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, Fi
                             "rings; each point is assigned to the nominal beam with the nearest elevation",
                             sensor.beams.size(), sensor.columns));
         } else {
-            // The points come from another LiDAR. `source` refers to `format` and then
-            // reads points without rings.
-            format.beams.clear();
+            format.beams.clear();  // The points come from another LiDAR and get no rings.
         }
     }
-    read::read_scans(sequence, layout, source, options);
+    read_scans(sequence, layout, StampedScans(sequence, scan_files, format), options);
 }
 
-read::IntensityScale estimate_dataset_scale(const std::vector<fs::path>& scan_files,
-                                            const std::vector<std::string>& column_names) {
-    std::vector<read::PointTable> samples;
-    read::read_samples(scan_files.size(), [&](std::size_t i) {
-        samples.push_back(read::read_point_file(scan_files[i], column_names));
-    });
-    return read::interpret_fields(samples).scale;
+IntensityScale estimate_dataset_scale(const std::vector<fs::path>& scan_files) {
+    std::vector<PointTable> samples;
+    read_samples(scan_files.size(),
+                 [&](std::size_t i) { samples.push_back(read_point_file(scan_files[i], {})); });
+    return interpret_fields(samples).scale;
 }
 
 }  // namespace relidar::read

@@ -86,7 +86,7 @@ void check_pose_source(const std::filesystem::path& pose_file, const DatasetOpti
 
 /// How the scan files of a dataset store their points.
 struct FileFormat {
-    read::PointFileUnits units;
+    PointFileUnits units;
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
     /// Beams from the data sheet, for files without ring numbers. Each point gets the
@@ -96,7 +96,7 @@ struct FileFormat {
     /// Function that adds values which the files do not contain, such as rings and times.
     /// Several threads can call it at the same time. May be empty.
     /// @param where  name of the file, for error messages
-    std::function<void(read::PointTable&, const std::string& where)> complete = {};
+    std::function<void(PointTable&, const std::string& where)> complete = {};
 };
 /// Reads the scans of all frames. Fits the beams of the sensor to the points.
 /// @param scan_files  [frames] scan file of each frame
@@ -105,7 +105,6 @@ void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& s
 
 /// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped
-read::IntensityScale estimate_dataset_scale(const std::vector<std::filesystem::path>& scan_files,
-                                            const std::vector<std::string>& column_names);
+IntensityScale estimate_dataset_scale(const std::vector<std::filesystem::path>& scan_files);
 
 }  // namespace relidar::read

@@ -146,7 +146,7 @@ Pose lidar_mount() {
 /// rings, so the format has a function that computes both from the order of the points.
 read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    const read::IntensityScale scale = read::estimate_dataset_scale(scan_files, /*column_names=*/{});
+    const read::IntensityScale scale = read::estimate_dataset_scale(scan_files);
     format.units.intensity_max = scale.max;
     if (!scale.note.empty()) sequence.notes.push_back(scale.note);
     format.sweep_duration_s = kRevolution_s;
