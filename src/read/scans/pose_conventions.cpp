@@ -56,7 +56,7 @@ std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
     return points_m;
 }
 
-/// Selects pairs of the first LiDAR, evenly spread over the log.
+/// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
 ScanPairs collect_pairs(const Log& sequence) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : sequence.frames)
@@ -136,6 +136,37 @@ struct PoseChoice {
     }
 };
 
+/// Returns why the best meaning is used.
+std::string describe_best(const PoseChoice& choice, bool has_scans) {
+    const double forward = choice.forward[choice.best];
+    return fmt::format(
+        "poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of its path{}, but "
+        "{:.2f} m forward if poses are read as {}",
+        choice.readings[choice.best].name, std::abs(forward), forward < 0.0 ? "backward" : "forward",
+        has_scans ? " and consecutive scans overlap better" : "", choice.forward[0], choice.readings[0].name);
+}
+
+/// Returns a warning that the undecided meaning may be right.
+std::string describe_doubt(const PoseChoice& choice) {
+    return fmt::format(
+        "the convention of the poses is uncertain: the vehicle moves {:.2f} m forward per metre of its "
+        "path with poses that are read as {}, but {:.2f} m with {}; if these poses are wrong, add a first "
+        "line with the names of the columns",
+        choice.forward[0], choice.readings[0].name, choice.forward[choice.undecided],
+        choice.readings[choice.undecided].name);
+}
+
+PoseTrack convert_poses(PoseTrack track, Pose (*convert)(const Pose&)) {
+    for (Pose& pose : track.pose) pose = convert(pose);
+    return track;
+}
+
+/// Returns a pose whose quaternion x y z w was read in the order w x y z.
+Pose read_scalar_last(const Pose& pose) {
+    const glm::dquat q = pose.rotation;
+    return {glm::dquat(q.z, q.w, q.x, q.y), pose.translation};
+}
+
 }  // namespace
 
 void ScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
@@ -175,45 +206,25 @@ std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
     const ScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : ScanPairs();
     if (scans.empty()) choice.choose_by_motion(possible);
     else choice.choose_by_overlap(possible, scans);
-    const std::size_t best = choice.best, undecided = choice.undecided;  // 0: documented meaning, or none
-    if (best > 0)
-        notes.push_back(
-            fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of "
-                        "its path{}, but {:.2f} m forward if poses are read as {}",
-                        where, interpretations[best].name, std::abs(choice.forward[best]),
-                        choice.forward[best] < 0.0 ? "backward" : "forward",
-                        scans.empty() ? "" : " and consecutive scans overlap better", choice.forward[0],
-                        interpretations[0].name));
-    else if (undecided > 0)
-        notes.push_back(
-            {interpretations[undecided].name == kScalarLast ? kQuaternionOrder : "", -1,
-             fmt::format("{}: the convention of the poses is uncertain: the vehicle moves {:.2f} m forward "
-                         "per metre of its path with poses that are read as {}, but {:.2f} m with {}; if "
-                         "these poses are wrong, add a first line with the names of the columns",
-                         where, choice.forward[0], interpretations[0].name, choice.forward[undecided],
-                         interpretations[undecided].name)});
-    return best;
+    if (choice.best > 0) notes.push_back(fmt::format("{}: {}", where, describe_best(choice, !scans.empty())));
+    else if (choice.undecided > 0)
+        notes.push_back({interpretations[choice.undecided].name == kScalarLast ? kQuaternionOrder : "", -1,
+                         fmt::format("{}: {}", where, describe_doubt(choice))});
+    return choice.best;
 }
 
 void fix_inverted_poses(Log& sequence) {
     if (!sequence.has_poses) return;
     PoseTrack stored_poses = sequence.world_from_vehicle;  // as in the file, before centre_log()
     for (Pose& pose : stored_poses.pose) pose.translation += sequence.world_offset_m;
-    PoseTrack inverted_poses = stored_poses, reordered_poses = stored_poses;
-    for (Pose& pose : inverted_poses.pose) pose = inverse(pose);
-    for (Pose& pose : reordered_poses.pose) {
-        // The reader assumed w x y z. If the file has x y z w, its w is the last number.
-        const glm::dquat q = pose.rotation;
-        pose.rotation = glm::dquat(q.z, q.w, q.x, q.y);
-    }
-    std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
-                                         {"sensor-from-world poses", std::move(inverted_poses),
-                                          /*needs_scans=*/true}};
-    // The reader had no scans, which now decide the order of the quaternions.
+    std::vector<PoseReading> readings = {
+        {"world-from-sensor poses", sequence.world_from_vehicle},
+        {"sensor-from-world poses", convert_poses(stored_poses, inverse), /*needs_scans=*/true}};
+    // The reader assumed quaternions w x y z, but had no scans, which now decide.
     const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
     if (undecided != sequence.notes.end()) {
         readings[0].name = kScalarFirst;
-        readings.push_back({kScalarLast, std::move(reordered_poses)});
+        readings.push_back({kScalarLast, convert_poses(stored_poses, read_scalar_last)});
         sequence.notes.erase(undecided);
     }
     const auto read_pairs = [&] { return collect_pairs(sequence); };
@@ -223,6 +234,7 @@ void fix_inverted_poses(Log& sequence) {
     for (const Note& note : notes) sequence.notes.push_back(note.text);
     if (best == 0) return;
     set_trajectory(sequence, readings[best].world_from_vehicle);
+    // The new poses are not centred.
     sequence.world_offset_m = glm::dvec3(0.0);
     sequence.georeference.reset();
     centre_log(sequence);

@@ -31,8 +31,8 @@ public:
     void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
                        std::vector<glm::vec3> second_points_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns the share of points of the second scan in a grid cell with a point of the
-    /// first.
+    /// Returns the mean share of the points of a second scan that are in a grid cell with
+    /// a point of the first scan.
     double overlap_fraction(const PoseTrack& world_from_vehicle) const;
 
 private:
