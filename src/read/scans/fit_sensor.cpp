@@ -30,8 +30,7 @@ constexpr double kLargestStep_rad = 0.2;
 constexpr double kColumnSearchMargin = 0.03;
 // Minimum coherence: 1 if the points of each ring are on a regular azimuth grid.
 constexpr double kMinCoherence = 0.5;
-// A ring can have more points than the estimated number of columns. The estimate is then
-// raised to the number of points, but at most by this factor.
+// Maximum factor by which the points of a ring raise the estimated number of columns.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -141,18 +140,6 @@ int estimate_columns(const LidarPoints& scan, const RingPointLists& rings) {
     return int(std::lround(2.0 * kPi / find_quantile(steps, 0.25)));
 }
 
-/// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
-/// |S_r| is large if the azimuths are on a grid of N columns.
-std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_columns) {
-    std::vector<std::complex<double>> sums;
-    for (const RingPoints& ring : rings) {
-        std::complex<double> sum = 0.0;
-        for (const double azimuth : ring.azimuth_rad) sum += std::polar(1.0, n_columns * azimuth);
-        sums.push_back(sum);
-    }
-    return sums;
-}
-
 /// Tests `n_counts` consecutive numbers N of columns. Returns the score of each: the sum
 /// over the rings of |sum of exp(i N azimuth) over the points of the ring|. It is the
 /// number of points if all azimuths of a ring are on a grid of N columns. The factor
@@ -183,28 +170,34 @@ struct FiringColumnGrid {
     std::vector<double> offset_rad;  ///< [rings]
 };
 
+/// Raises an estimated number of columns to the number of points in the fullest ring, but
+/// not by more than kMostColumns. A ring has at most one first return per column.
+int raise_columns(int n_columns, const RingPointLists& rings) {
+    std::size_t most = 0;
+    for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
+    return std::clamp(int(std::min<std::size_t>(most, kMaxRays)), n_columns, int(kMostColumns * n_columns));
+}
+
 /// Estimates the number of columns and the azimuth offset of each ring. Searches around
-/// the first estimate for the grid that all rings fit best. If none fits, the offsets
-/// stay 0.
+/// the first estimate for the grid that all rings fit best. If the azimuths fit no grid,
+/// for example after motion compensation, the offsets stay 0.
 FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& rings) {
-    FiringColumnGrid grid{.columns = estimate_columns(scan, rings),
-                          .offset_rad = std::vector<double>(rings.size(), 0.0)};
-    const int margin = std::max(1, int(kColumnSearchMargin * grid.columns));
-    const int first = std::max(1, grid.columns - margin), last = grid.columns + margin;
+    const int estimate = estimate_columns(scan, rings);
+    FiringColumnGrid grid{.columns = estimate, .offset_rad = std::vector<double>(rings.size(), 0.0)};
+    const int margin = std::max(1, int(kColumnSearchMargin * estimate));
+    const int first = std::max(1, estimate - margin), last = estimate + margin;
     const std::vector<double> scores = score_columns(rings, first, std::size_t(last + 1 - first));
     const auto best = std::ranges::max_element(scores);
     if (*best <= kMinCoherence * double(scan.size())) {
-        // A ring has at most one first return per column, so there are at least as many
-        // columns as points in the fullest ring.
-        std::size_t most = 0;
-        for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
-        grid.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), grid.columns,
-                                  int(kMostColumns * grid.columns));
+        grid.columns = raise_columns(estimate, rings);
         return grid;
     }
     grid.columns = first + int(best - scores.begin());
-    // The phase of a ring, relative to the common phase of all rings, is its offset.
-    const std::vector<std::complex<double>> sums = sum_phases(rings, grid.columns);
+    // The phase of S_r is N times the offset of the ring, plus a phase that all rings
+    // share.
+    std::vector<std::complex<double>> sums(rings.size());
+    for (std::size_t r = 0; r < rings.size(); ++r)
+        for (const double azimuth : rings[r].azimuth_rad) sums[r] += std::polar(1.0, grid.columns * azimuth);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         if (sums[r] != 0.0) grid.offset_rad[r] = std::arg(sums[r] * std::conj(common)) / grid.columns;
@@ -234,46 +227,50 @@ std::optional<double> fit_rotation_rate(const LidarPoints& scan, const RingPoint
     return turned_rad / passed_s;
 }
 
-}  // namespace
-
-FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
+/// Returns the number of rings of some scans.
+/// @throws UsageError without rings or points, DataError if there are too many rings
+std::size_t count_rings(const std::vector<LidarPoints>& scans) {
     std::size_t n_rings = 0;
-    const LidarPoints* fullest = nullptr;
     for (const LidarPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
             fail<UsageError>("cannot estimate the beams: found {} ring numbers for {} points",
                              scan.ring.size(), scan.size());
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
-        if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
     if (n_rings == 0) throw UsageError("cannot estimate the beams: found no points, expected a few scans");
     if (n_rings > kMostRings)
         fail("cannot estimate the beams: found the ring number {}, expected one below {}", n_rings - 1,
              kMostRings);
+    return n_rings;
+}
+
+}  // namespace
+
+FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
+    const std::size_t n_rings = count_rings(scans);
     // Columns are fitted to the scan with the most points, elevations to all scans.
-    const RingPointLists rings = group_rings(*fullest, n_rings);
-    const FiringColumnGrid grid = fit_firing_grid(*fullest, rings);
+    const LidarPoints& fullest = *std::ranges::max_element(scans, {}, &LidarPoints::size);
+    const RingPointLists rings = group_rings(fullest, n_rings);
+    const FiringColumnGrid grid = fit_firing_grid(fullest, rings);
     std::vector<std::vector<double>> far = far_elevations(scans, n_rings);
-    std::vector<double> elevations(n_rings);
-    std::vector<std::size_t> order;  // rings with points, from the highest to the lowest
+    std::vector<std::pair<double, std::size_t>> by_elevation;  // elevation and number of rings with points
     for (std::size_t r = 0; r < n_rings; ++r)
-        if (!far[r].empty()) {
-            elevations[r] = find_quantile(far[r], 0.5);
-            order.push_back(r);
-        }
-    std::ranges::stable_sort(order, std::greater(), [&](std::size_t r) { return elevations[r]; });
+        if (!far[r].empty()) by_elevation.emplace_back(find_quantile(far[r], 0.5), r);
+    // Beams are stored from the highest to the lowest.
+    std::ranges::stable_sort(by_elevation, std::greater(), [](const auto& ring) { return ring.first; });
     FittedSensor fitted{{}, std::vector<std::uint16_t>(n_rings, kNoBeam)};
     SpinningSensor& sensor = fitted.sensor;
-    for (const std::size_t r : order) {
+    for (const auto& [elevation_rad, r] : by_elevation) {
         fitted.beam_of_ring[r] = std::uint16_t(sensor.beams.size());
-        sensor.beams.push_back({.elevation_rad = elevations[r], .azimuth_offset_rad = grid.offset_rad[r]});
+        sensor.beams.push_back({.elevation_rad = elevation_rad, .azimuth_offset_rad = grid.offset_rad[r]});
     }
-    const std::optional<double> rate = fit_rotation_rate(*fullest, rings);
     sensor.columns = grid.columns;
-    // The first column is centred half a column beside the backward direction.
+    // The sweep starts backward. The first column is centred half a column after the
+    // start.
     sensor.first_azimuth_rad = kPi - kPi / grid.columns;
+    const std::optional<double> rate = fit_rotation_rate(fullest, rings);
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;
-    sensor.clockwise = !rate || *rate < 0.0;
+    sensor.clockwise = !rate || *rate < 0.0;  // Most heads turn clockwise.
     return fitted;
 }
 
@@ -287,12 +284,13 @@ std::string why_not_spinning(const std::vector<LidarPoints>& scans, const Spinni
             "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
             "clouds of several LiDARs, wrong rings, or another frame",
             spread_rad * 180.0 / kPi);
-    const double gap_rad = widest_gap_rad(scans);
     // A gap alone can be a limited field of view. It is an error only if the point
     // times also show another period than one revolution per scan.
-    const bool has_same_period =
-        std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s;
-    if (gap_rad < kLeastGap_rad || fullest->time_offset_s.empty() || has_same_period) return "";
+    const double gap_rad = widest_gap_rad(scans);
+    const bool has_other_period =
+        !fullest->time_offset_s.empty() &&
+        std::abs(fitted_sensor.period_s - frame_interval_s) >= kOtherPeriod * frame_interval_s;
+    if (gap_rad < kLeastGap_rad || !has_other_period) return "";
     return fmt::format(
         "all points are within a sector of {:.0f} degrees of azimuth, and the times of the points show a "
         "revolution of {:.3f} s, but a revolution should take {:.3f} s",

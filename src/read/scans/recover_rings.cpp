@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <optional>
 
 #include <relidar/base/error.hpp>
 
@@ -61,8 +62,10 @@ std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
 
 /// Consecutive bins of the histogram of elevations that contain the points of one beam.
 struct RingBand {
-    int first, last;       ///< first and last bin
-    double elevation_rad;  ///< median elevation of the band
+    int first, last;             ///< first and last bin
+    double elevation_rad = 0.0;  ///< median elevation of the points in the band
+
+    bool contains(const RingBand& other) const { return other.first >= first && other.last <= last; }
 };
 
 /// Groups consecutive bins that have at least `min_points_per_bin` points. At least
@@ -72,7 +75,7 @@ std::vector<RingBand> group_bins(const std::vector<int>& points_per_bin, double 
     for (int b = 0; b < int(points_per_bin.size()); ++b) {
         if (points_per_bin[std::size_t(b)] == 0 || points_per_bin[std::size_t(b)] < min_points_per_bin)
             continue;
-        if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
+        if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b});
         bands.back().last = b;
     }
     return bands;
@@ -90,36 +93,30 @@ double band_distance(const RingBand& first, const RingBand& second) {
 /// part of one candidate, which can be wider because of stray points.
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
                                      const std::vector<RingBand>& strong_bands) {
-    constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
+    constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the spacing
     constexpr int kWidestWeak = 2;                                // in bins
     std::vector<RingBand> complete;
-    double usual_distance = 0.0;  // between the last two bands
-    // True if usual_distance predicts the next band. It does not before the second band,
-    // nor after a candidate that was left out as stray points.
-    bool is_regular = false;
+    // Distance between the last two bands, which predicts the next band. Not set before
+    // the second band, nor after stray points.
+    std::optional<double> spacing;
     const auto add = [&](const RingBand& band) {
-        if (!complete.empty()) usual_distance = band_distance(complete.back(), band);
-        is_regular = !complete.empty();
+        if (!complete.empty()) spacing = band_distance(complete.back(), band);
         complete.push_back(band);
     };
-    std::size_t next_strong = 0;  // index of the next strong band
+    auto strong = strong_bands.begin();  // next strong band
     for (const RingBand& candidate : candidate_bands) {
         // A candidate with strong bands contributes only these.
-        const std::size_t first_strong = next_strong;
-        while (next_strong < strong_bands.size() && strong_bands[next_strong].first >= candidate.first &&
-               strong_bands[next_strong].last <= candidate.last)
-            add(strong_bands[next_strong++]);
-        const bool has_strong_bands = next_strong > first_strong;
-        if (has_strong_bands || !is_regular) continue;
+        const auto first_strong = strong;
+        for (; strong != strong_bands.end() && candidate.contains(*strong); ++strong) add(*strong);
+        if (strong != first_strong || !spacing) continue;
         const double distance = band_distance(complete.back(), candidate);
         const bool continues_spacing =
-            distance > kMinStepRatio * usual_distance && distance < kMaxStepRatio * usual_distance;
+            distance > kMinStepRatio * *spacing && distance < kMaxStepRatio * *spacing;
         const bool is_narrow = candidate.last - candidate.first <= kWidestWeak;
         const bool leaves_space =
-            next_strong == strong_bands.size() ||
-            band_distance(candidate, strong_bands[next_strong]) > kMinStepRatio * usual_distance;
-        is_regular = continues_spacing && is_narrow && leaves_space;
-        if (is_regular) add(candidate);
+            strong == strong_bands.end() || band_distance(candidate, *strong) > kMinStepRatio * *spacing;
+        if (continues_spacing && is_narrow && leaves_space) add(candidate);
+        else spacing.reset();
     }
     return complete;
 }
@@ -135,8 +132,7 @@ double find_least_count(const std::vector<int>& points_per_bin) {
 
 /// Returns the bands in the histogram of elevations, from the lowest to the highest beam.
 /// Bin 0 begins at -90 degrees. First finds strong bands, whose bins have enough points.
-/// Then adds weak bands in an upward and a downward pass, because a pass can extend a
-/// regular spacing only in its direction. Each pass ends by reversing both lists.
+/// Then adds weak bands.
 std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
     if (sorted_elevations_rad.empty()) return {};
     const int n_bins = int(kPi / kBinWidth_rad) + 1;
@@ -146,14 +142,15 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
         ++points_per_bin[std::size_t(bin_of(elevation_rad))];
 
     std::vector<RingBand> candidates = group_bins(points_per_bin, 1.0);
-    std::vector<RingBand> bands = group_bins(points_per_bin, find_least_count(points_per_bin));
-    for (int pass = 0; pass < 2; ++pass) {
-        bands = add_weak_bands(candidates, bands);
-        std::ranges::reverse(candidates);
-        std::ranges::reverse(bands);
-    }
+    const std::vector<RingBand> strong = group_bins(points_per_bin, find_least_count(points_per_bin));
+    // A pass extends a regular spacing only in its direction, so a second pass goes down.
+    std::vector<RingBand> bands = add_weak_bands(candidates, strong);
+    std::ranges::reverse(candidates);
+    std::ranges::reverse(bands);
+    bands = add_weak_bands(candidates, bands);
+    std::ranges::reverse(bands);
 
-    for (RingBand& band : bands) {  // median elevation of the points in its bins
+    for (RingBand& band : bands) {
         const auto begin = std::ranges::partition_point(
             sorted_elevations_rad, [&](double elevation_rad) { return bin_of(elevation_rad) < band.first; });
         const auto end = std::partition_point(begin, sorted_elevations_rad.end(), [&](double elevation_rad) {
@@ -196,9 +193,9 @@ std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     // Every band must be narrow compared with its distance from the next band. Otherwise
     // the bands are not beams.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
-        const double distance = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
+        const double n_bins = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})
-            if (band.last - band.first > kMaxBandWidth * distance) return {};
+            if (band.last - band.first > kMaxBandWidth * n_bins) return {};
     }
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
