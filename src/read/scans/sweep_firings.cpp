@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <functional>
 
 #include "log/sensor/beam_geometry.hpp"
 
@@ -30,14 +31,17 @@ std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vect
         sum_of_firing[firing_numbers[i]] += std::polar(1.0, head_rad - firing_numbers[i] * azimuth_step_rad);
     }
     std::map<int, double> head_of_firing;
-    for (auto firing = sum_of_firing.begin(); firing != sum_of_firing.end(); ++firing) {
-        const auto next = std::next(firing) == sum_of_firing.end() ? firing : std::next(firing);
+    const auto set_head = [&](int firing, double deviation_rad) {
+        head_of_firing[firing] = std::remainder(deviation_rad + firing * azimuth_step_rad, 2.0 * kPi);
+    };
+    for (auto firing = sum_of_firing.begin(), next = firing; firing != sum_of_firing.end(); firing = next) {
         const double deviation_rad = std::arg(firing->second);
+        set_head(firing->first, deviation_rad);
+        if (++next == sum_of_firing.end()) break;
         const double change_rad = std::remainder(std::arg(next->second) - deviation_rad, 2.0 * kPi);
-        const int first = firing->first, n_steps = std::max(next->first - first, 1);
-        for (int n = first; n < first + n_steps; ++n)
-            head_of_firing[n] = std::remainder(
-                deviation_rad + change_rad * (n - first) / n_steps + n * azimuth_step_rad, 2.0 * kPi);
+        const int n_steps = next->first - firing->first;
+        for (int step = 1; step < n_steps; ++step)  // firings without points
+            set_head(firing->first + step, deviation_rad + change_rad * step / n_steps);
     }
     return head_of_firing;
 }
@@ -98,15 +102,14 @@ SweepFirings arrange_firings(LidarPoints& points, const std::vector<int>& firing
 
 SweepFirings sort_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
                           const std::map<int, double>& head_azimuth_by_firing) {
-    std::vector<std::pair<double, int>> by_azimuth;
-    // The sign makes the ascending sort return decreasing azimuths.
-    for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
-    std::sort(by_azimuth.begin(), by_azimuth.end());
+    std::vector<std::pair<int, double>> by_azimuth(head_azimuth_by_firing.begin(),
+                                                   head_azimuth_by_firing.end());
+    std::ranges::stable_sort(by_azimuth, std::greater(), [](const auto& firing) { return firing.second; });
     SweepFirings sweep{.lattice = {.n_ticks = kTicksPerTurn}, .firings = {}};
     std::map<int, std::uint32_t> firing_index_of_number;
-    for (const auto& [azimuth, number] : by_azimuth) {
+    for (const auto& [number, azimuth_rad] : by_azimuth) {
         firing_index_of_number[number] = std::uint32_t(sweep.firings.size());
-        sweep.firings.push_back(sweep.lattice.nearest_tick(-azimuth));
+        sweep.firings.push_back(sweep.lattice.nearest_tick(azimuth_rad));
     }
     points.firing.clear();
     for (const int number : firing_numbers) points.firing.push_back(firing_index_of_number[number]);

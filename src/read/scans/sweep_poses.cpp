@@ -19,9 +19,10 @@ constexpr double kMinCorrection_m = 1e-3;
 // A rotation is measured in metres: how far it moves a point at this distance.
 constexpr double kLeverArm_m = 50.0;
 
-/// Returns the errors of interpolated sensor poses during a sweep, as transforms from
-/// true to interpolated sensor coordinates. The log has only one pose per frame. Times
-/// are relative to the frame.
+/// Returns the errors of the sensor poses in a sweep, which the log interpolates between
+/// the poses of its frames: transforms from the true to the interpolated sensor frame.
+/// Times are relative to the frame.
+/// @param find_vehicle_pose  true poses, also between frames
 PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -30,17 +31,19 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
     for (int k = 0; k <= n; ++k) {
         const double offset_s = double(first) + double(last - first) * k / n;
         const double time_s = frame.time_s + offset_s;
-        const std::optional<Pose> vehicle_pose = find_vehicle_pose(time_s);
-        const bool is_later = track.time_s.empty() || offset_s > track.time_s.back();
-        if (!vehicle_pose || !is_later) continue;
+        const std::optional<Pose> true_pose = find_vehicle_pose(time_s);
+        // If all rays have the same time, all steps have it, too.
+        const bool is_same_time = !track.time_s.empty() && offset_s <= track.time_s.back();
+        if (!true_pose || is_same_time) continue;
         const Pose interpolated_pose = sequence.world_from_vehicle.mounted_pose_at(time_s, mounted);
-        track.append(offset_s, inverse(interpolated_pose) * (*vehicle_pose * mounted));
+        track.append(offset_s, inverse(interpolated_pose) * (*true_pose * mounted));
     }
     return track;
 }
 
 /// Applies pose corrections to the origins and directions of all rays of a frame.
-/// @return maximum distance in metres by which a point is moved; 0 if nothing was changed
+/// @return maximum distance in metres by which a point at kLeverArm_m is moved; 0 if
+/// nothing was changed
 double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {
