@@ -19,14 +19,6 @@ constexpr int kNoIndex = -1;            // no point, or no firing
 constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// Index of the point that is assigned to each ray; kNoIndex: no return.
-struct RayPointIndices {
-    std::size_t n_firings;
-    std::vector<int> point;  ///< [rings x firings]
-
-    int& point_index_at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
-};
-
 /// Returns 0 for the first return of a ray.
 std::size_t return_index_of(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
@@ -101,7 +93,7 @@ std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     std::vector<int> firing_of_column;
     for (std::size_t f = 0; f < n; ++f)
         firing_of_column.insert(firing_of_column.end(), std::size_t(n_columns_of[f]), int(f));
-    firing_of_column.resize(std::size_t(n_columns));
+    firing_of_column.resize(std::size_t(n_columns));  // leaves out firings for which no column is left
     return firing_of_column;
 }
 
@@ -116,12 +108,13 @@ public:
         firing_of.reserve(points.size());
         column_of_.reserve(points.size());
         if (points.firing.empty()) nearest_ = firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
-        indices_of_return(0);
+        by_return.emplace_back(n_rays(), kNoIndex);
         // Assigns far points last, so that they do not take the ray of a valid point.
         for (std::size_t i = 0; i < points.size(); ++i) assign_point(i);
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
-    std::vector<RayPointIndices> by_return;  ///< [returns per ray]
+    /// [returns per ray][rings x firings] index of the point, or kNoIndex
+    std::vector<std::vector<int>> by_return;
     /// [points] firing that measured each point; kNoIndex if the point is too near
     /// or too far
     std::vector<int> firing_of;
@@ -136,15 +129,16 @@ private:
     /// [azimuth steps] nearest firing; empty if each point has a firing index
     std::vector<int> nearest_;
 
-    float point_range_m(int point_index) const {
-        return glm::length(points_.position_m[std::size_t(point_index)]);
+    std::size_t n_rays() const { return sensor_.beams.size() * sweep_.firings.size(); }
+
+    float point_range_m(std::size_t point_index) const {
+        return glm::length(points_.position_m[point_index]);
     }
 
-    RayPointIndices& indices_of_return(std::size_t return_index) {
-        while (by_return.size() <= return_index)
-            by_return.push_back({sweep_.firings.size(),
-                                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kNoIndex)});
-        return by_return[return_index];
+    /// Returns the place for the index of the point with this return number of a ray.
+    int& point_of_ray(std::size_t return_index, std::size_t ring, std::size_t firing) {
+        while (by_return.size() <= return_index) by_return.emplace_back(n_rays(), kNoIndex);
+        return by_return[return_index][ring * sweep_.firings.size() + firing];
     }
 
     std::size_t nearest_firing(std::size_t point_index) const {
@@ -152,17 +146,12 @@ private:
         return std::size_t(nearest_[std::size_t(sweep_.lattice.nearest_tick(head_rad_[point_index]))]);
     }
 
-    /// Returns the firing of the previous point if this point is the next return of its
-    /// ray, otherwise kNoIndex, to which the caller converts it back. A near return can
-    /// have another azimuth, because beams start beside the centre.
-    int earlier_firing(std::size_t i) const {
-        const std::size_t return_index = return_index_of(points_, i);
-        if (i == 0 || return_index == 0 || !points_.firing.empty()) return kNoIndex;
-        const bool is_next_return = return_index_of(points_, i - 1) + 1 == return_index;
+    /// Returns true if a point is the next return of the ray of the point before it.
+    bool is_next_return(std::size_t i) const {
+        if (i == 0 || return_index_of(points_, i) != return_index_of(points_, i - 1) + 1) return false;
         const bool has_same_time =
             points_.time_offset_s.empty() || points_.time_offset_s[i] == points_.time_offset_s[i - 1];
-        const bool is_same_ray = points_.ring[i] == points_.ring[i - 1] && is_next_return && has_same_time;
-        return is_same_ray ? column_of_[i - 1] : kNoIndex;
+        return points_.ring[i] == points_.ring[i - 1] && has_same_time;
     }
 
     /// Assigns a point to a ray (ring and firing), which stores only one point of each
@@ -171,26 +160,29 @@ private:
     void assign_point(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n_firings = sweep_.firings.size();
         const std::size_t return_index = return_index_of(points_, point_index);
-        const int earlier = earlier_firing(point_index);
         firing_of.push_back(kNoIndex);
         column_of_.push_back(kNoIndex);
-        const double range_m = point_range_m(int(point_index));
+        const double range_m = point_range_m(point_index);
         if (range_m > sensor_.max_range_m || range_m < kLeastRange_m) return;
-        const std::size_t firing = earlier != kNoIndex ? std::size_t(earlier) : nearest_firing(point_index);
+        // The azimuth of the next return can differ, because beams start beside the
+        // centre.
+        const bool shares_firing =
+            points_.firing.empty() && is_next_return(point_index) && column_of_[point_index - 1] != kNoIndex;
+        const std::size_t firing =
+            shares_firing ? std::size_t(column_of_[point_index - 1]) : nearest_firing(point_index);
         firing_of.back() = int(firing);
 
         // If the ray of a first return is occupied, tries the same ring in the two
         // neighbouring firings. A later return stays with its measured firing.
-        RayPointIndices& rays = indices_of_return(return_index);
         for (const std::size_t f : {firing, (firing + 1) % n_firings, (firing + n_firings - 1) % n_firings}) {
-            int& point_of_ray = rays.point_index_at(ring, f);
-            if (point_of_ray != kNoIndex || (return_index > 0 && f != firing)) continue;
-            point_of_ray = int(point_index);
+            int& point = point_of_ray(return_index, ring, f);
+            if (point != kNoIndex || (return_index > 0 && f != firing)) continue;
+            point = int(point_index);
             column_of_.back() = int(f);
             return;
         }
-        int& occupant = rays.point_index_at(ring, firing);
-        if (range_m < point_range_m(occupant)) {
+        int& occupant = point_of_ray(return_index, ring, firing);
+        if (range_m < double(point_range_m(std::size_t(occupant)))) {
             occupant = int(point_index);
             column_of_.back() = int(firing);
         }
@@ -199,10 +191,9 @@ private:
     /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
     /// point yet.
     void assign_far_point(std::size_t point_index) {
-        if (!(double(point_range_m(int(point_index))) > sensor_.max_range_m)) return;
-        const std::size_t firing = nearest_firing(point_index);
-        int& point = indices_of_return(return_index_of(points_, point_index))
-                         .point_index_at(points_.ring[point_index], firing);
+        if (!(double(point_range_m(point_index)) > sensor_.max_range_m)) return;
+        int& point = point_of_ray(return_index_of(points_, point_index), points_.ring[point_index],
+                                  nearest_firing(point_index));
         if (point == kNoIndex) point = int(point_index);
     }
 };
@@ -264,9 +255,8 @@ void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns
     scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
-/// Sets the direction and the range of a ray with a return. The direction is from the
-/// beam's origin to the point. Returns false and sets nothing if the point is too close
-/// to the origin.
+/// Sets the values of a ray with a return. Its direction is from the beam's origin to the
+/// point. Returns false and sets nothing if the point is too close to the origin.
 /// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
 /// exact origin, even if the azimuths of the firings are rounded.
 bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad,
@@ -320,7 +310,7 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
         head_rad[i] = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
-    PointToRayAssignment assigned(points, sensor, firings, head_rad);
+    const PointToRayAssignment assigned(points, sensor, firings, head_rad);
     const std::vector<double> firing_time_s = firing_times(points, sensor, firings, assigned.firing_of);
     std::vector<double> firing_rad;
     for (const int tick : firings.firings) firing_rad.push_back(firings.lattice.tick_azimuth_rad(tick));
@@ -340,7 +330,8 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
             const auto firing = std::size_t(firing_of_column[std::size_t(shifted)]);
             scan.rays.time_offset_s[ray] = float(firing_time_s[firing]);
             scan.rays.channel[ray] = std::uint16_t(ring);
-            const int first = assigned.by_return[0].point_index_at(ring, firing);
+            const std::size_t fired_ray = ring * firings.firings.size() + firing;
+            const int first = assigned.by_return[0][fired_ray];
             const bool has_return =
                 first != kNoIndex &&
                 set_ray(scan, ray, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first));
@@ -351,7 +342,7 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
                 scan.rays.direction[ray] = glm::vec3(ideal.direction);
             }
             for (std::size_t later = 1; later < assigned.by_return.size(); ++later) {
-                const int point = assigned.by_return[later].point_index_at(ring, firing);
+                const int point = assigned.by_return[later][fired_ray];
                 if (point != kNoIndex) set_second(scan, ray, points, std::size_t(point));
             }
         }

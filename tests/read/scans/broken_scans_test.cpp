@@ -18,10 +18,6 @@ namespace {
 namespace fs = std::filesystem;
 using test::Names;
 
-DatasetOptions make_skipping_options(const std::string& part = {}) {
-    return {.sequence = part, .skip_broken = true};
-}
-
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
 std::vector<int> numbers(const Log& sequence) {
@@ -35,13 +31,12 @@ std::vector<int> numbers(const Log& sequence) {
 /// @param part part of a dataset with several parts
 Log expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
-    DatasetOptions strict = make_skipping_options(part);
-    strict.skip_broken = false;
-    std::vector<int> expected = numbers(load_sequence(log.string(), make_skipping_options(part)));
+    const DatasetOptions skipping{.sequence = part, .skip_broken = true};
+    std::vector<int> expected = numbers(load_sequence(log.string(), skipping));
     EXPECT_EQ(std::erase(expected, number), 1u);
     cut(scan);
-    EXPECT_THROW(load_sequence(log.string(), strict), DataError);
-    Log left = load_sequence(log.string(), make_skipping_options(part));
+    EXPECT_THROW(load_sequence(log.string(), {.sequence = part}), DataError);
+    Log left = load_sequence(log.string(), skipping);
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return test::find_missing_part(note, "skipped ... " + scan.filename().string()).empty();
@@ -174,9 +169,9 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
     test::write_text(folder / "poses.txt", poses);
     expect_left_out(folder, folder / scan(2), 2);
     cut(folder / scan(0));  // the first scans determine the beams
-    EXPECT_EQ(numbers(load_sequence(folder.string(), make_skipping_options())), (std::vector<int>{1, 3, 4}));
+    EXPECT_EQ(numbers(load_sequence(folder.string(), {.skip_broken = true})), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
-    EXPECT_THAT(test::find_load_error(folder.string(), make_skipping_options()), Names("5 scans"));
+    EXPECT_THAT(test::find_load_error(folder.string(), {.skip_broken = true}), Names("5 scans"));
 }
 
 }  // namespace

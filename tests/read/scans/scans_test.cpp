@@ -385,12 +385,10 @@ TEST(FitSensor, WhatItCannotFit) {
     points.ring.clear();
     EXPECT_THROW(fit_spinning_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_spinning_sensor({}, 0.1), UsageError);
-    const LidarPoints one{.position_m = {{5.0f, 0.0f, 0.0f}},
-                          .intensity = {0.5f},
-                          .ring = {0},
-                          .time_offset_s = {},
-                          .return_number = {},
-                          .firing = {}};
+    LidarPoints one;
+    one.position_m = {{5.0f, 0.0f, 0.0f}};
+    one.intensity = {0.5f};
+    one.ring = {0};
     EXPECT_THROW(fit_spinning_sensor({one}, 0.1), DataError);
 }
 
