@@ -194,8 +194,8 @@ void convert_numbers(LidarPoints& points, const FieldConverter& convert, const P
     convert.convert_field(points.return_number, &numbers, [&](double value) {
         const double number_from_0 = value - first_number;
         if (!(number_from_0 >= 0.0 && number_from_0 < double(kMostReturns)))
-            fail(": the return number is {}, expected 0 (the strongest return) to {}", number_from_0,
-                 kMostReturns - 1);
+            fail(": the return number is {}, expected {} (the strongest return) to {}", value, first_number,
+                 first_number + double(kMostReturns - 1));
         return std::uint8_t(1 + int(number_from_0));
     });
 }

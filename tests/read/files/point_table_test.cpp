@@ -9,6 +9,7 @@
 #include "read/scans/dropped_ray.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_meaning.hpp"
+#include "support/names.hpp"
 
 namespace relidar::read {
 namespace {
@@ -257,6 +258,15 @@ PointTable make_pairs(double share, double step_rad) {
         cloud.add_value_field(name, ScalarType::f4, values, "test");
     cloud.add_value_field("ring", ScalarType::u2, std::vector<std::uint16_t>(x.size(), 3), "test");
     return cloud;
+}
+
+TEST(PointTable, WrongReturnNumbersAreThoseOfTheFile) {
+    PointTable cloud = make_pairs(0.0, 0.0);
+    std::vector<std::uint8_t> numbers(cloud.n, 1);
+    numbers[7] = 9;
+    cloud.add_value_field("return_number", ScalarType::u1, numbers, "test");
+    EXPECT_THAT([&] { convert_table(cloud, {}, 0.0, "test"); },
+                testing::ThrowsMessage<DataError>(test::Names("point 7 ... 9 ... 1 ... 8")));
 }
 
 TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
