@@ -78,15 +78,15 @@ std::string describe_negatives(const std::vector<PointTable>& clouds, const std:
 /// Returns the most frequent of some positions, or nothing if it is rare.
 std::optional<glm::vec3> find_repeated_position(std::vector<glm::vec3> positions) {
     std::ranges::sort(positions, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
-    std::size_t most_repeats = 0, last_of_most = 0, n_repeats = 0;
-    for (std::size_t k = 0; k < positions.size(); ++k) {
-        const bool is_repeated = k > 0 && positions[k] == positions[k - 1];
-        n_repeats = is_repeated ? n_repeats + 1 : 1;
-        if (n_repeats <= most_repeats) continue;
-        most_repeats = n_repeats;
-        last_of_most = k;
+    std::optional<glm::vec3> most_frequent;
+    std::size_t most_repeats = kFewestRepeats - 1;
+    for (std::size_t begin = 0, end = 0; begin < positions.size(); begin = end) {
+        while (end < positions.size() && positions[end] == positions[begin]) ++end;
+        if (end - begin <= most_repeats) continue;
+        most_repeats = end - begin;
+        most_frequent = positions[end - 1];
     }
-    return most_repeats < kFewestRepeats ? std::nullopt : std::optional(positions[last_of_most]);
+    return most_frequent;
 }
 
 /// Returns the position that marks rays without a return, if many points share it. Some

@@ -196,14 +196,13 @@ TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
 }
 
 TEST(PointMeaning, FindsTheScaleOfIntensities) {
-    const auto scale = [](std::vector<double> values) { return estimate_scale(values); };
-    EXPECT_EQ(scale({0.0, 0.2, 1.0}).max, 1.0);
-    EXPECT_EQ(scale({0.0, 12.0, 187.0}).max, 255.0);
-    EXPECT_TRUE(scale({0.0, 12.0, 187.0}).is_sure);
-    EXPECT_FALSE(scale({0.0, 12.0, 100.0}).is_sure) << "may be percent";
-    EXPECT_FALSE(scale({-1.0, 12.0, 187.0}).is_sure);
-    EXPECT_TRUE(scale({0.0, 12.0, 4000.0}).is_sure);
-    EXPECT_FALSE(scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
+    EXPECT_EQ(estimate_scale({0.0, 0.2, 1.0}).max, 1.0);
+    EXPECT_EQ(estimate_scale({0.0, 12.0, 187.0}).max, 255.0);
+    EXPECT_TRUE(estimate_scale({0.0, 12.0, 187.0}).is_sure);
+    EXPECT_FALSE(estimate_scale({0.0, 12.0, 100.0}).is_sure) << "may be percent";
+    EXPECT_FALSE(estimate_scale({-1.0, 12.0, 187.0}).is_sure);
+    EXPECT_TRUE(estimate_scale({0.0, 12.0, 4000.0}).is_sure);
+    EXPECT_FALSE(estimate_scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
 }
 
 /// The scans show a cylinder with 8 beams x 90 columns.
@@ -211,8 +210,6 @@ class CountedScans : public ScanProvider {
 public:
     explicit CountedScans(std::size_t count) : n_reads(count) {}
     std::string frame_name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
-    bool stores_points(std::size_t) const override { return true; }
-    Scan read_rays(std::size_t) const override { return {}; }
     LidarPoints read_points(std::size_t frame) const override {
         ++n_reads[frame];
         LidarPoints points;
