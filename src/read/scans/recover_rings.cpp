@@ -122,11 +122,10 @@ std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_band
 }
 
 /// Returns the number of points that a bin of a strong band must have.
-double find_least_count(const std::vector<int>& points_per_bin) {
-    std::vector<int> filled;
-    std::ranges::copy_if(points_per_bin, std::back_inserter(filled), [](int n) { return n > 0; });
-    const auto well_filled = filled.begin() + std::ptrdiff_t(filled.size() * 9 / 10);
-    std::ranges::nth_element(filled, well_filled);
+double find_least_count(std::vector<int> points_per_bin) {
+    std::erase(points_per_bin, 0);  // empty bins
+    const auto well_filled = points_per_bin.begin() + std::ptrdiff_t(points_per_bin.size() * 9 / 10);
+    std::ranges::nth_element(points_per_bin, well_filled);
     return kMinBinShare * *well_filled;
 }
 

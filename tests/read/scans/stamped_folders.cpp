@@ -27,16 +27,12 @@ std::string format_matrix(const Pose& pose, const char* between) {
     return text;
 }
 
-/// Returns the angles roll, pitch and yaw of a rotation R_z(yaw) R_y(pitch) R_x(roll).
-glm::dvec3 angles_of(const glm::dquat& rotation) {
-    const glm::dmat3 m = glm::mat3_cast(rotation);
-    return {std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
-}
-
-/// Orders 0 to 3: R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll),
+/// Returns the angles roll, pitch and yaw of a rotation in the order 0 to 3:
+/// R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll),
 /// R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch) R_z(yaw).
 glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
-    const glm::dvec3 angles = angles_of(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
+    const glm::dmat3 m = glm::mat3_cast(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
+    const glm::dvec3 angles{std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
     return order == 2 || order == 3 ? -angles : angles;
 }
 
