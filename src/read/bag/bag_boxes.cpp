@@ -131,11 +131,9 @@ private:
 SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index) {
     SelectedBoxTopic choice;
     const auto name_of = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
-    const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
-        if (first.n_named != second.n_named) return first.n_named < second.n_named;
-        return name_of(first) > name_of(second);
-    };
-    const auto best = std::ranges::max_element(index.boxes, is_worse);
+    const auto best = std::ranges::min_element(index.boxes, {}, [&](const BoxTopic& boxes) {
+        return std::pair(-std::ptrdiff_t(boxes.n_named), name_of(boxes));
+    });
     if (best != index.boxes.end() && best->n_named > 0) choice.topic = &*best;
 
     for (const BoxTopic& boxes : index.boxes) {

@@ -12,7 +12,8 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kCovarianceDoubles = 36, kTwistDoubles = 6 + kCovarianceDoubles;  // number of doubles
+constexpr std::size_t kPoseDoubles = std::tuple_size_v<PoseComponents>, kCovarianceDoubles = 36,
+                      kTwistDoubles = 6 + kCovarianceDoubles;  // number of doubles
 // number of bytes of a class with probability and of a point of three floats
 constexpr std::size_t kLabelBytes = 5, kPointBytes = 12;
 // maximum number of padding bytes that CDR appends after the last field
@@ -48,7 +49,7 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
 /// score.
 std::string read_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
     // bytes of the score and the pose with its covariance, without the class
-    constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovarianceDoubles);
+    constexpr std::size_t kLeastResult = 8 * (1 + kPoseDoubles + kCovarianceDoubles);
     std::string best;
     double best_score = -INFINITY;
     const std::size_t n = reader.read_length(kLeastResult);
@@ -57,7 +58,7 @@ std::string read_best_class(MessageReader& reader, const DetectionMessageLayout&
                                      ? std::string(reader.read_string())
                                      : fmt::format("class {}", reader.read_number<std::int64_t>());
         const auto score = reader.read_number<double>();
-        skip_doubles(reader, std::tuple_size_v<PoseComponents> + kCovarianceDoubles);
+        skip_doubles(reader, kPoseDoubles + kCovarianceDoubles);
         if (best.empty() || score > best_score) {
             best = name;
             best_score = score;
@@ -172,7 +173,8 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
 /// @param is_autoware_auto  true for autoware_auto_perception_msgs, whose objects have
 /// the additional flag "heading is available"
 BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {
-    constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovarianceDoubles + 2 * kTwistDoubles);
+    // bytes of the id, and of pose, twist and acceleration with their covariances
+    constexpr std::size_t kLeastObject = 16 + 8 * (kPoseDoubles + kCovarianceDoubles + 2 * kTwistDoubles);
     BoxListMessage list{read_header(reader), {}, 0};
     const std::size_t n = reader.read_length(kLeastObject);
     for (std::size_t i = 0; i < n; ++i) {

@@ -13,7 +13,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostPointStep = 65536;
-constexpr double kUnitLength = 1e-2;  // maximum difference between 1 and the length of a quaternion
+constexpr double kMaxLengthError = 1e-2;  // of a quaternion, whose length should be 1
 
 struct MessageTypePurpose {
     const char* type;
@@ -184,7 +184,7 @@ Pose make_pose(const PoseComponents& position_and_quaternion) {
     const auto& [x, y, z, qx, qy, qz, qw] = position_and_quaternion;
     const glm::dquat rotation(qw, qx, qy, qz);
     const double length = glm::length(rotation);
-    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(x + y + z))
+    if (!(std::abs(length - 1.0) <= kMaxLengthError) || !std::isfinite(x + y + z))
         fail(
             "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite numbers and length "
             "1",

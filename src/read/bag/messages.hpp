@@ -158,7 +158,7 @@ MessageHeader read_header(MessageReader& reader);
 using PoseComponents = std::array<double, 7>;
 PoseComponents read_pose(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
-/// @throws DataError if the quaternion is zero or a number is not finite
+/// @throws DataError if the quaternion has not the length 1 or a number is not finite
 Pose make_pose(const PoseComponents& position_and_quaternion);
 CloudMessage read_ros_cloud(MessageReader& reader);
 

@@ -58,8 +58,8 @@ AngleCorrection parse_angles(const std::string& csv_text, const std::string& whe
     std::map<std::size_t, LaserAngles> angles_of_laser;  // laser numbers begin with 1
     for (const std::string& line : split_lines(csv_text)) {
         const std::vector<std::string_view> cells = split_csv_cells(line);
-        const std::optional<double> laser = parse_number(cells[0]);
-        if (!laser || cells.size() < 3) continue;  // skips the header and the checksum line
+        const std::optional<double> laser = cells.size() < 3 ? std::nullopt : parse_number(cells[0]);
+        if (!laser) continue;  // the header, or the line with the checksum
         const std::optional<double> elevation_deg = parse_number(cells[1]);
         const std::optional<double> azimuth_deg = parse_number(cells[2]);
         const bool is_laser = *laser >= 1.0 && *laser <= kMostCorrectedLasers;

@@ -106,9 +106,9 @@ struct AngleCorrection {
 };
 
 /// Parses an angle correction file.
-/// @param place  name of the file, for error messages
+/// @param where  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
-AngleCorrection parse_angles(const std::string& csv_text, const std::string& place);
+AngleCorrection parse_angles(const std::string& csv_text, const std::string& where);
 
 /// Finds and reads the angle correction files of a recording. Reads the .csv files that
 /// have the names of the recording's files. If there are none, reads all .csv files in
