@@ -77,25 +77,24 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
     const auto step_deg = [&](std::size_t f) {
         return rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
-    const auto skips_after = [&](std::size_t f) {
-        return may_skip && f + 1 < n && step_deg(f) > kMinAzimuthJump_deg;
-    };
+    std::vector<std::size_t> last_firings;  // of each entry
+    for (std::size_t f = 0; f < n; ++f)
+        if (f + 1 == n || (may_skip && step_deg(f) > kMinAzimuthJump_deg)) last_firings.push_back(f);
     // Width of the sectors between the time stamp and the current entry. It is negative
     // if the sectors follow the entry, because the time stamp refers to the last firing.
     double skipped_deg = 0.0;
     // `after_us` counts from the time stamp. The stamp is at the end if it is nearer to
     // the last firing than to the first.
     const bool is_stamp_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
-    for (std::size_t f = 0; is_stamp_at_end && f < n; ++f)
-        if (skips_after(f)) skipped_deg -= step_deg(f);
+    for (std::size_t k = 0; is_stamp_at_end && k + 1 < last_firings.size(); ++k)
+        skipped_deg -= step_deg(last_firings[k]);
 
     std::size_t first = 0;  // firing of the current entry
-    for (std::size_t f = 0; f < n; ++f) {
-        const bool is_last = f + 1 == n;
-        if (!is_last && !skips_after(f)) continue;
+    for (const std::size_t last : last_firings) {
+        const bool is_last_entry = last + 1 == n;
         const LaserFiring& begin = packet.firings[first];
         const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
-        const int end_slot = is_last ? n_slots_ : packet.firings[f + 1].slot;
+        const int end_slot = is_last_entry ? n_slots_ : packet.firings[last + 1].slot;
         Entry entry{.stamp_ns = packet_view.stamp_ns + after_ns,
                     .clock_ns = packet.clock_ns + after_ns,
                     .azimuth_deg = begin.azimuth_deg,
@@ -104,17 +103,17 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
                     .message = std::uint32_t(messages_.size() - 1),
                     .in_message = index_in_message,
                     .first_firing = std::uint16_t(first),
-                    .n_firings = std::uint16_t(f + 1 - first),
+                    .n_firings = std::uint16_t(last + 1 - first),
                     .first_slot = std::int16_t(begin.slot),
                     .n_slots = std::int16_t(end_slot - begin.slot),
                     .hash = std::uint32_t(std::hash<std::string_view>()(packet_view.bytes)),
                     .n_empty_before = n_empty_};
         n_empty_ = 0;
-        for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
+        for (std::size_t f = first; f < last; ++f) entry.turned_deg += float(step_deg(f));
         unwrap_clock(entry);
         packets_.push_back(entry);
-        if (skips_after(f)) skipped_deg += step_deg(f);
-        first = f + 1;
+        if (!is_last_entry) skipped_deg += step_deg(last);
+        first = last + 1;
     }
     if (decoder_->timing().is_wide) count_intensities(packet);
 }
