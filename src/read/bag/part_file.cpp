@@ -24,10 +24,9 @@
 namespace relidar::bag {
 namespace {
 
-/// A chunk that unpacks to more than kMostUnpacked times its size is damaged. Point
-/// clouds usually unpack to three times their size. Up to kAlwaysUnpacked bytes are
-/// accepted.
-constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
+/// A chunk that unpacks to more than kMaxChunkGrowth times its size is damaged, unless it
+/// is small. Point clouds usually unpack to three times their size.
+constexpr std::uint64_t kMaxChunkGrowth = 8, kSmallChunkBytes = std::uint64_t(8) << 20;
 constexpr std::string_view kGzipMagic("\x1f\x8b", 2);  // first bytes of a gzip file
 
 /// Unpacks bz2 data to exactly `target.size()` bytes.
@@ -135,21 +134,14 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
     else if (compression == "zstd") unpack = decompress_zstd;
     else if (compression == "bz2") unpack = unpack_bz2;
     else fail("found the compression '{}', expected none, lz4, zstd or bz2", quote(compression));
-    const bool grows_too_much = size > kAlwaysUnpacked && size / kMostUnpacked > bytes.size();
+    const bool grows_too_much = size > kSmallChunkBytes && size / kMaxChunkGrowth > bytes.size();
     if (size > UINT_MAX || grows_too_much)
         fail("found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
              bytes.size(), size,
-             std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size())));
+             std::min(std::uint64_t(UINT_MAX), std::max(kSmallChunkBytes, kMaxChunkGrowth * bytes.size())));
     return allocate_bytes(std::size_t(size), [&](std::span<char> target) {
         if (size > 0 || !bytes.empty()) unpack(bytes, target);
     });
-}
-
-std::filesystem::path strip_packed(const std::filesystem::path& file) {
-    const std::string ending = file.extension().string();
-    return ending == ".gz" || ending == ".zst" || ending == ".zstd"
-               ? std::filesystem::path(file).replace_extension()
-               : file;
 }
 
 UnpackedFile::UnpackedFile(const std::filesystem::path& file) : path_(file) {

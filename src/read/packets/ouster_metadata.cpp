@@ -109,10 +109,10 @@ std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
     }
 }
 
-/// Checks that values which the metadata contain twice are equal. Computes and checks the
-/// packet size.
-void set_size(OusterMetadata& metadata, const JsonField& root) {
-    const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
+/// Checks that values which the metadata contain twice are equal, and that the packets are
+/// valid.
+void check_sizes(const OusterMetadata& metadata, const JsonField& root) {
+    const int columns = metadata.sensor.columns;
     const auto check_equal = [&](const char* key, int expected) {
         const int n = read_integer(root, key, expected, 65536);
         if (n != expected)
@@ -120,11 +120,10 @@ void set_size(OusterMetadata& metadata, const JsonField& root) {
                  n, expected);
     };
     check_equal("columns_per_frame", columns);
-    check_equal("pixels_per_column", beams);
+    check_equal("pixels_per_column", int(metadata.sensor.beams.size()));
     if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
         fail("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
              metadata.where, metadata.columns_per_packet, columns);
-    metadata.packet_bytes = count_bytes(*metadata.profile, beams, metadata.columns_per_packet);
     if (metadata.packet_bytes > kMostDatagram)
         fail("{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
              metadata.where, metadata.describe(), kMostDatagram);
@@ -160,12 +159,6 @@ bool is_metadata_file(const fs::path& file) {
     const auto size = fs::file_size(file, failed);
     return !failed && size <= kMostMetadata && file.extension() == ".json" &&
            is_metadata(read_text_file(file));
-}
-
-bool is_recording(const fs::path& file) {
-    const std::string ending = bag::strip_packed(file).extension().string();
-    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
-           ending == ".db3";
 }
 
 // A packet has columns. All beams of a column fire simultaneously, at fixed azimuths:
@@ -329,7 +322,9 @@ std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_tex
     format->sensor = *spinning;
     format->profile = &find_profile(root);
     format->columns_per_packet = read_integer(root, "columns_per_packet", kUsualColumns, 65536);
-    set_size(*format, root);
+    format->packet_bytes =
+        count_bytes(*format->profile, int(spinning->beams.size()), format->columns_per_packet);
+    check_sizes(*format, root);
     format->port = read_integer(root, "udp_port_lidar", 0, 65535);
     // The serial number is a text of digits. 0 means that it is unknown.
     const double serial = parse_number(read_text(root, "prod_sn", "")).value_or(0.0);
@@ -348,7 +343,7 @@ MetadataList read_metadata_files(const fs::path& recording, std::vector<std::str
     std::ranges::sort(files);
     std::set<std::string> recording_stems;  // of all recordings in the folder
     for (const fs::path& file : files)
-        if (is_recording(file)) recording_stems.insert(bag::strip_packed(file).stem().string());
+        if (bag::is_recording_file(file)) recording_stems.insert(bag::strip_packed(file).stem().string());
 
     const std::string own_stem = recording.stem().string();
     const bool has_metadata_of_same_name = is_metadata_file(fs::path(recording).replace_extension(".json"));
