@@ -2,7 +2,6 @@
 #include "read/bag/bag_file.hpp"
 
 #include <algorithm>
-#include <array>
 #include <optional>
 #include <set>
 #include <utility>
@@ -19,7 +18,6 @@ namespace fs = std::filesystem;
 
 constexpr const char* kMetadataFile = "metadata.yaml";
 constexpr std::int64_t kMaxRosTime_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
-constexpr std::array kBagExtensions = {".mcap", ".db3", ".bag"};
 
 bool is_pcap_file(const fs::path& file) {
     const std::string ending = strip_packed(file).extension().string();
@@ -56,7 +54,8 @@ fs::path find_packed_copy(const fs::path& file) {
 }
 
 /// Unpacks a message that rosbag2 compressed with zstd. Returns nothing if it is not
-/// compressed; a serialized message cannot begin like zstd data.
+/// compressed; a serialized message cannot begin like zstd data. Also returns nothing if
+/// it is damaged, because the reader of the message reports such bytes.
 std::optional<std::string> unpack_message(const BagTopic& topic, std::string_view bytes) {
     if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
     // maximum size of an unpacked message in bytes, or in sizes of the packed message
@@ -68,8 +67,10 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
     const auto write_block = [&](std::string_view block) {
         if (unpacked.append(block).size() > most_bytes) fail("found more than {} unpacked bytes", most_bytes);
     };
-    if (!stream_zstd(read_block, write_block)) fail("the zstd data of the message are truncated");
-    return unpacked;
+    try {
+        if (stream_zstd(read_block, write_block)) return unpacked;
+    } catch (const DataError&) {}
+    return std::nullopt;
 }
 
 /// Lists the recordings in a folder. Ignores a compressed file if its unpacked copy
@@ -79,12 +80,29 @@ std::vector<fs::path> list_recording_files(const fs::path& folder) {
     for (const fs::path& file : list_folder(folder)) {
         const fs::path unpacked = strip_packed(file);
         const bool is_copy = unpacked != file && does_path_exist(unpacked);
-        const bool is_bag = std::ranges::find(kBagExtensions, unpacked.extension()) != kBagExtensions.end();
-        if (is_pcap_file(file) || (is_bag && !is_copy)) files.push_back(file);
+        if (is_pcap_file(file) || (is_recording_file(file) && !is_copy)) files.push_back(file);
     }
     // list_folder() sorts by name. Short names first puts NAME_2 before NAME_10.
     std::ranges::stable_sort(files, {}, [](const fs::path& file) { return file.filename().string().size(); });
     return files;
+}
+
+/// Returns the files of a recording: a single file, those that metadata.yaml lists, or if
+/// there are none, all recordings in the folder.
+/// @param notes  receives listed files that are missing
+std::vector<fs::path> find_recording_files(const fs::path& path, std::vector<std::string>& notes) {
+    if (!fs::is_directory(path)) return {path};
+    std::vector<fs::path> files;
+    if (does_path_exist(path / kMetadataFile))
+        for (const std::string& name : read_file_list(path / kMetadataFile)) {
+            // Uses only the file name, because the folder may have been renamed.
+            const fs::path file = find_packed_copy(path / fs::path(name).filename());
+            if (does_path_exist(file)) files.push_back(file);
+            else
+                notes.push_back(fmt::format("{}: this file of the recording is listed in {} but missing",
+                                            file.string(), kMetadataFile));
+        }
+    return files.empty() ? list_recording_files(path) : files;
 }
 
 }  // namespace
@@ -102,21 +120,8 @@ std::size_t TopicTable::topic_index(BagTopic topic) {
     return topics_.size() - 1;
 }
 
-BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
-    if (!fs::is_directory(path)) {
-        paths_ = {path};
-    } else if (does_path_exist(path / kMetadataFile)) {
-        for (const std::string& name : read_file_list(path / kMetadataFile)) {
-            // Uses only the file name, because the folder may have been renamed.
-            const fs::path file = find_packed_copy(path / fs::path(name).filename());
-            if (does_path_exist(file)) paths_.push_back(file);
-            else
-                add_note_once(fmt::format("{}: this file of the recording is listed in {} but missing",
-                                          file.string(), kMetadataFile));
-        }
-    }
-    // Without files from metadata.yaml, uses all recordings in the folder.
-    if (paths_.empty()) paths_ = list_recording_files(path);
+BagRecording::BagRecording(const fs::path& path, bool skip_broken)
+    : paths_(find_recording_files(path, notes_)) {
     if (paths_.empty())
         fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
@@ -142,19 +147,6 @@ std::string BagRecording::points_frame() const {
 
 void BagRecording::add_note_once(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
-}
-
-/// Returns the bytes of a message, which rosbag2 may have compressed.
-/// @param memory  receives unpacked bytes
-std::string_view BagRecording::unpack_bytes(const BagMessage& message, std::string& memory) const {
-    try {
-        std::optional<std::string> unpacked = unpack_message(topics()[message.topic], message.bytes);
-        if (!unpacked) return message.bytes;
-        memory = std::move(*unpacked);
-        return memory;
-    } catch (const DataError&) {
-        return message.bytes;  // the reader of the message reports the damaged bytes
-    }
 }
 
 /// Reads the messages of all files, one file after another. Unpacks compressed messages
@@ -184,8 +176,9 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
                     fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
                                 "the time of the previous message is used",
                                 quote(topic.name), stored_ns, kMaxRosTime_ns));
-            std::string unpacked;
-            if (is_requested) message.bytes = unpack_bytes(message, unpacked);
+            const std::optional<std::string> unpacked =
+                is_requested ? unpack_message(topic, message.bytes) : std::nullopt;
+            if (unpacked) message.bytes = *unpacked;
             callback(message);
         };
         const auto add_note = [&](const std::string& text) { add_note_once(text); };

@@ -144,13 +144,12 @@ public:
     SharedBytes read_message(const BagTopic& topic, const MessagePosition& message_position) const;
 
 private:
+    std::vector<std::string> notes_;
     std::vector<std::filesystem::path> paths_;
     std::vector<std::unique_ptr<BagFile>> files_;
     TopicTable topics_;
-    std::vector<std::string> notes_;
 
     void add_note_once(const std::string& text);
-    std::string_view unpack_bytes(const BagMessage& message, std::string& memory) const;
 };
 
 }  // namespace relidar::bag
