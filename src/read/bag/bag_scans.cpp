@@ -139,7 +139,8 @@ Scan BagScans::read_rays(std::size_t frame) const {
     const LidarTopic& lidar = lidars_[frame_cloud.lidar];
     const CloudTopic& clouds = *lidar.clouds;
     const BagTopic& topic = bag_.topics()[clouds.topic];
-    const packets::PacketRevolution& revolution = clouds.revolutions[frame_cloud.entry.revolution_index];
+    const packets::PacketRevolution& revolution =
+        clouds.packets.revolutions()[frame_cloud.entry.revolution_index];
     std::vector<SharedBytes> messages;  // must stay in memory, because packets are views of them
     std::vector<std::vector<packets::ReceivedPacket>> packets_of_message;
     for (const auto& source : clouds.packets.messages_of(revolution)) {

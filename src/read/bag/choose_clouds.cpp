@@ -161,7 +161,7 @@ std::vector<std::size_t> find_requested(const BagRecording& bag, const BagIndex&
 /// clouds from packets in the same bag, this is the frame_id of the packets.
 const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_topic) {
     for (const CloudTopic& other : index.clouds)
-        if (!other.revolutions.empty() &&
+        if (!other.packets.revolutions().empty() &&
             std::ranges::find(other.driver_frames, cloud_topic.frame) != other.driver_frames.end())
             return other.frame;
     return cloud_topic.frame;

@@ -304,10 +304,10 @@ private:
         if (poses_.clock == LogClock::recorder) return {};
         const CloudTopic& main = main_topic();
         std::vector<MessageTimes> times = list_times(main.clouds);
-        for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i) {
-            const packets::PacketRevolution& revolution = main.revolutions[main.clouds[i].revolution_index];
+        const std::vector<packets::PacketRevolution>& revolutions = main.packets.revolutions();
+        for (std::size_t i = 0; !revolutions.empty() && i < times.size(); ++i) {
             // log_ns becomes the time on the sensor's clock, if this is known (not 0).
-            const std::int64_t ahead_ns = revolution.stamp_less_clock_ns;
+            const std::int64_t ahead_ns = revolutions[main.clouds[i].revolution_index].stamp_less_clock_ns;
             if (ahead_ns != 0) times[i].log_ns = times[i].stamp_ns - ahead_ns;
         }
         // The same messages with stamps of the other clock.
@@ -355,7 +355,7 @@ private:
         if (!other_poses.empty() && !are_equal)
             add_note(fmt::format(
                 "the clock of the scans is {}; {}",
-                offset.describe(main_topic().revolutions.empty() ? "the recorder" : "the sensor"),
+                offset.describe(main_topic().packets.revolutions().empty() ? "the recorder" : "the sensor"),
                 poses.empty() ? "the poses cover the scans only on the latter clock, so it is used"
                               : "the poses cover the scans on both clocks; they are read on the clock of the "
                                 "scans, so check the clock of the poses"));

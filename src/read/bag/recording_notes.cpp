@@ -23,13 +23,13 @@ constexpr double kMinJump_s = 0.5;
 std::string describe_content(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) {
         std::size_t n_missing = 0;
-        for (const packets::PacketRevolution& revolution : cloud_topic.revolutions)
+        for (const packets::PacketRevolution& revolution : cloud_topic.packets.revolutions())
             n_missing += revolution.n_missing;
         const std::string problems = cloud_topic.packets.describe_faults();
         return fmt::format(
             ", frame '{}', {} packets of a {}: {} full revolutions{}{}{}", quote(cloud_topic.frame),
             cloud_topic.packets.size(), cloud_topic.packets.describe_product(),
-            cloud_topic.revolutions.size(),
+            cloud_topic.packets.revolutions().size(),
             n_missing == 0 ? ""
                            : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);

@@ -24,7 +24,44 @@ constexpr std::ptrdiff_t kMostLidarsOnTopic = 32;
 /// Adds messages to the index of a recording.
 class BagIndexer {
 public:
-    BagIndexer(const BagRecording& bag, BagIndex& survey) : bag_(bag), survey_(survey) {}
+    BagIndexer(BagRecording& bag, BagIndex& survey) : bag_(bag), survey_(survey) {}
+
+    /// Adds all messages. Reads the packets again that were recorded before the metadata
+    /// which are needed to decode them.
+    void index_messages(const Progress& progress) {
+        bag_.read_messages(
+            [](const BagTopic& topic) { return find_purpose(topic) != MessagePurpose::nothing; },
+            [&](const BagMessage& message) { index_message(message); }, progress);
+        survey_.facts.resize(bag_.topics().size());  // adds topics without messages
+        if (late_.empty()) return;
+        read_metadata();
+        const auto index_late = [&](const BagMessage& message) {
+            if (late_.contains(message.topic))
+                count_broken(message.topic, [&] { index_packets(bag_.topics()[message.topic], message); });
+        };
+        bag_.read_messages(packets::is_ouster_topic, index_late, progress);
+    }
+
+private:
+    BagRecording& bag_;
+    BagIndex& survey_;
+    std::optional<std::vector<packets::AngleCorrection>> corrections_;
+    packets::MetadataList ousters_;  ///< metadata known so far
+    std::set<std::size_t> late_;     ///< topics with packets that were recorded before their metadata
+    std::string broken_metadata_;
+    bool has_read_metadata_ = false;
+
+    /// Reads the metadata of Ousters from files next to the recording. Called for network
+    /// captures, and for packets without metadata in the recording.
+    void read_metadata() {
+        if (has_read_metadata_) return;
+        has_read_metadata_ = true;
+        std::vector<std::string> broken;
+        for (const std::filesystem::path& file : bag_.file_paths())
+            for (const auto& format : packets::read_metadata_files(strip_packed(file), broken))
+                ousters_.push_back(format);
+        for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
+    }
 
     /// Counts a message and adds its content to the index.
     void index_message(const BagMessage& message) {
@@ -49,34 +86,6 @@ public:
             }
         });
     }
-
-    /// Returns true if packets were recorded before the metadata that are needed to
-    /// decode them. These packets are decoded in a second pass.
-    bool needs_second_pass() const { return !late_.empty(); }
-    bool is_in_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
-    void index_again(const BagMessage& message) {
-        count_broken(message.topic, [&] { index_packets(bag_.topics()[message.topic], message); });
-    }
-    /// Reads the metadata of Ousters from files next to the recording. Called for network
-    /// captures, and for packets without metadata in the recording.
-    void read_metadata() {
-        if (has_read_metadata_) return;
-        has_read_metadata_ = true;
-        std::vector<std::string> broken;
-        for (const std::filesystem::path& file : bag_.file_paths())
-            for (const auto& format : packets::read_metadata_files(strip_packed(file), broken))
-                ousters_.push_back(format);
-        for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
-    }
-
-private:
-    const BagRecording& bag_;
-    BagIndex& survey_;
-    std::optional<std::vector<packets::AngleCorrection>> corrections_;
-    packets::MetadataList ousters_;  ///< metadata known so far
-    std::set<std::size_t> late_;     ///< topics with packets that were recorded before their metadata
-    std::string broken_metadata_;
-    bool has_read_metadata_ = false;
 
     /// Calls index(). If the message cannot be read, only counts it.
     template <class Function>
@@ -333,9 +342,8 @@ void join_parts(CloudTopic& cloud_topic) {
 /// unknown.
 void add_revolutions(CloudTopic& clouds) {
     clouds.packets.finish();
-    clouds.revolutions = clouds.packets.revolutions();
-    for (std::size_t r = 0; r < clouds.revolutions.size(); ++r) {
-        const packets::PacketRevolution& revolution = clouds.revolutions[r];
+    for (std::size_t r = 0; r < clouds.packets.revolutions().size(); ++r) {
+        const packets::PacketRevolution& revolution = clouds.packets.revolutions()[r];
         CloudEntry& cloud = clouds.clouds.emplace_back();
         cloud.stamp_ns = revolution.forward_ns;
         cloud.log_ns = revolution.log_ns;
@@ -366,17 +374,7 @@ std::size_t CloudTopic::median_points() const {
 
 BagIndex index_bag(BagRecording& bag, const Progress& progress) {
     BagIndex index;
-    BagIndexer indexer(bag, index);
-    bag.read_messages([](const BagTopic& topic) { return find_purpose(topic) != MessagePurpose::nothing; },
-                      [&](const BagMessage& message) { indexer.index_message(message); }, progress);
-    index.facts.resize(bag.topics().size());
-    if (indexer.needs_second_pass()) {
-        indexer.read_metadata();
-        const auto index_late = [&](const BagMessage& message) {
-            if (indexer.is_in_second_pass(message.topic)) indexer.index_again(message);
-        };
-        bag.read_messages(packets::is_ouster_topic, index_late, progress);
-    }
+    BagIndexer(bag, index).index_messages(progress);
     for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries(index.clouds, t);
     for (CloudTopic& clouds : index.clouds) {
         add_revolutions(clouds);

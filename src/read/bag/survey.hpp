@@ -137,7 +137,7 @@ struct CloudEntry : MessageTimes {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
     std::optional<AzimuthArc> arc = {};  ///< azimuths of the points; empty if unknown
-    std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
+    std::size_t revolution_index = 0;    ///< index in packets.revolutions(), for a topic of packets
     /// Clouds from which this cloud was composed. Empty for a recorded full revolution.
     std::vector<CloudEntry> parts = {};
     /// Time stamp in the message minus `stamp_ns`, if the clock of the LiDAR was set
@@ -175,7 +175,6 @@ struct CloudTopic {
     /// Packets, if the topic has these instead of clouds. Each revolution becomes one
     /// scan.
     packets::PacketIndex packets;
-    std::vector<packets::PacketRevolution> revolutions;
 
     bool has_field(read::PointAttribute attribute) const;
     std::size_t median_points() const;
