@@ -359,24 +359,19 @@ std::uint8_t to_reflectivity(const DecodedReturn& laser_return) {
     return std::uint8_t(std::lround(255.0 * std::clamp(double(laser_return.intensity), 0.0, 1.0)));
 }
 
-std::vector<std::string> velodyne_names() {
-    std::vector<std::string> names;
-    for (const VelodyneProduct& product : kVelodyneProducts) names.emplace_back(product.sensor);
-    return names;
+std::vector<BlockSensor> block_sensors() {
+    std::vector<BlockSensor> sensors;
+    for (const VelodyneProduct& product : kVelodyneProducts) sensors.push_back({product.sensor, "Velodyne"});
+    for (const HesaiProduct& product : kHesaiProducts)  // a sensor in another mode has another layout
+        if (find_layout(product.layout).sensor == std::string(product.layout))
+            sensors.push_back({product.layout, "Hesai"});
+    return sensors;
 }
 
 std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const PacketOptions& options) {
     for (const VelodyneProduct& product : kVelodyneProducts)
         if (sensor.name == product.sensor) return std::make_unique<VelodyneFormat>(product, sensor, options);
     return nullptr;
-}
-
-std::vector<std::string> hesai_names() {
-    std::vector<std::string> names;
-    for (const HesaiProduct& product : kHesaiProducts)
-        if (const std::string sensor = find_layout(product.layout).sensor; sensor == product.layout)
-            names.push_back(sensor);
-    return names;
 }
 
 /// Several products can have the same sensor, for example in two modes. Chooses the one

@@ -21,7 +21,6 @@ namespace relidar::packets {
 namespace {
 
 constexpr int kOusterPort = 7502, kColumnsPerPacket = 16;
-constexpr const char* kSerialText = "100000000001";
 constexpr std::uint64_t kSerialNumber = 100'000'000'001;
 constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer of a packet
 // number of encoder ticks per turn in the legacy packet format
@@ -57,7 +56,7 @@ std::string write_metadata(const SpinningSensor& sensor, const std::string& pack
     }
     const nlohmann::ordered_json json = {
         {"prod_line", product_line},
-        {"prod_sn", kSerialText},
+        {"prod_sn", std::to_string(kSerialNumber)},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
         {"udp_port_lidar", udp_port},

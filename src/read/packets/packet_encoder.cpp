@@ -31,17 +31,14 @@ constexpr double kBehindSensor_deg = 180.0;
 
 std::string packet_sensors() {
     std::string names;
-    for (const auto& of_maker : {packets::velodyne_names(), packets::hesai_names()})
-        for (const std::string& name : of_maker) names += name + ", ";
+    for (const packets::BlockSensor& sensor : packets::block_sensors()) names += sensor.name + ", ";
     return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
 }
 
 std::string packet_maker(const std::string& sensor_name) {
-    const auto has = [&](const std::vector<std::string>& names) {
-        return std::ranges::find(names, sensor_name) != names.end();
-    };
-    if (has(packets::velodyne_names())) return "Velodyne";
-    return has(packets::hesai_names()) ? "Hesai" : "Ouster";
+    for (const packets::BlockSensor& sensor : packets::block_sensors())
+        if (sensor.name == sensor_name) return sensor.maker;
+    return "Ouster";
 }
 
 struct PacketEncoder::Impl {

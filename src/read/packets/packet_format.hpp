@@ -80,8 +80,11 @@ std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const 
 std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster(const SpinningSensor& sensor, const PacketOptions& options);
 
-std::vector<std::string> velodyne_names();
-std::vector<std::string> hesai_names();
+/// A sensor whose packets consist of blocks.
+struct BlockSensor {
+    std::string name, maker;
+};
+std::vector<BlockSensor> block_sensors();
 
 /// @return nanoseconds since 1970
 std::int64_t to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
