@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <utility>
 
 #include <glm/glm.hpp>
 
@@ -97,17 +98,17 @@ std::string join_livox_packets(std::string_view packed_packets, std::string_view
     std::uint32_t n_points = 0;
     std::int64_t first_stamp_ns = 0, first_clock_ns = 0;
     bool is_first = true;
-    for (codecs::ByteReader reader(packed_packets); reader.remaining() > 0; is_first = false) {
+    for (codecs::ByteReader reader(packed_packets); reader.remaining() > 0;) {
         const auto stamp_ns = reader.read_number<std::int64_t>();
         const std::string_view packet = reader.read_string();
         if (!is_livox_packet(packet)) continue;
         const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
-        if (is_first) {
+        if (std::exchange(is_first, false)) {
             first_stamp_ns = stamp_ns;
             first_clock_ns = clock_ns;
         }
-        // Time since the first packet: by the sensor's clock (passed_clock_ns), or by the
-        // receive times (passed_ns) if the sensor's clock has jumped.
+        // Time since the first packet by the clock of the sensor, or if it has jumped, by
+        // the receive times.
         const std::int64_t passed_ns = clamped_step_ns(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = clamped_step_ns(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
