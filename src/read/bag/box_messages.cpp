@@ -210,7 +210,7 @@ void BoxListMessage::add_valid_box(BoxMessage box, const PoseComponents& pose) {
 
 BoxListMessage read_boxes(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_boxes(message_bytes);
-    MessageReader reader(message_bytes, topic.encoding == "ros1");
+    MessageReader reader(topic, message_bytes);
     if (topic.type == "vision_msgs/Detection3DArray") return read_detections(reader);
     return read_objects(reader, topic.type.starts_with("autoware_auto"));
 }

@@ -41,10 +41,6 @@ constexpr MessageTypePurpose kTypeUses[] = {
     {"autoware_auto_perception_msgs/DetectedObjects", MessagePurpose::nameless_boxes},
 };
 
-MessageReader open_message(const BagTopic& topic, std::string_view message_bytes) {
-    return {message_bytes, topic.encoding == "ros1"};
-}
-
 /// Reads the description of a field of a point cloud (sensor_msgs/PointField).
 CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     CloudMessage::CloudField field;
@@ -225,7 +221,7 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
         cloud = read_foxglove_cloud(message_bytes);
         check_layout(cloud);
     } else {
-        MessageReader reader = open_message(topic, message_bytes);
+        MessageReader reader(topic, message_bytes);
         // A Livox message has a fixed layout, and contains the number of the LiDAR.
         if (topic.type != "sensor_msgs/PointCloud2") return read_livox(reader);
         cloud = read_ros_cloud(reader);
@@ -269,7 +265,7 @@ void TransformListMessage::add_valid_transform(TransformMessage transform, const
 
 TransformListMessage read_transforms(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_tf(message_bytes);
-    MessageReader reader = open_message(topic, message_bytes);
+    MessageReader reader(topic, message_bytes);
     TransformListMessage list;
     const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
     // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
@@ -297,7 +293,7 @@ bool FixMessage::is_valid() const {
 
 FixMessage read_fix(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_fix(message_bytes);
-    MessageReader reader = open_message(topic, message_bytes);
+    MessageReader reader(topic, message_bytes);
     // sensor_msgs/NavSatFix: header, status, latitude, longitude and altitude
     FixMessage fix{read_header(reader), {}};
     const auto status = reader.read_number<std::int8_t>();

@@ -92,10 +92,11 @@ MessagePurpose find_purpose(const BagTopic& topic);
 /// padding.
 class MessageReader {
 public:
-    /// Creates a reader for one message. Checks the CDR header of a ROS 2 message.
+    /// Creates a reader for a message of a topic. Checks the CDR header of ROS 2.
     /// @throws DataError if the first bytes are not a CDR header
-    MessageReader(std::string_view bytes, bool is_ros1) : reader_(bytes), is_ros1_(is_ros1) {
-        if (is_ros1) return;
+    MessageReader(const BagTopic& topic, std::string_view bytes)
+        : reader_(bytes), is_ros1_(topic.encoding == "ros1") {
+        if (is_ros1_) return;
         constexpr std::size_t kCdrHeaderBytes = 4;
         if (bytes.size() < kCdrHeaderBytes)
             fail("the message has {} bytes, expected at least a CDR header of {} bytes", bytes.size(),

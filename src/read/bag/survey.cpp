@@ -177,7 +177,7 @@ private:
     void index_metadata(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
-        const std::string text = packets::read_std_string(topic, message.bytes);
+        const std::string text(MessageReader(topic, message.bytes).read_string());
         if (packets::is_metadata(text)) ousters_.push_back(packets::parse_metadata(text, topic.name));
     }
 
@@ -243,9 +243,9 @@ private:
     }
 };
 
-/// Names the frames of the clouds that Ouster's driver makes from packets. Packets contain
-/// no frame name, so their frame has the name of the topic. If the recording contains the
-/// driver's frame `os_lidar`, adds the transform to it, half a turn about z.
+/// Names the frames of the clouds that Ouster's driver makes from packets. Packets
+/// contain no frame name, so their frame has the name of the topic. If the recording
+/// contains the driver's frame `os_lidar`, adds the transform to it, half a turn about z.
 void add_ouster_frames(const BagRecording& bag, BagIndex& index) {
     const auto is_ouster = [&](const CloudTopic& clouds) {
         return packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty();
@@ -256,8 +256,8 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& index) {
     const bool is_alone = std::ranges::count_if(index.clouds, is_ouster) == 1;
     for (CloudTopic& clouds : index.clouds) {
         if (!is_ouster(clouds)) continue;
-        // The prefix of the frames is the namespace of the topic, without the first slash.
-        // A single Ouster may have none.
+        // The prefix of the frames is the namespace of the topic, without the first
+        // slash. A single Ouster may have none.
         const std::string& topic_name = bag.topics()[clouds.topic].name;
         std::string prefix = topic_name.substr(0, topic_name.rfind('/') + 1);
         if (prefix.starts_with('/')) prefix.erase(0, 1);

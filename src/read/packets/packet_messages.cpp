@@ -70,10 +70,6 @@ bool can_have_metadata(const bag::BagTopic& topic) {
     return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
 }
 
-std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes) {
-    return std::string(MessageReader(message_bytes, topic.encoding == "ros1").read_string());
-}
-
 PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
                            std::int64_t recording_time_ns) {
     const PacketMessageType& type = *find_type(topic.type);
@@ -85,7 +81,7 @@ PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_
         }
         return message;
     }
-    MessageReader reader(message_bytes, topic.encoding == "ros1");
+    MessageReader reader(topic, message_bytes);
     if (type.form == PacketMessageLayout::alone) {
         const std::string_view packet = reader.read_bytes(reader.read_length(1));
         // Packets of the IMU have the same message type and are skipped.

@@ -25,8 +25,6 @@ bool is_ouster_topic(const bag::BagTopic& topic);
 /// Returns true if a topic contains text and is in the namespace of a topic with packets.
 /// The text can be Ouster metadata.
 bool can_have_metadata(const bag::BagTopic& topic);
-/// Returns the text of a std_msgs/String message.
-std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes);
 
 struct PacketMessage {
     std::string frame;                    ///< the topic's name if the message has no header
