@@ -90,9 +90,9 @@ read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& 
     }
 }
 
-/// Reads the points of a cloud, which is the cloud of a frame or a part of it. Point times
-/// become relative to the frame. If the points were motion-compensated, moves each point
-/// back to the sensor frame at its own time.
+/// Reads the points of a cloud, which is the cloud of a frame or a part of it. Point
+/// times become relative to the frame. If the points were motion-compensated, moves each
+/// point back to the sensor frame at its own time.
 LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& cloud) const {
     const FrameCloud& frame_cloud = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[frame_cloud.lidar].units;
@@ -105,8 +105,8 @@ LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& clo
     const double after_revolution_s =
         1e-9 * double(cloud.time_ns(clock_) - frame_cloud.entry.time_ns(clock_));
     const double cloud_s = frame_cloud.cloud_s + after_revolution_s, frame_s = frame_cloud.time_s;
-    // Time of the frame on the clock of the point times. convert_table() subtracts it: from
-    // offsets as `time_zero`, from absolute times as the time of the frame.
+    // Time of the frame on the clock of the point times. convert_table() subtracts it:
+    // from offsets as `time_zero`, from absolute times as the time of the frame.
     const double frame_on_point_clock_s = frame_s - cloud_s + stamp_on_point_clock_s(units, cloud, table);
     const bool are_offsets = units.time_reference == read::PointTimeReference::stamp;
     const read::PointFileUnits point_units{
@@ -148,8 +148,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
         packets_of_message.push_back(
             packets::read_packets(topic, messages.back().bytes, source.log_ns).packets);
     }
-    // The log's time of a cloud differs from that of its frame if the frame is one of
-    // another LiDAR.
+    // The times differ if the frame has the time of another LiDAR.
     const auto frame_after_cloud_ns = std::llround(1e9 * (frame_cloud.time_s - frame_cloud.cloud_s));
     return clouds.packets.decode(revolution, packets_of_message, lidar.sensor,
                                  revolution.forward_ns + frame_after_cloud_ns);

@@ -23,10 +23,6 @@ std::vector<MessageTimes> list_times(const Entries& entries) {
     return times;
 }
 
-/// Returns the message that was recorded nearest to a time, or null if there is none.
-/// @param messages  in the order of their recording times
-const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
-
 /// Returns true for usual names of world frames. Clouds in such a frame are maps, not
 /// scans.
 inline bool is_world_frame(std::string_view frame) {

@@ -221,9 +221,9 @@ struct FittedHeading {
     double residual_m;  ///< root of the mean square of the horizontal error
 };
 
-/// Fits the heading h that minimises the sum of |p - exp(i h) w|^2. w and p are horizontal
-/// positions in world and plane minus their means, as complex numbers. h is the angle of
-/// the sum of p * conj(w).
+/// Fits the heading h that minimises the sum of |p - exp(i h) w|^2. w and p are
+/// horizontal positions in world and plane minus their means, as complex numbers. h is
+/// the angle of the sum of p * conj(w).
 FittedHeading fit_heading(const PlacePairs& pairs) {
     const glm::dvec3 world_mean_m = mean_position(pairs.world_m), plane_mean_m = mean_position(pairs.plane_m);
     const auto horizontal = [](const glm::dvec3& v) { return std::complex<double>(v.x, v.y); };

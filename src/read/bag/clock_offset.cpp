@@ -47,6 +47,16 @@ std::int64_t median_of(const Range& range, const Value& value) {
     return compute_median(std::move(values));
 }
 
+/// Returns the message that was recorded nearest to a time, or null if there is none.
+/// @param messages  in the order of their recording times
+const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
+    const auto after = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
+    if (after == messages.begin()) return messages.empty() ? nullptr : &*after;
+    const auto before = std::prev(after);
+    const bool is_before_nearer = after == messages.end() || log_ns - before->log_ns < after->log_ns - log_ns;
+    return is_before_nearer ? &*before : &*after;
+}
+
 /// Returns the known difference between clocks (leap seconds since 1999, or a time zone)
 /// that causes a measured offset, or the measured offset if there is none. The offset is
 /// the difference minus a delay: how much later a cloud is recorded than a pose of the
@@ -248,14 +258,6 @@ std::string ClockOffset::describe(const std::string& reference_name) const {
                                                           1e-9 * double(std::abs(drift_ns)));
     return fmt::format("{:.3f} s {} {}{}{}", 1e-9 * double(std::abs(offset_ns)),
                        offset_ns > 0 ? "ahead of" : "behind", reference_name, cause, drift);
-}
-
-const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
-    const auto after = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
-    if (after == messages.begin()) return messages.empty() ? nullptr : &*after;
-    const auto before = std::prev(after);
-    const bool is_before_nearer = after == messages.end() || log_ns - before->log_ns < after->log_ns - log_ns;
-    return is_before_nearer ? &*before : &*after;
 }
 
 ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vector<MessageTimes> reference) {

@@ -96,12 +96,11 @@ std::optional<Pose> FrameTree::find_constant(const std::string& target, const st
     // if one of the transforms changes over time.
     const auto climb = [&](const std::vector<std::string>& frame_chain) -> std::optional<Pose> {
         Pose pose;
-        for (const std::string& frame : frame_chain) {
-            if (frame == *common) return pose;
-            if (is_frame_moving(frame)) return std::nullopt;
-            pose = find_parent(frame)->second.samples.back().pose * pose;
+        for (auto frame = frame_chain.begin(); *frame != *common; ++frame) {
+            if (is_frame_moving(*frame)) return std::nullopt;
+            pose = find_parent(*frame)->second.samples.back().pose * pose;
         }
-        return std::nullopt;
+        return pose;
     };
     const std::optional<Pose> common_from_target = climb(target_chain);
     const std::optional<Pose> common_from_source = climb(source_chain);

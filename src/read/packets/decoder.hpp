@@ -61,8 +61,8 @@ struct FiringTiming {
     /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
     /// [columns per revolution] For a sensor that fires at fixed azimuths (columns): true
-    /// if it fires at this column. Column 0 is at 180 degrees. Empty for a sensor that can
-    /// fire at any azimuth.
+    /// if it fires at this column. Column 0 is at 180 degrees. Empty for a sensor that
+    /// can fire at any azimuth.
     std::vector<bool> fires = {};
     /// True if intensities can exceed 1. If they do, they are divided by the 99.5th
     /// percentile of the intensities of the topic.

@@ -91,9 +91,9 @@ FiringColumn copy_returns(const Scan& scan, const FiringRays& firing_rays, int f
     return column;
 }
 
-/// Joins the rays of a firing. Its time is the mean time of the rays without the delays of
-/// their beams. Its azimuth is the mean azimuth of the head at which the beams have the
-/// directions of the rays. Uses only rays with a return, because their directions are
+/// Joins the rays of a firing. Its time is the mean time of the rays without the delays
+/// of their beams. Its azimuth is the mean azimuth of the head at which the beams have
+/// the directions of the rays. Uses only rays with a return, because their directions are
 /// measured. Uses all rays if none has a return.
 FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
                        const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {

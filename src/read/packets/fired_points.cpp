@@ -32,9 +32,9 @@ struct FiringInstant {
 
 /// Returns the columns of the scan of a sensor that fires at fixed azimuths: those with
 /// received measurements, and long runs of others at which the sensor fires, because
-/// their rays had no return. A short run gets no columns: the scan repeats its neighbours.
-/// @param fires, is_lost  [columns per revolution] true if the sensor fires at the column,
-/// and if its packet was lost
+/// their rays had no return. A scan repeats the columns next to a short run.
+/// @param fires, is_lost  [columns per revolution] true if the sensor fires at the
+/// column, and if its packet was lost
 std::vector<bool> choose_columns(const std::map<int, double>& received, const std::vector<bool>& fires,
                                  const std::vector<bool>& is_lost) {
     constexpr std::size_t kShortRun = 8;
@@ -95,8 +95,8 @@ void add_points(RevolutionPoints& fired, const FiringInstant& firing,
 }
 
 /// Creates the scan of a sensor that fires at fixed azimuths (columns).
-/// @param fires, is_lost  [columns per revolution] true if the sensor fires at the column,
-/// and if its packet was lost. Rays of lost packets are unknown, so they are left out
+/// @param fires, is_lost  [columns per revolution] true if the sensor fires at the
+/// column, and if its packet was lost. Rays of lost packets are unknown and left out
 Scan make_fixed_scan(RevolutionPoints& fired, const std::vector<bool>& fires,
                      const std::vector<bool>& is_lost, SpinningSensor sensor) {
     const std::vector<bool> is_in_scan = choose_columns(fired.head_rad, fires, is_lost);
@@ -198,8 +198,9 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
             const double late_us = timing.cycle_us * double(firing.sequence);
             const double column_deg = azimuth_deg - late_us * mean_deg_us;
             const int slot = int(n_before) + firing.slot - entry.first_slot;
-            // Number of the column. Its first firing has the slot `slot - sequence`, which
-            // is negative if the first column lacks firings; + n_sequences makes it positive.
+            // Number of the column. Its first firing has the slot `slot - sequence`,
+            // which is negative if the first column lacks firings; + n_sequences makes
+            // it positive.
             const int number = has_columns
                                    ? column_in(revolution, azimuth_deg)
                                    : (slot - firing.sequence + timing.n_sequences) / timing.n_sequences;

@@ -109,8 +109,8 @@ std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
     }
 }
 
-/// Checks that values which the metadata contain twice are equal, and that the packets are
-/// valid.
+/// Checks that values which the metadata contain twice are equal, and that the packets
+/// are valid.
 void check_sizes(const OusterMetadata& metadata, const JsonField& root) {
     const int columns = metadata.sensor.columns;
     const auto check_equal = [&](const char* key, int expected) {

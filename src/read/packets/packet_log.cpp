@@ -56,6 +56,7 @@ void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::i
 void PacketIndex::set_product(const std::vector<ReceivedPacket>& packets, DecoderCalibration calibration) {
     const LidarProduct* product = find_product(packets.front().bytes, calibration);
     if (!product || !product->make) throw DataError(unsupported_text(product, packets.front().bytes));
+    // The packets of an RS-LiDAR-16 do not state their number of returns.
     calibration.has_two_returns = is_dual_rs16(packets);
     decoder_ = product->make(product->name, calibration);
     product_ = product;
@@ -311,11 +312,12 @@ std::string PacketIndex::describe_faults() const {
     const double all_deg =
         packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
     const bool is_short = revolutions_.empty() && all_deg < 360.0;
-    if (is_short)
+    if (is_short) {
         texts.push_back(fmt::format("the packets cover only {:.0f} degrees of a revolution, expected 360",
                                     std::max(all_deg, 0.0)));
-    if (!is_short)
+    } else {
         add(left_out_.n_cut_off, "revolutions are skipped, because the recording begins or ends during them");
+    }
     add(left_out_.n_lost, "revolutions are skipped, because at least a third of their packets is missing");
     add(left_out_.n_jumps,
         "revolutions are skipped, because the clock of the sensor jumps during them, or because packets of "
