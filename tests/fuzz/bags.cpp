@@ -55,15 +55,14 @@ void read_message(std::string_view input, const fs::path&) {
         const SharedBytes message = share_bytes(std::string(bytes));
         bag::to_point_table(bag::read_cloud(topic, message.bytes), message);
     } else if (bag::find_purpose(topic) == bag::MessagePurpose::packets) {
-        bag::MessageHeader header;
         packets::PacketIndex log;
-        const std::vector<packets::ReceivedPacket> views = packets::read_packets(topic, bytes, 0, header);
+        const std::vector<packets::ReceivedPacket> views = packets::read_packets(topic, bytes, 0).packets;
         for (int k = 0; k < 2; ++k) log.add_packets(views, 0, {}, {});
         read_turns(log, views);
     } else if (bag::find_purpose(topic) == bag::MessagePurpose::boxes) {
         bag::read_boxes(topic, bytes);
     } else if (topic_type == "std_msgs/String") {
-        packets::read_std_string(topic, bytes);
+        bag::MessageReader(topic, bytes).read_string();
     } else {
         bag::read_transforms(topic, bytes);
     }
