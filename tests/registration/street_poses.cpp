@@ -222,9 +222,11 @@ Log drive_around_block(int n_frames) {
     parallel_for(n_frames, [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash_pair(11, std::uint64_t(k)));
+        street::ActorPoses no_actors;
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = town.find_first_hit(
-                make_world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
+            const auto hit =
+                town.find_first_hit(make_world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true),
+                                    frame.time_s, 80.0, no_actors);
             const double noise_m = 0.01 * random.sample_normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }

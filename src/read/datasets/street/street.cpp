@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <span>
 #include <string_view>
 #include <utility>
 
@@ -66,6 +65,7 @@ ShapeHit intersect_cylinder(double radius, double half_height, const glm::dvec3&
 
 /// Intersects a ray with a capsule, whose axis points down from the origin. Tests the
 /// curved side and both end spheres, and keeps the first hit.
+/// @param ray_direction  unit vector
 ShapeHit intersect_capsule(double radius, double length, const glm::dvec3& ray_origin,
                            const glm::dvec3& ray_direction) {
     ShapeHit best;
@@ -220,7 +220,7 @@ double MovingStreetActor::walked_m(double time_s) const {
     return walked;
 }
 
-std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes(const std::vector<StreetShape>& shapes) {
+std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes(std::span<const StreetShape> shapes) {
     std::vector<RayCastShape> solids;
     for (const StreetShape& shape : shapes)
         solids.push_back({shape, bounding_sphere(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
@@ -229,7 +229,7 @@ std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes(const std::
 
 /// Groups consecutive shapes into clusters, so that a ray that misses the bounding sphere
 /// of a cluster skips all its shapes.
-StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(street.shapes)) {
+StreetCaster::StreetCaster(SyntheticStreet street) {
     // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
     constexpr double kMaxClusterRadius_m = 4.0;
     const std::span<const StreetShape> shapes = street.shapes;
@@ -239,7 +239,8 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(stre
         while (end < shapes.size() &&
                bounding_sphere(shapes.subspan(begin, end + 1 - begin)).radius_m < kMaxClusterRadius_m)
             ++end;
-        clusters_.push_back({bounding_sphere(shapes.subspan(begin, end - begin)), end});
+        const std::span<const StreetShape> cluster = shapes.subspan(begin, end - begin);
+        clusters_.push_back({bounding_sphere(cluster), prepare_shapes(cluster)});
         begin = end;
     }
     for (MovingStreetActor& car : street.cars) add_actor(std::move(car));
@@ -251,8 +252,9 @@ void StreetCaster::add_actor(MovingStreetActor moving) {
     if (category == "Pedestrian") surface = SurfaceClass::person;
     if (category == "Cyclist") surface = SurfaceClass::cyclist;
     for (StreetShape& shape : moving.shapes) shape.surface = surface;
-    RayCastActor& actor = cars_.emplace_back(RayCastActor{std::move(moving), {}});
-    actor.solids = prepare_shapes(actor.moving.shapes);
+    RayCastActor& actor = cars_.emplace_back();
+    actor.solids = prepare_shapes(moving.shapes);
+    actor.moving = std::move(moving);
     for (const RayCastShape& s : actor.solids)
         actor.reach_m = std::max(actor.reach_m, glm::length(s.around.centre) + s.around.radius_m);
     for (const SwingingLimb& l : actor.moving.limbs)
@@ -276,15 +278,10 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
                                                       ActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
-    // Shapes at rest are sorted by cluster. A cluster is skipped if the ray misses its
-    // sphere.
-    std::size_t begin = 0;
-    for (const Cluster& cluster : clusters_) {
+    for (const Cluster& cluster : clusters_)
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
-            for (std::size_t i = begin; i < cluster.end; ++i)
-                search.hit_solid(solids_[i], ray.origin_m, ray.direction);
-        begin = cluster.end;
-    }
+            for (const RayCastShape& solid : cluster.solids)
+                search.hit_solid(solid, ray.origin_m, ray.direction);
     place_cars(time_s, car_pose_cache);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const RayCastActor& car = cars_[i];
@@ -304,12 +301,6 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
         }
     }
     return search.nearest_hit();
-}
-
-std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s,
-                                                      double max_range_m) const {
-    ActorPoses actor_poses;
-    return find_first_hit(ray, time_s, max_range_m, actor_poses);
 }
 
 // The returns of a conical beam follow. Tests compare src/simulate/render/footprint.cpp

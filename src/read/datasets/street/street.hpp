@@ -5,6 +5,7 @@
 #pragma once
 
 #include <optional>
+#include <span>
 #include <vector>
 
 #include <relidar/read/dataset.hpp>
@@ -98,7 +99,6 @@ public:
     /// from time_s
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
                                             ActorPoses& car_pose_cache) const;
-    std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m) const;
 
 private:
     /// with precomputed values
@@ -117,17 +117,15 @@ private:
     /// them.
     struct Cluster {
         Sphere around;
-        /// index after the last shape; groups are consecutive
-        std::size_t end;
+        std::vector<RayCastShape> solids;
     };
     class NearestSurfaceSearch;
-    std::vector<RayCastShape> solids_;
     std::vector<Cluster> clusters_;
     std::vector<RayCastActor> cars_;
 
     /// Adds a moving actor. Sets the class of its surfaces and its bounding sphere.
     void add_actor(MovingStreetActor moving);
-    static std::vector<RayCastShape> prepare_shapes(const std::vector<StreetShape>& shapes);
+    static std::vector<RayCastShape> prepare_shapes(std::span<const StreetShape> shapes);
     void place_cars(double time_s, ActorPoses& car_pose_cache) const;
 };
 
@@ -137,7 +135,8 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 /// divergence).
 RayTable make_cone_rays(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in the cone of the beam, as a receiver does.
+/// Computes two returns per ray from the hits in the cone of the beam, as a receiver
+/// does.
 /// - If at most half of the thin rays have hits, the ray is dropped.
 /// - Hits whose ranges differ by less than 0.5 m from the next hit form one return, at
 ///   their mean range, weighted by light.

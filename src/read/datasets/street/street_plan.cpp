@@ -217,8 +217,8 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& positio
 constexpr double kLegs_m = 0.8;  // length of legs
 constexpr double kLegReflectance = 0.35, kBodyReflectance = 0.5;
 
-/// Returns a person without legs, who walks or rides straight: a body in the upper part of
-/// a box. The box begins 0.05 m above the ground, so that it contains the feet but no
+/// Returns a person without legs, who walks or rides straight: a body in the upper part
+/// of a box. The box begins 0.05 m above the ground, so that it contains the feet but no
 /// ground.
 /// @param position_at_middle_time_m  x, y in the street frame in the middle of the log
 MovingStreetActor make_person(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
@@ -251,9 +251,9 @@ void add_stiff_legs(MovingStreetActor& person) {
     add_below_body(person, make_cylinder(centre, kRadius_m, 0.5 * kLegs_m, kLegReflectance));
 }
 
-/// Adds arms and legs that swing: capsules that hang from a joint, in the frame of the box
-/// (origin at its centre, x forward, y left). Feet on the ground do not slide: they swing
-/// backward as far as the body moves forward.
+/// Adds arms and legs that swing: capsules that hang from a joint, in the frame of the
+/// box (origin at its centre, x forward, y left). Feet on the ground do not slide: they
+/// swing backward as far as the body moves forward.
 void add_swinging_limbs(MovingStreetActor& person) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;

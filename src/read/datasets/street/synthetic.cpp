@@ -26,6 +26,7 @@ namespace {
 using street::StreetHit;
 
 constexpr double kMaxRange_m = 80.0;
+constexpr double kMinNoisyRange_m = 0.01;  // Noise must not make a range 0, which is a dropped ray.
 // A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
@@ -168,7 +169,8 @@ void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
         Random random(hash_pair(seed, i));
         const auto add_noise = [&](float& range_m) {
             if (range_m > 0.0f)
-                range_m = float(std::max(double(range_m) + noise_stddev_m * random.sample_normal(), 0.01));
+                range_m = float(
+                    std::max(double(range_m) + noise_stddev_m * random.sample_normal(), kMinNoisyRange_m));
         };
         add_noise(scan.range_m[i]);
         for (AdditionalReturns& further : scan.second_returns) add_noise(further.range_m[i]);
@@ -189,6 +191,7 @@ Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStr
 /// seed, frame and ray, so threads can generate frames in any order.
 Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& sequence,
                    const RayTable& rays, const Frame& frame) {
+    constexpr double kIntensityNoise = 0.01;
     Scan scan = make_empty_scan(rays);
     const std::uint64_t seed = seed_of(options, frame);
     const PoseTrack track = sequence.lidar_track(frame.lidar);
@@ -197,9 +200,9 @@ Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& 
                   Random random(hash_pair(seed, ray));
                   if (random.sample_uniform() < drop_chance(hit)) return;
                   const double range = hit.range_m + options.range_noise_m * random.sample_normal();
-                  scan.range_m[ray] = float(std::max(range, 0.01));
-                  scan.intensity[ray] =
-                      float(glm::clamp(echo_intensity(hit) + 0.01 * random.sample_normal(), 0.0, 1.0));
+                  scan.range_m[ray] = float(std::max(range, kMinNoisyRange_m));
+                  const double intensity = echo_intensity(hit) + kIntensityNoise * random.sample_normal();
+                  scan.intensity[ray] = float(glm::clamp(intensity, 0.0, 1.0));
                   scan.classes[ray] = hit.surface;
               });
     return scan;

@@ -437,7 +437,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)
             gap = compute_distance_to_segment(origin + t * ray.direction, joint, end) - limb.radius_m;
         if (gap > 1e-9 && gap < 1e-3) continue;  // nearly touches the limb
-        const std::optional<street::StreetHit> hit = caster.find_first_hit(ray, t_s, 20.0);
+        street::ActorPoses poses;
+        const std::optional<street::StreetHit> hit = caster.find_first_hit(ray, t_s, 20.0, poses);
         const bool on_limb = hit && std::abs(glm::distance(origin + hit->range_m * ray.direction, box)) < 2.0;
         ASSERT_EQ(on_limb, gap <= 1e-9) << i;
         if (!on_limb) continue;
