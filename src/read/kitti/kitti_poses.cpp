@@ -53,27 +53,28 @@ std::vector<double> read_oxts(const fs::path& oxts_file) {
 
 constexpr double kEarthRadius_m = 6378137.0;
 
-/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
-/// origin is at latitude and longitude 0.
-/// @param mercator_scale  set from the latitude of the first file that is read
-Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
-    const std::vector<double> v = read_oxts(oxts_file);
-    const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0, height_m = v[2];
-    const double roll = v[3], pitch = v[4], yaw = v[5];
-    if (!mercator_scale) mercator_scale = std::cos(lat);
+/// Returns the scale with which Mercator coordinates are metres at the latitude of a
+/// frame.
+double mercator_scale(const std::vector<double>& oxts) { return std::cos(oxts[0] * kPi / 180.0); }
+
+/// Returns the pose of the IMU in one frame. The position is in Mercator coordinates,
+/// whose origin is at latitude and longitude 0.
+Pose imu_pose(const std::vector<double>& oxts, double scale) {
+    const double lat = oxts[0] * kPi / 180.0, lon = oxts[1] * kPi / 180.0, height_m = oxts[2];
+    const double roll = oxts[3], pitch = oxts[4], yaw = oxts[5];
     return {make_rotation(yaw, pitch, roll),
-            {*mercator_scale * kEarthRadius_m * lon,
-             *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), height_m}};
+            {scale * kEarthRadius_m * lon, scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)),
+             height_m}};
 }
 
-/// Returns the first frame with a GPS/IMU file (OXTS). It defines the origin and scale of
-/// all poses, so that poses do not depend on the requested frames.
-int find_first_oxts(const fs::path& drive) {
+/// Reads the first GPS/IMU file (OXTS). It defines the origin and scale of all poses, so
+/// that poses do not depend on the requested frames.
+std::vector<double> read_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (does_path_exist(folder))
         for (const fs::path& file : list_folder(folder)) {
             const auto number = parse_stem(file.stem().string());
-            if (file.extension() == ".txt" && number) return *number;
+            if (file.extension() == ".txt" && number) return read_oxts(oxts_path(drive, *number));
         }
     fail(
         "{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use dataset.poses=FILE, "
@@ -135,13 +136,13 @@ Pose read_transform(const fs::path& file, const std::string& key) {
 }
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
-    // The first file of the drive sets the Mercator scale of all poses.
-    std::optional<double> scale;
-    const glm::dvec3 origin = read_imu_pose(oxts_path(drive, find_first_oxts(drive)), scale).translation;
+    const std::vector<double> first = read_first_oxts(drive);
+    const double scale = mercator_scale(first);
+    const glm::dvec3 origin = imu_pose(first, scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));
     std::vector<Pose> poses;
     for (const int frame : frame_numbers) {
-        Pose world_from_imu = read_imu_pose(oxts_path(drive, frame), scale);
+        Pose world_from_imu = imu_pose(read_oxts(oxts_path(drive, frame)), scale);
         world_from_imu.translation -= origin;
         poses.push_back(world_from_imu * imu_from_sensor);
     }
@@ -149,12 +150,11 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>&
 }
 
 Georeference read_oxts_place(const fs::path& drive) {
-    const fs::path file = oxts_path(drive, find_first_oxts(drive));
-    const std::vector<double> oxts = read_oxts(file);
+    const std::vector<double> oxts = read_first_oxts(drive);
     const double latitude_deg = oxts[0], longitude_deg = oxts[1], height_m = oxts[2];
-    std::optional<double> scale;  // read_imu_pose() sets it
-    const glm::dvec3 origin_m = read_imu_pose(file, scale).translation;
-    // Mercator projection, scaled at this latitude and shifted to the world's origin.
+    const glm::dvec3 origin_m = imu_pose(oxts, mercator_scale(oxts)).translation;
+    // In PROJ's Mercator projection, the scale is 1 at the latitude lat_ts, and x_0 and
+    // y_0 are added to the coordinates.
     const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
                                                latitude_deg, -origin_m.x, -origin_m.y);
     return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};

@@ -41,28 +41,28 @@ std::int64_t parse_time_ns(const std::string& line, const std::string& where) {
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Reads one time per line, in nanoseconds since 1970. The line of a frame without a
-/// scan is empty.
-std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
+/// [frames] times in nanoseconds since 1970; no value for a frame without a scan
+using Stamps = std::vector<std::optional<std::int64_t>>;
+
+/// Reads one time per line. The line of a frame without a scan is empty.
+Stamps read_stamps_ns(const fs::path& file) {
     if (!does_path_exist(file))
         fail("{}: no such file, expected one time per frame; copy the file from the download of the dataset",
              file.string());
     const std::vector<std::string> lines = split_lines(read_text_file(file));
-    std::vector<std::optional<std::int64_t>> time_ns(lines.size());
-    bool has_time = false;
-    for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trim(lines[l]).empty()) continue;
-        time_ns[l] = parse_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
-        has_time = true;
-    }
-    if (!has_time) fail("{}: the file is empty, expected one time per frame", file.string());
+    Stamps time_ns(lines.size());
+    for (std::size_t l = 0; l < lines.size(); ++l)
+        if (!trim(lines[l]).empty())
+            time_ns[l] = parse_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
+    if (std::ranges::none_of(time_ns, [](const auto& time) { return time.has_value(); }))
+        fail("{}: the file is empty, expected one time per frame", file.string());
     return time_ns;
 }
 
 }  // namespace
 
 std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers, Log& log) {
-    const std::vector<std::optional<std::int64_t>> time_ns = read_stamps_ns(time_file);
+    const Stamps time_ns = read_stamps_ns(time_file);
     // read_stamps_ns() returns at least one time.
     const auto first = std::ranges::find_if(time_ns, [](const auto& time) { return time.has_value(); });
     const std::int64_t first_ns = first->value();
@@ -87,35 +87,38 @@ std::vector<double> read_frame_times(const fs::path& time_file, const std::vecto
 
 namespace {
 
-/// Returns the median duration of sweeps. Throws if the result is not a plausible period.
-double find_period_s(std::vector<double> sweep_durations_s, const fs::path& file, const char* missing_lines) {
-    if (sweep_durations_s.empty())
-        fail("{}: found no {}, expected one line with a time for each sweep", file.string(), missing_lines);
-    const double period_s = compute_median(std::move(sweep_durations_s));
+/// Returns the median duration of sweeps, whose starts and ends are known.
+/// @param end_file  file with the ends
+/// @param missing  what the file has not, if no sweep has both times
+/// @throws DataError without a sweep, or if the duration is not plausible
+double find_period_s(const Stamps& starts_ns, const Stamps& ends_ns, const fs::path& end_file,
+                     const char* missing) {
+    std::vector<double> durations_s;
+    for (std::size_t i = 0; i < std::min(starts_ns.size(), ends_ns.size()); ++i)
+        if (starts_ns[i] && ends_ns[i]) durations_s.push_back(double(*ends_ns[i] - *starts_ns[i]) * 1e-9);
+    if (durations_s.empty())
+        fail("{}: found no {}, expected one line with a time for each sweep", end_file.string(), missing);
+    const double period_s = compute_median(std::move(durations_s));
     if (!(period_s > 0.01 && period_s < 1.0))
-        fail("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s", file.string(), period_s);
+        fail("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s", end_file.string(),
+             period_s);
     return period_s;
 }
 
 }  // namespace
 
 double read_sweep_s(const fs::path& drive) {
-    const fs::path file = drive / "velodyne_points/timestamps_end.txt";
-    const auto start = read_stamps_ns(drive / "velodyne_points/timestamps_start.txt"),
-               end = read_stamps_ns(file);
-    std::vector<double> durations_s;
-    for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i)
-        if (start[i] && end[i]) durations_s.push_back(double(*end[i] - *start[i]) * 1e-9);
-    return find_period_s(std::move(durations_s), file,
+    const fs::path folder = drive / "velodyne_points", end_file = folder / "timestamps_end.txt";
+    const Stamps starts_ns = read_stamps_ns(folder / "timestamps_start.txt");
+    return find_period_s(starts_ns, read_stamps_ns(end_file), end_file,
                          "sweep with a time both in this file and in timestamps_start.txt");
 }
 
 double read_time_step_s(const fs::path& time_file) {
-    const auto time_ns = read_stamps_ns(time_file);
-    std::vector<double> durations_s;
-    for (std::size_t i = 1; i < time_ns.size(); ++i)
-        if (time_ns[i - 1] && time_ns[i]) durations_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
-    return find_period_s(std::move(durations_s), time_file, "two consecutive lines with times");
+    const Stamps time_ns = read_stamps_ns(time_file);
+    // A sweep ends when the next one starts.
+    return find_period_s(time_ns, {time_ns.begin() + 1, time_ns.end()}, time_file,
+                         "two consecutive lines with times");
 }
 
 }  // namespace relidar::kitti

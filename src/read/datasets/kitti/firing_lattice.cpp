@@ -277,7 +277,7 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
     FiringGrid grid;
     grid.head.n_ticks = kEncoderTicks;
     RingPhases phases = fit_phases(polar, kEncoderTicks);
-    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal steps instead.
+    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal steps.
     grid.every_tick = phases.concentration < kMinConcentration;
     if (grid.every_tick) {
         grid.head.n_ticks = estimate_firings(scans);
@@ -288,8 +288,8 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
         grid.left_m[k] = phases.ring[k].left_m;
         grid.offset_rad[k] = phases.ring[k].phase_rad;
     }
-    // The phases are offsets up to a multiple of a tick. Between equal steps, they are
-    // complete, because the head fires at every tick.
+    // The phases are offsets up to a multiple of a tick. It does not matter if the head
+    // fires at every tick.
     if (!grid.every_tick) {
         std::vector<BeamTicks> ticks;
         for (const RingScan* scan : scans) ticks.push_back(compute_ticks(*scan, grid));

@@ -66,7 +66,8 @@ read::RingCone estimate_cone(const BeamCones& cones, std::size_t beam, const std
 }
 
 /// Estimates the cones that could not be fitted, whose slope is NaN. Each half of the 64
-/// beams is one laser block, in which the heights of the cones are linear in their slopes.
+/// beams is one laser block. In a block, the height of a cone is a linear function of its
+/// slope.
 void fill_missing_cones(BeamCones& cones, const ConePoints& points, const std::string& where) {
     constexpr std::size_t kBlock = kRings / 2;
     for (const std::size_t first : {std::size_t{0}, kBlock}) {  // first beam of a block

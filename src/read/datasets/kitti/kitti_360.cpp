@@ -277,7 +277,8 @@ void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const D
         dataset_folder / "data_3d_raw" / drive.drive / "velodyne_points/timestamps.txt", numbers, sequence);
     const bool has_poses = does_path_exist(dataset_folder / "data_poses" / drive.drive);
     if (!user_pose_file.empty() && !has_poses) {
-        for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], {});
+        // The caller replaces these poses by those of the user.
+        for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], Pose{});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
         return;
     }
