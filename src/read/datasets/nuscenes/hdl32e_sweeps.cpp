@@ -126,12 +126,12 @@ read::FiredSweep read_sweep(const SweepFiles& sweep_files,
 }  // namespace
 
 bool is_hdl32e_file(const fs::path& file) {
-    float column[kBeams][5];
+    StoredPoint column[kBeams];
     std::ifstream stream(file, std::ios::binary);
     // read_sweep() reports a file without a column.
     if (!stream.read(reinterpret_cast<char*>(column), sizeof column)) return true;
     std::set<float> rings;
-    for (const auto& point : column) rings.insert(point[4]);
+    for (const StoredPoint& point : column) rings.insert(point.ring);
     return rings.size() == kBeams;
 }
 

@@ -132,20 +132,15 @@ std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap
     return lidars;
 }
 
-struct TimedPose {
-    std::int64_t time_us = 0;
-    Pose pose;
-};
-
-/// Reads the poses that the sweeps refer to, by token (id).
-TokenMap<TimedPose> read_sweep_poses(const fs::path& pose_file, const std::vector<SweepRecord>& sweeps) {
+/// Reads the poses that the sweeps refer to, by time.
+std::map<std::int64_t, Pose> read_sweep_poses(const fs::path& pose_file,
+                                              const std::vector<SweepRecord>& sweeps) {
     Tokens missing;
     for (const SweepRecord& sweep : sweeps) missing.insert(sweep.ego_pose);
-    TokenMap<TimedPose> poses;
+    std::map<std::int64_t, Pose> poses;
     for_each_record(pose_file, [&](const JsonRecord& record) {
-        const std::string token = record.read_text("token");
-        if (missing.erase(token) > 0)
-            poses[token] = {record.rounded_integer("timestamp"), record.read_pose()};
+        if (missing.erase(record.read_text("token")) > 0)
+            poses[record.rounded_integer("timestamp")] = record.read_pose();
     });
     for (const SweepRecord& sweep : sweeps)
         if (missing.contains(sweep.ego_pose))
@@ -157,15 +152,10 @@ TokenMap<TimedPose> read_sweep_poses(const fs::path& pose_file, const std::vecto
 /// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
 /// TruckScenes refers to the nearest stored pose, which has another time.
 std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector<SweepRecord>& sweeps) {
-    const TokenMap<TimedPose> poses = read_sweep_poses(table_folder / "ego_pose.json", sweeps);
-    std::map<std::int64_t, Pose> pose_of_time;  // sorted, and each time once
-    for (const SweepRecord& sweep : sweeps) {
-        const TimedPose& stored = poses.at(sweep.ego_pose);
-        pose_of_time[stored.time_us] = stored.pose;
-    }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
-    for (const auto& [time_us, pose] : pose_of_time) track.append(seconds(time_us), pose);
+    for (const auto& [time_us, pose] : read_sweep_poses(table_folder / "ego_pose.json", sweeps))
+        track.append(seconds(time_us), pose);
     std::vector<Pose> world_from_ego;
     for (const SweepRecord& sweep : sweeps) world_from_ego.push_back(track.pose_at(seconds(sweep.time_us)));
     return world_from_ego;

@@ -5,7 +5,6 @@
 // forward.
 #include "read/readers.hpp"
 
-#include <array>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -30,29 +29,23 @@ constexpr double kRevolution_s = 0.1;
 constexpr double kAxesTurn_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 
-struct OncePose {
-    std::int64_t stamp;
-    std::array<double, 7> numbers;
-};
-
 /// Content of the JSON file of a log.
 struct OnceFile {
     std::vector<read::StampedScanFile> scans;  ///< scans that exist
-    std::vector<OncePose> poses;
+    std::vector<read::PoseRow> poses;
     std::size_t n_missing = 0;  ///< frames without a file
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
 /// Reads the quaternion and the position of a frame. make_lidar_track() decides whether w
 /// is the first or the last number of the quaternion.
-OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
-    const OncePose pose{stamp_ms, pose_field.numbers<7>()};
-    const auto& n = pose.numbers;
+read::PoseRow read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
+    const auto n = pose_field.numbers<7>();
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
     if (!(std::abs(length - 1.0) <= kUnitLength))
         pose_field.reject(fmt::format("found a quaternion of length {:.4g}", length),
                           "expected a quaternion of length 1");
-    return pose;
+    return {stamp_ms, {n.begin(), n.end()}, pose_field.location()};
 }
 
 /// Reads the JSON file of a log: times, poses and box labels of its frames. Boxes have no
@@ -89,10 +82,11 @@ OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, 
 }
 
 /// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
-PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::StampedLog& log, bool w_first) {
+PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read::StampedLog& log,
+                             bool w_first) {
     PoseTrack track;
-    for (const OncePose& pose : poses) {
-        const auto& n = pose.numbers;
+    for (const read::PoseRow& pose : poses) {
+        const auto& n = pose.values;
         const glm::dquat q =
             w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
         track.append(log.seconds_of(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
@@ -115,7 +109,8 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because only then "
             "the vehicle drives forward");
-    return mount_track(is_w_first ? w_first : w_last, {make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}});
+    const Pose once_from_relidar{make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}};
+    return mount_track(is_w_first ? w_first : w_last, once_from_relidar);
 }
 
 /// Returns how to read the scan files of ONCE's LiDAR, a Pandar40P. The files have no
