@@ -8,6 +8,7 @@
 #include "read/readers.hpp"
 
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -36,24 +37,17 @@ constexpr double kClearlyLevel = 0.7;
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kMaxIntensity = 255.0;
 
-struct ForwardDirection {
-    glm::dvec3 direction{1.0, 0.0, 0.0};
-    bool is_known = false;
-
-    double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
-};
-
 /// Reads the forward direction of the vehicle from T_applanix_lidar.txt, the 4x4
 /// transform from the LiDAR to the Applanix frame (x right, y forward, z up). Without
 /// this file, the direction is unknown.
-ForwardDirection read_forward(const fs::path& calibration_file) {
-    if (!does_path_exist(calibration_file)) return {};
+std::optional<glm::dvec3> read_forward(const fs::path& calibration_file) {
+    if (!does_path_exist(calibration_file)) return std::nullopt;
     const auto m = parse_numbers(read_text_file(calibration_file));
     if (!m || m->size() != 16)
         fail("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
              m ? fmt::format("{} numbers", m->size()) : "a word that is not a number");
     const Pose applanix_from_lidar = make_pose(*m, calibration_file.string());
-    return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
+    return inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0);
 }
 
 /// How roll, pitch and yaw define the rotation from the LiDAR to the world.
@@ -90,8 +84,8 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
 
 /// Returns how well the vehicle drives forward; 1 is perfect. If the forward direction is
 /// unknown, returns how constant the driving direction is in the LiDAR frame.
-double score_motion(const read::DrivingDirection& driving, const ForwardDirection& forward) {
-    return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
+double score_motion(const read::DrivingDirection& driving, const std::optional<glm::dvec3>& forward) {
+    return forward ? glm::dot(driving.mean, *forward) : glm::length(driving.mean);
 }
 
 /// The poses with one meaning of the angles, and how the vehicle then drives.
@@ -114,13 +108,13 @@ bool is_clearly_better(const AngleReading& reading, const AngleReading& best) {
 /// Reads the LiDAR poses. Uses another meaning of the angles than the documented one only
 /// if it is clearly better.
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
-                            const ForwardDirection& forward_direction, Notes& notes) {
+                            const std::optional<glm::dvec3>& forward, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
     std::optional<AngleReading> best;
     for (const EulerAngleConvention& order : kAngleOrders) {  // the documented one first
         AngleReading reading{.order = &order, .track = make_lidar_track(rows, log, order)};
         reading.driving = read::driving_direction(reading.track);
-        reading.forward_score = score_motion(reading.driving, forward_direction);
+        reading.forward_score = score_motion(reading.driving, forward);
         if (!best || is_clearly_better(reading, *best)) best = std::move(reading);
     }
     if (best->order != &kAngleOrders[0])
@@ -150,30 +144,31 @@ Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
                          .poses_file = folder / "applanix/lidar_poses.csv",
                          .most_gap_s = kMostGap_s};
     read::check_pose_source(log.poses_file, options);
-    ForwardDirection forward = read_forward(folder / "calib/T_applanix_lidar.txt");
+    std::optional<glm::dvec3> forward = read_forward(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
         const glm::dvec3 driven = read::driving_direction(log.world_from_vehicle).mean;
-        if (!forward.is_known && driven != glm::dvec3(0.0)) forward = {driven, true};
+        if (!forward && driven != glm::dvec3(0.0)) forward = driven;
     }
-    if (!forward.is_known)
+    if (!forward)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
     // Rotates the sensor frame of all poses so that its x axis points forward.
-    const Pose lidar_from_turned{make_rotation(forward.azimuth_rad(), 0.0, 0.0), {}};
+    const double forward_rad = forward ? std::atan2(forward->y, forward->x) : 0.0;
+    const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : log.world_from_vehicle.pose) pose = pose * lidar_from_turned;
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
         "Points are not motion-compensated. World frame: x east, y north, z up.",
-        -forward.azimuth_rad() * 180.0 / kPi);
+        -forward_rad * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = read::add_frames(sequence, log, options);
     read::FileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
     format.units.intensity_max = kMaxIntensity;
-    format.turned_rad = -forward.azimuth_rad();
+    format.turned_rad = -forward_rad;
     read::read_frame_scans(sequence, files, format, options);
     return sequence;
 }
