@@ -43,7 +43,8 @@ using namespace waymo;
 /// [numbers in Waymo's enum LaserName] Name of each LiDAR; number 0 is unused.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
-/// Lists the .tfrecord files of a folder, or returns the file. Waymo calls a log a segment.
+/// Lists the .tfrecord files of a folder, or returns the file. Waymo calls a log a
+/// segment.
 std::vector<std::string> list_segments(const fs::path& file_or_folder) {
     std::vector<std::string> files;
     std::error_code failed;

@@ -197,8 +197,7 @@ void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& v
     }
 }
 
-/// Decompresses a zlib stream, which does not contain the size of its output. Doubles the
-/// output buffer until everything fits.
+/// Decompresses a zlib stream, which does not contain the size of its output.
 /// @throws DataError if the stream is damaged or has more than kMaxInflatedBytes
 std::string inflate_zlib(std::string_view compressed_bytes, const std::string& where) {
     z_stream stream{};
@@ -206,18 +205,13 @@ std::string inflate_zlib(std::string_view compressed_bytes, const std::string& w
     stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(compressed_bytes.data()));
     stream.avail_in = static_cast<uInt>(std::min<std::size_t>(compressed_bytes.size(), UINT32_MAX));
 
-    // The first buffer suffices for a compression of up to 4:1.
-    const std::size_t first_size = 4 * compressed_bytes.size() + 64;
-    std::string bytes;
+    std::string bytes, part(std::size_t(1) << 18, '\0');
     int status = Z_OK;
     while (status == Z_OK && bytes.size() <= kMaxInflatedBytes) {
-        const std::size_t n_inflated = bytes.size();
-        // One byte above the limit shows that the stream is too large.
-        bytes.resize(std::min(std::max(2 * n_inflated, first_size), kMaxInflatedBytes + 1));
-        stream.next_out = reinterpret_cast<Bytef*>(&bytes[n_inflated]);
-        stream.avail_out = static_cast<uInt>(bytes.size() - n_inflated);
+        stream.next_out = reinterpret_cast<Bytef*>(part.data());
+        stream.avail_out = static_cast<uInt>(part.size());
         status = ::inflate(&stream, Z_NO_FLUSH);
-        bytes.resize(bytes.size() - stream.avail_out);
+        bytes.append(part, 0, part.size() - stream.avail_out);
     }
     inflateEnd(&stream);
 
