@@ -73,15 +73,14 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
 /// Returns the revolution number of each point, from 0: how often the azimuth has passed
 /// `start_azimuth_rad` before this point. In files that store one ring after another,
 /// this is the number of the ring.
+/// @param azimuths_rad  not empty
 std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
     revolution_numbers.reserve(azimuths_rad.size());
     const auto revolution_of = [&](double azimuth_rad) {
         return std::floor((azimuth_rad - start_azimuth_rad) / (2.0 * kPi));
     };
-    double first_revolution = INFINITY;
-    for (const double azimuth_rad : azimuths_rad)
-        first_revolution = std::min(first_revolution, revolution_of(azimuth_rad));
+    const double first_revolution = revolution_of(std::ranges::min(azimuths_rad));
     int last = 0;
     for (const double azimuth_rad : azimuths_rad) {
         // Ring numbers never decrease. Otherwise rounding errors could put the first
@@ -216,11 +215,9 @@ void RingOrderDetector::number_rings(LidarPoints& points) const {
     // Rings are missing in this scan, so their elevations decide which rings they are.
     std::vector<std::uint16_t> nearest;
     for (const double elevation : elevations) {
-        std::size_t best = 0;
-        for (std::size_t r = 0; r < n_rings(); ++r)
-            if (std::abs(elevation_rad_[r] - elevation) < std::abs(elevation_rad_[best] - elevation))
-                best = r;
-        nearest.push_back(std::uint16_t(best));
+        const auto difference = [&](double other) { return std::abs(other - elevation); };
+        const auto ring = std::ranges::min_element(elevation_rad_, {}, difference);
+        nearest.push_back(std::uint16_t(ring - elevation_rad_.begin()));
     }
     for (std::uint16_t& ring : points.ring) ring = nearest[ring];
 }

@@ -26,8 +26,8 @@ constexpr int kPackedFlag = 128;       // added to the point format if the point
 
 struct LasHeader {
     int format = 0;
-    std::size_t begin = 0, record = 0;  ///< byte offset of the first point, and bytes per point
-    std::uint64_t n = 0;                ///< number of points
+    std::size_t first_point = 0, point_bytes = 0;  ///< byte offset of the first point
+    std::uint64_t n_points = 0;
     std::array<double, 3> scale{}, offset_m{};
 
     bool is_extended() const { return format >= kFirstLongFormat; }
@@ -47,22 +47,22 @@ LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (header.format > kMostFormat)
         fail("{}: found the point format {}, expected a format from 0 to {}", where, header.format,
              kMostFormat);
-    header.begin = number_at<std::uint32_t>(bytes, kPointsAt);
-    header.record = number_at<std::uint16_t>(bytes, kRecordAt);
-    header.n = number_at<std::uint32_t>(bytes, kCountAt);
+    header.first_point = number_at<std::uint32_t>(bytes, kPointsAt);
+    header.point_bytes = number_at<std::uint16_t>(bytes, kRecordAt);
+    header.n_points = number_at<std::uint32_t>(bytes, kCountAt);
     // Since version 1.4, files also have a number of points with 64 bits.
     const int minor_version = number_at<std::uint8_t>(bytes, kVersionAt + 1);
     if (minor_version >= 4 && bytes.size() >= kLongHeader)
-        header.n = std::max(header.n, number_at<std::uint64_t>(bytes, kLongCountAt));
+        header.n_points = std::max(header.n_points, number_at<std::uint64_t>(bytes, kLongCountAt));
     for (std::size_t axis = 0; axis < 3; ++axis) {
         header.scale[axis] = number_at<double>(bytes, kScaleAt + 8 * axis);
         header.offset_m[axis] = number_at<double>(bytes, kOffsetAt + 8 * axis);
     }
-    const std::size_t min_record_bytes = header.gps_time_offset() + (header.has_gps_time() ? 8 : 0);
-    if (header.record < min_record_bytes || header.begin > bytes.size() ||
-        header.n > (bytes.size() - header.begin) / header.record)
+    const std::size_t min_point_bytes = header.gps_time_offset() + (header.has_gps_time() ? 8 : 0);
+    if (header.point_bytes < min_point_bytes || header.first_point > bytes.size() ||
+        header.n_points > (bytes.size() - header.first_point) / header.point_bytes)
         fail("{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}", where,
-             bytes.size(), header.n, header.record, header.begin);
+             bytes.size(), header.n_points, header.point_bytes, header.first_point);
     return header;
 }
 
@@ -84,14 +84,14 @@ void check_near_origin(const std::array<std::vector<double>, 3>& coordinates_m, 
 
 PointTable parse_las(const SharedBytes& file, const std::string& where) {
     const LasHeader header = parse_header(file.bytes, where);
-    const auto n = std::size_t(header.n);
+    const auto n = std::size_t(header.n_points);
     check_point_count(n, where);
-    const char* points = file.bytes.data() + header.begin;
+    const char* points = file.bytes.data() + header.first_point;
     std::array<std::vector<double>, 3> coordinates_m;
     std::vector<std::uint8_t> return_numbers(n);
     for (std::size_t axis = 0; axis < 3; ++axis) coordinates_m[axis].resize(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::string_view point(points + i * header.record, header.record);
+        const std::string_view point(points + i * header.point_bytes, header.point_bytes);
         for (std::size_t axis = 0; axis < 3; ++axis)
             coordinates_m[axis][i] =
                 header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
@@ -105,12 +105,12 @@ PointTable parse_las(const SharedBytes& file, const std::string& where) {
     const char* names[] = {"x", "y", "z"};
     for (std::size_t axis = 0; axis < 3; ++axis)
         table.add_value_field(names[axis], ScalarType::f8, std::move(coordinates_m[axis]), where);
-    table.add_value_field("intensity", {ScalarType::u2, points + kIntensityAt, header.record}, where);
+    table.add_value_field("intensity", {ScalarType::u2, points + kIntensityAt, header.point_bytes}, where);
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
         table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), where);
     if (!header.has_gps_time()) return table;
-    const PointFieldView times(ScalarType::f8, points + header.gps_time_offset(), header.record);
+    const PointFieldView times(ScalarType::f8, points + header.gps_time_offset(), header.point_bytes);
     bool is_constant = true;  // some programs write the time 0 for all points
     for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
     if (!is_constant) table.add_value_field("time", times, where);

@@ -118,16 +118,19 @@ void set_empty_counts(std::vector<PointField>& fields, std::size_t point_size, P
     }
     std::size_t extra_size = point_size - std::min(nonempty_size, point_size);
     if (extra_size > kMostPadding) extra_size = 0;  // other data follows the points
-    const bool fits_one_value_each = extra_size == empty_size;
-    if (n_empty > 1 && extra_size > 0 && !fits_one_value_each)
+    const auto is_empty = [](const PointField& field) { return field.count == 0; };
+    if (extra_size == 0) {
+        std::erase_if(fields, is_empty);
+        return;
+    }
+    if (n_empty > 1 && extra_size != empty_size)
         fail(
             "{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, expected 0 or {} "
             "more",
             where, n_empty, extra_size, unit == PointUnit::values ? "values" : "bytes", empty_size);
-    if (extra_size == 0) std::erase_if(fields, [](const PointField& field) { return field.count == 0; });
     for (PointField& field : fields) {
-        if (field.count > 0) continue;
-        if (fits_one_value_each) field.count = 1;
+        if (!is_empty(field)) continue;
+        if (extra_size == empty_size) field.count = 1;
         else field = {.name = std::string(kPaddingName), .kind = 'U', .size = 1, .count = extra_size};
     }
 }

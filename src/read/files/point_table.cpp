@@ -196,12 +196,13 @@ PointTable read_npz_points(const fs::path& file, const std::vector<std::string>&
     const NamedArray* points_array = find_points(arrays);
     if (!points_array)
         fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
+    // The array can be an image of points, [rows, columns, values]. It becomes a list.
     NamedArray points = *points_array;
     const std::size_t width = points.shape.back();
     points.shape = {width == 0 ? 0 : points.element_count() / width, width};
     std::vector<std::string> columns = column_names;
-    if (columns.empty()) columns = {"x", "y", "z", "intensity"};
-    if (column_names.empty() && width == 3) columns.pop_back();
+    if (columns.empty()) columns = {"x", "y", "z"};
+    if (column_names.empty() && width != 3) columns.emplace_back("intensity");
     PointTable table = table_of_array(std::move(points), columns, file.string());
     for (const NamedArray& array : arrays) {
         const bool is_new = &array != points_array && !table.find_field(array.name);

@@ -48,7 +48,8 @@ std::vector<PointField> parse_header_names(std::string_view line) {
 /// contain no data.
 PointField convert_field(const codecs::NpyField& field, const std::string& where) {
     const std::string_view type = field.type;
-    // The type is byte order, kind and size, for example "<f4".
+    // The type is byte order, kind and size, for example "<f4". A shorter text has no
+    // size.
     const auto size = parse_number(type.substr(std::min<std::size_t>(2, type.size())));
     const auto count = codecs::array_bytes(field.shape, 1);
     if (!size || !(*size >= 1.0 && *size <= 65536.0) || !count || *count > kMostValues)

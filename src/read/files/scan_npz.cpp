@@ -222,7 +222,8 @@ std::uint16_t convert_ring(double file_value, const std::string& where) {
 
 Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
                       const ImageContext& context) {
-    // Without ray directions, the rays are those of the sensor, whose row 0 is the highest.
+    // Without ray directions, the rays are those of the sensor, whose row 0 is the
+    // highest.
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     if (!has_rays && context.lowest_first) reverse_rows(stored_arrays);
     const NpzArrays arrays(where, std::move(stored_arrays));
