@@ -99,25 +99,24 @@ bool is_of_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Throws if a folder contains scans but no sequence.json. The message contains an
-/// example of a sequence.json.
-/// @throws DataError in this case
+/// Throws a DataError if a folder, or its folder scans/, contains scans. The message
+/// contains an example of the sequence.json that is missing.
 void require_sequence_json(const fs::path& path) {
-    std::error_code failed;
-    if (!fs::is_directory(path, failed)) return;
-    for (const char* scans : {"scans", "."}) {
-        if (!fs::is_directory(path / scans, failed)) continue;
-        const auto n_scans = std::ranges::count_if(list_folder(path / scans), [](const fs::path& file) {
+    const auto count_scans = [](const fs::path& folder) -> std::ptrdiff_t {
+        std::error_code failed;
+        if (!fs::is_directory(folder, failed)) return 0;
+        return std::ranges::count_if(list_folder(folder), [](const fs::path& file) {
             return read::is_point_file(file) || read::is_image_file(file);
         });
-        if (n_scans < 2) continue;
-        const std::string lidars =
-            scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
-        fail(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
-             R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
-             R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
-             path.string(), n_scans, lidars.empty() ? "the folder of the scans" : "them", lidars);
-    }
+    };
+    const bool has_subfolder = count_scans(path / "scans") > 1;
+    const auto n_scans = count_scans(has_subfolder ? path / "scans" : path);
+    if (n_scans < 2) return;
+    fail(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
+         R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
+         R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
+         path.string(), n_scans, has_subfolder ? "the folder of the scans" : "them",
+         has_subfolder ? "" : R"(, "lidars": [{"name": "lidar", "scans": "."}])");
 }
 
 /// Calls visit(range_m) for all returns of a scan.
