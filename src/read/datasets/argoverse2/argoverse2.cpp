@@ -276,7 +276,7 @@ RawSweep read_sweep(const fs::path& file) {
 using SweepPairs = std::vector<std::array<read::FiredSweep, 2>>;
 
 /// Reads all sweeps and splits each into the points of both LiDARs. The first readable
-/// sweep shows which laser numbers belong to which LiDAR.
+/// sweep shows which laser numbers belong to which LiDAR. Without one, all are skipped.
 /// @param broken_scans  its guard() skips a broken sweep, or throws its error
 SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
@@ -324,7 +324,7 @@ void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_f
     }
     read::set_fired_scans(sequence, sweeps, progress);
     for (const Lidar& lidar : sequence.lidars)
-        if (lidar.sensor.columns == 0)
+        if (lidar.sensor.columns == 0)  // no firing in any sweep
             fail("{} has no points of the LiDAR {}, expected at least one", sequence.source, lidar.name);
     if (n_missing > 0)
         sequence.notes.push_back(fmt::format(

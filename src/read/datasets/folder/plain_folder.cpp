@@ -50,8 +50,11 @@ std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const Da
 std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
                                          const read::PointFileUnits& units, const LogFrame& frame) {
     const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
-    const Scan scan = read::read_scan_image(
-        frame.scan, {units, header.motion_compensated, lidar.lowest_first, lidar.lidar, frame.time_s});
+    const Scan scan = read::read_scan_image(frame.scan, {.units = units,
+                                                         .motion_compensated = header.motion_compensated,
+                                                         .lowest_first = lidar.lowest_first,
+                                                         .lidar = lidar.lidar,
+                                                         .time_s = frame.time_s});
     std::vector<glm::vec3> points;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) points.push_back(scan.return_point(i));

@@ -15,9 +15,8 @@
 
 namespace relidar::ncore {
 
-/// NCore's model "row-offset-spinning": the ray of row i and column j has the elevation of
-/// the beam of the row, and
-///   azimuth = column_azimuths[j] + azimuth offset of the beam.
+/// NCore's model "row-offset-spinning": the ray of row i and column j has
+///   elevation = elevation of beam i,  azimuth = azimuth[j] + azimuth offset of beam i.
 struct SpinningModel {
     std::vector<Beam> beams;          ///< [rows]
     std::vector<double> azimuth_rad;  ///< [columns] in the order of firing
