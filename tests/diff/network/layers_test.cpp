@@ -109,7 +109,6 @@ INSTANTIATE_TEST_SUITE_P(Refine, ConvVariants, testing::Values(Variant{8, 1}, Va
 /// Tests the variants that other devices use.
 TEST_P(ConvVariants, Agree) {
     const auto lanes = std::uint32_t(device().info().subgroup_size);
-    const auto tiles = [](std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; };
     for (const Case& c :
          {Case{9, {2, 5, 75}, 9, 17}, Case{9, {2, 5, 75, false}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
         const Layer layer = make_random_layer(c);
@@ -125,9 +124,10 @@ TEST_P(ConvVariants, Agree) {
         const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
         const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
         const std::uint32_t segments =
-            c.grid.n * c.grid.rows * tiles(c.grid.columns, lanes * GetParam().pixels);
+            c.grid.n * c.grid.rows * network::div_ceil(c.grid.columns, lanes * GetParam().pixels);
         run(stream, kernel,
-            std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
+            network::count_threads(segments, lanes) *
+                network::div_ceil(std::uint32_t(c.n_out), RELIDAR_CONV_OUT),
             {.from = from.slice().view,
              .to = to.slice().view,
              .weights = weights.address(),
@@ -223,7 +223,21 @@ void PrintTo(const AttentionCase& test_case, std::ostream* out) {
          << test_case.channels << " in " << test_case.heads;
 }
 
-class AttentionTest : public test::DeviceTest {};
+class AttentionTest : public test::DeviceTest {
+protected:
+    /// @param values queries, keys and values of one head
+    test::ImageBatch attend(const test::ImageBatch& values) {
+        const ImageBatchSize grid = test::get_grid(values);
+        Attention attention(device(), 1);
+        AttentionState state = attention.allocate_state(grid, false);
+        Stream stream(device());
+        const OnDevice qkv(device(), values),
+            to = OnDevice::make_unwritten(device(), grid, values.channels / 3);
+        attention.attend(stream, qkv.slice(), state, to.slice());
+        stream.submit_and_wait();
+        return to.read();
+    }
+};
 class AttentionSizes : public test::DeviceTest, public testing::WithParamInterface<AttentionCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
                          testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2},
@@ -259,16 +273,9 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
 
 /// exp() of these scores overflows float.
 TEST_F(AttentionTest, LargeScores) {
-    const ImageBatchSize grid{1, 3, 7};
-    const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
-    Attention attention(device(), 1);
-    AttentionState state = attention.allocate_state(grid, false);
-    Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
-    attention.attend(stream, qkv.slice(), state, to.slice());
-    stream.submit_and_wait();
+    const test::ImageBatch values = test::make_random_images({1, 3, 7}, 12, 1, 30.0);
     // scores of 1e3 have an error of 1e-4
-    EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, 1)), 1e-3);
+    EXPECT_LT(compute_worst_error(attend(values), reference::attend(values, 1)), 1e-3);
 }
 
 /// The key of each pixel matches the query of its neighbour. Attention must therefore
@@ -282,13 +289,7 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         values.at(0, 2 * n + x, 0, x) = 1.0;
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
-    Attention attention(device(), 1);
-    AttentionState state = attention.allocate_state(test::get_grid(values), false);
-    Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
-    attention.attend(stream, qkv.slice(), state, to.slice());
-    stream.submit_and_wait();
-    EXPECT_LT(compute_worst_error(to.read(), expected), 1e-6);
+    EXPECT_LT(compute_worst_error(attend(values), expected), 1e-6);
 }
 
 }  // namespace

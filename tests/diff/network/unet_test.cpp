@@ -186,12 +186,12 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         add_conv(block.conv);
     };
     add_conv(plan.first_conv);
-    for (const BlockOffsets& block : plan.down) add_block(block);
+    for (const auto& blocks : plan.down) std::ranges::for_each(blocks, add_block);
     if (plan.query) {
         add_block(*plan.query);
         add_conv(plan.project);
     }
-    for (const BlockOffsets& block : plan.up) add_block(block);
+    for (const auto& blocks : plan.up) std::ranges::for_each(blocks, add_block);
     add_conv(plan.last_conv);
     for (const auto& [first, n] : groups) {
         std::vector<double> device_result, expected;
