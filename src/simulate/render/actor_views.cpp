@@ -6,6 +6,7 @@
 
 #include "base/geometry/ray_box.hpp"
 #include "simulate/render/footprint.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -81,44 +82,15 @@ ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const 
     return views;
 }
 
-/// For each actor, traces the nearby rays in a scene that contains only this actor, and
-/// counts their hits. Then removes the background and actors without hits from `views`.
-void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, ScanRenderPlan plan,
-                                          ActorViews& views) {
-    plan.network = ScanRenderPlan::RayDropStage::none;  // it does not change what a ray hits
-    const std::vector<WorldRay> rays = fired_rays(sweep);
-    for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
-        if (views[i].track.empty() || !sweep.instances[i].present) continue;
-        const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
-        const RayIndices nearby =
-            rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
-        if (nearby.empty()) continue;
-        // The same sweep with only these rays, and with all other instances hidden.
-        SimulatedSweep alone = sweep;
-        alone.changed_rays = select_rays(sweep.rays(), nearby);
-        for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
-        prepare_scene(lanes.first(), alone);
-        const RenderedScan scan = plan.has_sub_rays() ? trace_footprint(alone, plan)
-                                                      : trace_rays(alone, alone.rays(), plan.network).scan;
-        views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
-    }
-    std::erase_if(views,
-                  [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
-    // Restores the instances of the full scene for the steps that follow.
-    prepare_scene(lanes.first(), sweep);
-}
-
-/// Counts the rays that return from standing objects, and estimates how many would if no
-/// other object hid them.
-/// @param scan  rays of the sweep, in the same order
-ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const {
-    ActorViews views;
-    if (standing.empty()) return views;
-    const double max_range_m = sweeps.limits_of(sweep.sensor).max_m;
-    const std::vector<WorldRay> rays = fired_rays(sweep);
+/// Counts the rays of a scan that return from standing objects, and estimates how many
+/// would if no other object hid them.
+/// @param rays the rays of the scan in the world frame
+void ScanRenderer::Impl::count_standing(const std::vector<WorldRay>& rays, const RenderedScan& scan,
+                                        double max_range_m, ActorViews& views) const {
     for (const BoxTrack& box : standing) {
         const Pose &world_from_box = box.world_from_box.pose.front(),
                    box_from_world = inverse(world_from_box);
+        // The sphere contains the box with the margin of object_interval().
         const double radius_m = 0.5 * glm::length(box.size_m) + 2.0 * kObjectMargin_m;
         CrossingRays crossing;
         for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -130,19 +102,36 @@ ActorViews ScanRenderer::Impl::count_standing(const SimulatedSweep& sweep, const
         }
         if (const auto view = crossing.visibility(box.id)) views.push_back(*view);
     }
-    return views;
 }
 
-/// Measures the visibility of all actors, and of the standing objects if the background is
-/// shown.
+/// Measures the visibility of actors, and of standing objects if the background is shown.
+/// For each actor, traces the nearby rays in a scene that contains only this actor.
 /// @param scan rays of the sweep, before a network or noise changes the drops
-ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, ScanRenderPlan plan,
                                            const RenderedScan& scan) {
+    plan.network = ScanRenderPlan::RayDropStage::none;  // it does not change what a ray hits
+    const std::vector<WorldRay> rays = fired_rays(sweep);
     ActorViews views = count_first_hits(scan);
-    count_unoccluded(sweep, plan, views);
-    if (!sweeps.is_background_shown()) return views;
-    const ActorViews of_standing = count_standing(sweep, scan);
-    views.insert(views.end(), of_standing.begin(), of_standing.end());
+    for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
+        if (views[i].track.empty() || !sweep.instances[i].present) continue;
+        const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
+        const RayIndices nearby =
+            rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
+        if (nearby.empty()) continue;
+        // The same sweep with only these rays, and with all other instances hidden.
+        SimulatedSweep alone = sweep;
+        alone.changed_rays = select_rays(sweep.rays(), nearby);
+        for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
+        prepare_scene(lanes->first(), alone);
+        const RenderedScan hits = plan.has_sub_rays() ? trace_footprint(alone, plan)
+                                                      : trace_rays(alone, alone.rays(), plan.network).scan;
+        views[i].n_rays_alone = count_first_hits(hits)[i].n_rays;
+    }
+    // Removes the background and actors that no ray would hit.
+    std::erase_if(views,
+                  [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
+    prepare_scene(lanes->first(), sweep);  // shows all instances again
+    if (sweeps.is_background_shown()) count_standing(rays, scan, sweeps.limits_of(sweep.sensor).max_m, views);
     return views;
 }
 

@@ -6,6 +6,7 @@
 
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -64,8 +65,8 @@ bool is_for_device(const PendingPoints& points) {
 
 }  // namespace
 
-/// Submits GPU commands that render a sweep and compute its points. With `with_next`, they
-/// wait for the commands of the next scan, so that the device renders both in parallel.
+/// Submits GPU commands that render a sweep and compute its points. With `with_next`,
+/// they wait for the commands of the next scan, so that both run in parallel.
 /// @param with_network true to run the ray-drop network as well
 SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                SubmissionTiming timing, PointMemory memory,
@@ -73,7 +74,7 @@ SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, cons
     const WaitOnError wait_on_error{*this};
     const SimulatedSensor& sensor = sweep.sensor;
     const RayTable& rays = sweep.rays();
-    RenderLane& lane = lanes.choose_lane(timing);
+    RenderLane& lane = lanes->choose_lane(timing);
     prepare_scene(lane, sweep);
     Renderer& renderer = lane.renderer();
     SubmittedScan scan{
@@ -96,7 +97,7 @@ SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, cons
                             .is_at_median_range = config.render.points == "median",
                             .target = scan.on_device ? &scan.on_device->points : nullptr},
                            renderer.forward_pass().n_truncated_rays());
-    lanes.submit(timing);
+    lanes->submit(timing);
     return scan;
 }
 
@@ -122,7 +123,7 @@ DevicePoints ScanRenderer::Impl::upload_points(const RenderedPoints& rendered) {
 void ScanRenderer::Impl::finish_scan(PendingPoints& points, LidarPoints reused) {
     auto* scan = std::get_if<SubmittedScan>(&points);
     if (!scan) return;
-    lanes.submit_batch();
+    lanes->submit_batch();
     const DevicePointComputer::GatheredPoints gathered =
         DevicePointComputer::wait(scan->renderer.stream(), *scan->results);
     if (gathered.n_truncated > 0) scan->renderer.check_truncation();
@@ -198,7 +199,7 @@ DevicePoints ScanRenderer::wait_for_device_points() {
 /// commands that are only recorded.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
-        lanes.submit_batch();
+        lanes->submit_batch();
         if (scene.is_loaded()) scene.renderer().stream().submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer writes to memory
     }

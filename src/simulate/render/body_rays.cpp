@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "simulate/render/body_rays.hpp"
-
-#include <relidar/log/classes.hpp>
-#include <relidar/simulate/weather.hpp>
 #include "base/parallel.hpp"
+#include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
 namespace {

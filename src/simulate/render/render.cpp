@@ -10,9 +10,9 @@
 #include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 #include "gpu/context.hpp"
-#include "simulate/render/body_rays.hpp"
 #include "simulate/render/channel_pairs.hpp"
 #include "simulate/render/footprint.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 #include "simulate/weather/air.hpp"
 
@@ -73,8 +73,8 @@ void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probab
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
-/// Returns the properties of a sensor that determine how weather affects its scans. Powers
-/// are relative: a surface returns its reflectivity divided by the square of its range.
+/// Returns the properties of a sensor that determine how weather affects its scans.
+/// Powers are relative: a surface returns its reflectivity / range^2.
 /// @param rays rays of the sensor, which define the beam divergence
 /// @param name name of the sensor; selects the maximum range of its data sheet
 WeatherSensorProperties weather_properties(const Config& config, const RayTable& rays,
@@ -132,10 +132,10 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& run_config,
       sweeps(config, all, log),
       standing(list_standing(all, log, config.init)),
       scene(device, all, config, {.accel = {}, .trace = trace_options(config)}),
-      lanes(device, scene) {}
+      lanes(std::make_unique<RenderLanes>(device, scene)) {}
 
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
-    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes.drop_network(), sampled);
+    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(), sampled);
 }
 
 bool ScanRenderer::Impl::has_channel(const std::string& name) const {
@@ -190,7 +190,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
                           .response = log.intensity_response,
                           .limits = sensor.limits,
                           .min_weight = kMinWeight,
-                          .actor_logits = actor_logits_of(lanes.drop_network(), log, sensor)});
+                          .actor_logits = actor_logits_of(lanes->drop_network(), log, sensor)});
     if (with_network) {
         const glm::dvec3 sensor_m = sweep.pose.translation + log.world_offset_m - first_origin_m;
         rays->record_drop(stream, lane.refiner->inference(), glm::vec3(sensor_m));
@@ -207,7 +207,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace(lanes.first(), sweep, ray_table, network == Network::device);
+        record_trace(lanes->first(), sweep, ray_table, network == Network::device);
     const auto [measured, network_drops] = rays->wait_measured(renderer.stream());
     renderer.check_truncation();
 
@@ -230,8 +230,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     return {std::move(scan), {network_drops.begin(), network_drops.end()}};
 }
 
-/// Traces several sub-rays for each beam and joins them to returns. If beams hit several
-/// surfaces, traces these beams again with more sub-rays, unless that needs too many rays.
+/// Traces several sub-rays for each beam and joins them to returns. Traces beams that hit
+/// several surfaces again with more sub-rays, unless that needs too many rays.
 RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan) {
     SensorConfig beam_config = plan.beams;
     const RayTable& rays = sweep.rays();
@@ -260,8 +260,8 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, co
 /// Runs the ray-drop network on a scan in host memory. Used if the network needs beams
 /// that are joined from sub-rays, or the cells of a grid.
 std::vector<float> ScanRenderer::Impl::predict_drops(const RenderedScan& scan) {
-    return lanes.first().refiner->predict_drops(
-        make_drop_image(scan, lanes.drop_network()->inputs, first_origin_m));
+    return lanes->first().refiner->predict_drops(
+        make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m));
 }
 
 /// Adds the effects of the weather to a scan, and sets the channel `source`, the cause of
@@ -305,8 +305,8 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
     const auto quantise = [&](std::vector<float>& intensities) {
         for (float& intensity : intensities) intensity = scatter.quantise(intensity);
     };
-    // Sampled intensities already have the steps, unless weather changed them. Intensities
-    // of second returns are not sampled.
+    // Sampled intensities already have the steps, unless weather changed them. Second
+    // returns keep their expected intensities.
     if (!seed || !is_clear) quantise(scan.image.intensity);
     for (AdditionalReturns& second : scan.second_returns) quantise(second.intensity);
 }
@@ -318,8 +318,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     const WaitOnError wait_on_error{*this};
     const SimulatedSensor& sensor = sweep.sensor;
     const ScanRenderPlan plan = plan_sweep(sweep, seed.has_value());
-    lanes.submit_batch();
-    prepare_scene(lanes.first(), sweep);
+    lanes->submit_batch();
+    prepare_scene(lanes->first(), sweep);
     TracedScan traced = plan.has_sub_rays() ? TracedScan{trace_footprint(sweep, plan)}
                                             : trace_rays(sweep, sweep.rays(), plan.network);
     RenderedScan scan = std::move(traced.scan);
@@ -363,7 +363,7 @@ void ScanRenderer::use_network(const RayDropNetwork& network) {
     // Only throws an error if the network has inputs that cannot be rendered.
     channel_numbers(network.inputs);
     impl_->finish_pending();
-    impl_->lanes.use_network(network);
+    impl_->lanes->use_network(network);
 }
 
 void ScanRenderer::add_channels(const std::string& comma_separated_names) {
@@ -379,14 +379,14 @@ void ScanRenderer::set_parallel(int count) {
         fail<UsageError>("cannot render several scans at the same time: found {} scans, expected at least 1",
                          count);
     impl_->finish_pending();
-    impl_->lanes.set_limit(count);
+    impl_->lanes->set_limit(count);
 }
 
 int ScanRenderer::default_parallel(const Device& device) {
     return device.impl().forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
-int ScanRenderer::max_parallel() const { return impl_->lanes.parallel_limit(); }
+int ScanRenderer::max_parallel() const { return impl_->lanes->parallel_limit(); }
 
 void ScanRenderer::count_actor_rays(bool enabled) { impl_->settings.has_views = enabled; }
 
@@ -421,7 +421,7 @@ void ScanRenderer::set_weather(const Weather& weather) {
 }
 
 bool ScanRenderer::has_network_for(const SimulatedSensor& sensor) const {
-    return corrects_drop(impl_->lanes.drop_network(), sensor);
+    return corrects_drop(impl_->lanes->drop_network(), sensor);
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.kernel_times(); }

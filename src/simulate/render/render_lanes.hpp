@@ -29,7 +29,7 @@ public:
     std::optional<RayDropRefiner> refiner = {};  ///< empty if no ray-drop network is used
 
     Renderer& renderer() { return copy_ ? *copy_ : scene_.renderer(); }
-    /// Returns the rays of a sensor on the device, and uploads them unless they are cached.
+    /// Returns the rays of a sensor on the device. Uploads them unless they are cached.
     /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
     std::shared_ptr<DeviceSensorRays> upload_rays(const SimulatedSensor& sensor, const RayTable& ray_table,
@@ -48,7 +48,7 @@ public:
     RenderLanes(Device& device, ResidentScene& scene);
 
     RenderLane& first() { return lanes_.front(); }
-    /// Returns the lane for the next scan. With `with_next`, the scan and those that follow
+    /// Returns the lane for the next scan. A scan with `with_next` and those that follow
     /// it form a batch, unless the limit is one scan.
     RenderLane& choose_lane(ScanRenderer::SubmissionTiming timing);
     /// Submits the recorded scans, unless their batch waits for the next scan.

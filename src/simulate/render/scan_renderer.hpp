@@ -12,7 +12,9 @@
 #include <relidar/simulate/render.hpp>
 
 #include "simulate/render/channel_makers.hpp"
-#include "simulate/render/render_lanes.hpp"
+#include "simulate/render/points_on_device.hpp"
+#include "simulate/render/resident_scene.hpp"
+#include "simulate/render/sweep.hpp"
 
 namespace relidar {
 
@@ -45,6 +47,16 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
 
 bool corrects_drop(const RayDropNetwork* network, const SimulatedSensor& sensor);
 
+/// Replaces the values of rays that hit the own vehicle before they hit another surface.
+/// Their range is that of an ideal ray. They are dropped unless the body keeps its
+/// points. Can be called again after noise or weather have changed values.
+/// @param limits a hit outside these limits has no return
+void block_rays(RenderedScan& scan, const VehicleBody& body, const RangeLimits& limits);
+
+class DeviceSensorRays;
+class RenderLane;
+class RenderLanes;
+
 /// Scan of which the device computes the points while the host continues.
 struct SubmittedScan {
     std::shared_ptr<DeviceSensorRays> rays;
@@ -74,7 +86,7 @@ struct ScanRenderer::Impl {
     SimulatedSweepBuilder sweeps;
     const std::vector<BoxTrack> standing;  ///< list_standing() of the scene
     ResidentScene scene;
-    RenderLanes lanes;
+    std::unique_ptr<RenderLanes> lanes;
     SurfaceClassMap class_map = {};
     /// Search tree of `class_map`. Null until the first scan with the channel "class".
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
@@ -105,9 +117,9 @@ struct ScanRenderer::Impl {
                           ScanRenderPlan::RayDropStage network);
     RenderedScan trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan);
     ActorViews count_first_hits(const RenderedScan& scan) const;
-    void count_unoccluded(const SimulatedSweep& sweep, ScanRenderPlan plan, ActorViews& views);
-    ActorViews count_standing(const SimulatedSweep& sweep, const RenderedScan& scan) const;
-    ActorViews count_views(const SimulatedSweep& sweep, const ScanRenderPlan& plan, const RenderedScan& scan);
+    void count_standing(const std::vector<WorldRay>& rays, const RenderedScan& scan, double max_range_m,
+                        ActorViews& views) const;
+    ActorViews count_views(const SimulatedSweep& sweep, ScanRenderPlan plan, const RenderedScan& scan);
     std::vector<float> predict_drops(const RenderedScan& scan);
     void simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep, std::uint64_t seed);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);

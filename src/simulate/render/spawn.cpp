@@ -7,6 +7,7 @@
 
 #include "base/fail.hpp"
 #include "base/random.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -44,9 +45,9 @@ void ScanRenderer::Impl::check_new_name(const std::string& name) const {
 /// Adds a model to all copies of the scene.
 std::uint32_t ScanRenderer::Impl::add_model(const Scene& model, const BoxTrack& box) {
     // The copies use the stream of the renderer, so they are removed before it.
-    if (scene.must_reload(model)) lanes.remove_copies();
+    if (scene.must_reload(model)) lanes->remove_copies();
     const std::uint32_t index = scene.add_model(model);
-    lanes.change_copies([&](Renderer& copy) { copy.append_model(model); });
+    lanes->change_copies([&](Renderer& copy) { copy.append_model(model); });
     sweeps.add_model(model.models.front(), box);
     return index;
 }
@@ -64,7 +65,7 @@ ActorHandle ScanRenderer::Impl::add_instance(std::uint32_t source, const std::st
     ModelInstance instance{source, name};
     if (is_used && !can_share) instance.model = add_model(scene.copy_model(source), {});
     scene.add_instance(instance);
-    lanes.change_copies([&](Renderer& copy) { copy.append_instance(instance); });
+    lanes->change_copies([&](Renderer& copy) { copy.append_instance(instance); });
     return ActorHandle(sweeps.add_instance(instance.model));
 }
 

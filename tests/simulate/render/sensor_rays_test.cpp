@@ -14,7 +14,7 @@
 #include "../../support/device.hpp"
 #include "../plates.hpp"
 #include "base/random.hpp"
-#include "simulate/render/body_rays.hpp"
+#include "simulate/render/scan_renderer.hpp"
 #include "simulate/render/sensor_rays.hpp"
 
 namespace relidar {
