@@ -2,6 +2,7 @@
 #include "simulate/render/footprint.hpp"
 
 #include <cmath>
+#include <numeric>
 
 #include "simulate/render/channel_pairs.hpp"
 
@@ -103,12 +104,6 @@ float sum_over_group(const SubRayReturn& group, const std::vector<float>& values
     return sum;
 }
 
-float mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
-    float sum = 0.0f;
-    for (std::size_t i = first_index; i < first_index + std::size_t(count); ++i) sum += values[i];
-    return sum / static_cast<float>(count);
-}
-
 /// Returns the group that is the second return of a beam: the last one, or the second
 /// strongest if the last is the strongest.
 /// @param groups at least two groups of the beam, sorted by range
@@ -149,22 +144,21 @@ public:
             return std::pair(std::abs(parts_.median_range_m[hit.index] - joined_m), hit.index);
         };
         const std::size_t nearest = std::ranges::min_element(strongest.parts, {}, distance_to_joined)->index;
-        for_all_channels(parts_, scan_,
-                         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
-                                      std::vector<T>& of_rays) {
-                             if constexpr (std::is_same_v<T, float>) {
-                                 if (channel.join == ChannelMergeRule::range)
-                                     return of_rays.push_back(weighted_mean(strongest, of_parts, parts_));
-                                 if (channel.join == ChannelMergeRule::drop)
-                                     return of_rays.push_back(mean_of_slice(of_parts, first, n));
-                                 if (channel.join == ChannelMergeRule::intensity)
-                                     return of_rays.push_back(groups.empty()
-                                                                  ? of_parts[first]
-                                                                  : sum_over_group(strongest, of_parts) /
-                                                                        static_cast<float>(n));
-                             }
-                             of_rays.push_back(of_parts[nearest]);
-                         });
+        const auto append_joined = [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
+                                                std::vector<T>& of_rays) {
+            T value = of_parts[nearest];
+            if constexpr (std::is_same_v<T, float>) {
+                const auto begin = of_parts.begin() + std::ptrdiff_t(first);
+                if (channel.join == ChannelMergeRule::range)
+                    value = weighted_mean(strongest, of_parts, parts_);
+                if (channel.join == ChannelMergeRule::drop)
+                    value = std::accumulate(begin, begin + n, 0.0f) / float(n);
+                if (channel.join == ChannelMergeRule::intensity && !groups.empty())
+                    value = sum_over_group(strongest, of_parts) / float(n);
+            }
+            of_rays.push_back(value);
+        };
+        for_all_channels(parts_, scan_, append_joined);
         if (!scan_.second_returns.empty()) append_second(groups, strongest);
     }
 
