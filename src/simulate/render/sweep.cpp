@@ -54,14 +54,14 @@ void check_path(const SimulatedSweep& sweep) {
         sweep.time_s + double(last) <= times_s.back() + kBeyondPath_s)
         return;
     fail(
-        "cannot render a scan from {:.6g} to {:.6g} s: found poses from {:.6g} to {:.6g} s, expected {} s "
-        "less",
+        "cannot render a scan from {:.6g} to {:.6g} s: found poses from {:.6g} to {:.6g} s, expected poses "
+        "that lack at most {} s at each end",
         sweep.time_s + double(first), sweep.time_s + double(last), times_s.front(), times_s.back(),
         kBeyondPath_s);
 }
 
-/// Returns the rays of a sweep if they differ from `sensor.rays`: if the pattern has other
-/// rays in each scan, or if all rays are fired at the same time.
+/// Returns the rays of a sweep if they differ from `sensor.rays`: if the pattern has
+/// other rays in each scan, or if all rays are fired at the same time.
 std::optional<RayTable> changed_rays_of(const SimulatedSensor& sensor, double time_s, bool is_rolling) {
     const bool has_varying_rays = sensor.pattern && sensor.rays.size() == 0;
     if (!has_varying_rays && is_rolling) return {};
@@ -169,7 +169,7 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (is_rolling) check_path(sweep);
     else sweep.world_from_sensor = {{time_s}, {sweep.pose}};  // all rays are fired from this pose
-    // The times of the instances depend on the azimuth at which the sensor starts a sweep.
+    // The times of the instances depend on the azimuth at which the sweep starts.
     const SweepTiming timing{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     sweep.instances = pose_instances(layout_, log_, timing, world_from_actor);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i)
