@@ -17,8 +17,8 @@ struct MotionDuringScan {
     PoseTrack world_from_sensor;       ///< in relidar's world frame
     std::vector<InstancePose> placed;  ///< [instances] poses and motions
 
-    /// Returns a ray in the world frame. Its origin moves with the sensor. The rotation of
-    /// the LiDAR head does not move it.
+    /// Returns a ray in the world frame. Its origin moves with the sensor. The rotation
+    /// of the LiDAR head does not move it.
     RayMotion motion_of_ray(const RenderedScan& scan, std::size_t ray) const;
     /// Returns the velocity of a point of an instance in m/s; 0 if the index is -1.
     /// Ignores the limbs of a walking actor.

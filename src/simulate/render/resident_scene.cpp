@@ -66,14 +66,14 @@ std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_
 }
 
 void ResidentScene::load_near(const glm::vec3& sensor_position_m, double max_range_m) {
-    ++scans_;
+    ++n_scans_;
     const double reach_m = max_range_m + kMaxSweepMotion_m;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
         const SceneBlock& block = scene_.blocks[i];
         if (block.count == 0 || block.distance_m(sensor_position_m) > reach_m) continue;
         needed.push_back(i);
-        last_needed_[i] = scans_;  // number of the last scan that needed the block
+        last_needed_[i] = n_scans_;
     }
     // Loads only if a needed block is missing. Both lists are ascending.
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))

@@ -55,7 +55,7 @@ private:
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
     /// [blocks] last scan that needed the block; 0 if none
     std::vector<std::uint64_t> last_needed_;
-    std::uint64_t scans_ = 0;
+    std::uint64_t n_scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
     KernelTimes past_, times_;
 };

@@ -19,20 +19,21 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
+    const bool is_circular = is_full_turn(image.rows, image.columns, image.direction);
     const RangeImageRays rays{.rows = image.rows,
                               .columns = image.columns,
                               .origin = image.origin,
                               .direction = image.direction,
                               .range_m = scan.median_range_m,
-                              .circular = is_full_turn(image.rows, image.columns, image.direction)};
+                              .circular = is_circular};
     RenderedIntensityImage result{.rows = image.rows,
                                   .columns = image.columns,
                                   .intensity = image.intensity,
                                   .range_m = scan.median_range_m,
-                                  .spread_m = range_spread(scan)};
-    result.circular = rays.circular;
-    result.cosine.resize(image.direction.size());
-    result.elevation_rad.resize(image.direction.size());
+                                  .spread_m = range_spread(scan),
+                                  .cosine = std::vector<float>(image.direction.size()),
+                                  .elevation_rad = std::vector<float>(image.direction.size()),
+                                  .circular = is_circular};
     parallel_blocks(image.direction.size(), [&](std::size_t index) {
         result.cosine[index] = static_cast<float>(incidence_cosine(rays, index));
         result.elevation_rad[index] = std::asin(std::clamp(image.direction[index].z, -1.0f, 1.0f));

@@ -67,7 +67,8 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
             "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
             sensor.name);
     plan.network = choose_drop_stage(network, sensor, rays, plan.has_sub_rays());
-    // The device computes only the points of plain scans. Other steps need the host.
+    // The device computes only the points of plain scans with the same rays in each scan.
+    // Other steps need the host.
     plan.points_on_device = !sampled && settings.weather.is_clear() && settings.channels.empty() &&
                             !sensor.grid && !plan.has_sub_rays() && sensor.rays.size() > 0 &&
                             sensor.body.boxes.empty();

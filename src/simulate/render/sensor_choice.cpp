@@ -162,7 +162,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
         for (std::size_t pixel = 0; pixel < n; ++pixel)
             if (shown[pixel]) of_pixels[pixel] = of_rays[*shown[pixel]];
         if constexpr (std::is_same_v<T, float>) {
-            // Ranges of a grid are distances from its origin, not from the origin of the ray.
+            // A grid has distances from its origin, not from the origin of the ray.
             for (std::size_t pixel = 0; channel.join == ChannelMergeRule::range && pixel < n; ++pixel)
                 if (shown[pixel])
                     of_pixels[pixel] = glm::length(scan.image.origin[*shown[pixel]] +

@@ -134,9 +134,9 @@ void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
                       .sees = 1.0f - drop_probability(index),
                       .channel = rays.channel[index]};
     });
-    if (all.size() > measured_.size()) {  // measured_ is allocated last
-        // Frees the old arrays before allocating larger ones. If an allocation fails,
-        // is_uploaded() returns false, because the table is empty.
+    if (all.size() > measured_.size()) {
+        // Frees the old arrays before allocating larger ones. If an allocation fails, the
+        // table and the last array are empty, so the next call allocates again.
         table_ = {};
         rays_ = {};
         fired_ = {};

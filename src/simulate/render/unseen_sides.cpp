@@ -25,7 +25,7 @@ struct PartlyObservedActor {
     /// surfels of a side
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
-    /// Counts a ray of a scan if it sees a side of the actor that the log has not observed.
+    /// Counts a ray of a scan if it sees a side that the log has not observed.
     void count_ray(const RenderedScan& scan, std::size_t ray, const WorldRay& in_world) {
         if (!passes_sphere(in_world.origin_m, in_world.direction, centre_m, radius_m)) return;
         const double firing_time_s = scan.time_s + double(scan.time_offset_s[ray]),
