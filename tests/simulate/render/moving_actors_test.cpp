@@ -16,6 +16,9 @@ namespace relidar {
 namespace {
 
 constexpr double kRevolution_s = 0.1;
+/// Half of the light passes the edge of a surfel, at sqrt(2 ln(2 opacity)) standard
+/// deviations.
+const double kEdge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
 
 /// @param half_m visible extent from the middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
@@ -33,6 +36,12 @@ Surfels make_front() {
     Surfels front;
     add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     return front;
+}
+
+Surfels make_rear() {
+    Surfels rear;
+    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
+    return rear;
 }
 
 Scene make_one_actor(const Surfels& surfels, Surfels background = {}) {
@@ -67,6 +76,8 @@ Log drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at) {
 }
 
 using PoseAt = std::function<Pose(double)>;
+const PoseAt kStands = [](double) { return Pose{}; };
+const PoseAt kVanAhead = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
 
 /// Separately for the rays at the start and at the end of the sweep.
 std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
@@ -126,12 +137,11 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     for (const float x : {-2.0f, 2.0f})
         add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)),
                  {1.0f, 0.02f});
-    const PoseAt sensor = [](double) { return Pose{}; };
     // next to the sensor when the head faces it
     const PoseAt car = [](double t_s) {
         return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}};
     };
-    const RenderedScan scan = render(make_one_actor(posts), drive(7200, sensor, car), 0.5);
+    const RenderedScan scan = render(make_one_actor(posts), drive(7200, kStands, car), 0.5);
     double n[2] = {}, x_m[2] = {}, t_s[2] = {};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
@@ -150,30 +160,22 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
 }
 
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
-    const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double t_s) { return Pose{{1, 0, 0, 0}, {20.0 * (t_s - 0.5) - 10.0, 0.0, 0.0}}; };
-    Log log = drive(720, sensor, van);
+    Log log = drive(720, kStands, van);
     log.rolling_shutter = false;
     expect_front(log);
 }
 
-/// Half of the light passes the edge of a surfel, at sqrt(2 ln(2 opacity)) standard
-/// deviations.
 TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
-    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
-    Surfels rear;
-    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
-    const PoseAt sensor = [](double) { return Pose{}; };
-    const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    Log log = drive(7200, sensor, van);
+    Log log = drive(7200, kStands, kVanAhead);
     log.boxes[0].category = "Pedestrian";
     const auto expect_share = [&](double wall_x_m, double share) {
         Surfels wall;
         // Three narrow surfels in a row, so that the wall has a sharp edge at y = 0.
         for (int k = 0; k < 3; ++k)
-            add_wall(wall, {float(wall_x_m), float(0.25 * edge + 0.45 * k), 0.0f}, glm::quat(0, 0, 0, 1),
+            add_wall(wall, {float(wall_x_m), float(0.25 * kEdge + 0.45 * k), 0.0f}, glm::quat(0, 0, 0, 1),
                      {2.0f, 0.25f});
-        const Scene scene = make_one_actor(rear, wall);
+        const Scene scene = make_one_actor(make_rear(), wall);
         Config config;
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
@@ -184,7 +186,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         const ActorVisibility& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
         // The van's rear is 10 m ahead. A column is 2 pi / 7200 wide.
-        EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
+        EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(kEdge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
         EXPECT_NEAR(double(view.n_rays) / double(view.n_rays_alone), share, 0.015);
         // 0 is the background, 3 is a person, and -1 means that the ray hits nothing.
         const auto& classes = *find_values<std::int32_t>(scan.channels, "class");
@@ -199,15 +201,13 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
 /// A plate fills the front of a labelled box that stands. Rays at |y| < 1.1 m, the side
 /// of the box with its margin, hit the plate 10 m ahead.
 TEST_F(MovingActors, AWallHidesHalfOfAParkedVan) {
-    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
-    const PoseAt sensor = [](double) { return Pose{}; };
     const auto view_of = [&](const glm::dvec3& box_m, float first_wall_y_m) {
         const PoseAt parked = [&](double) { return Pose{{1, 0, 0, 0}, box_m}; };
-        Log log = drive(7200, sensor, parked);
+        Log log = drive(7200, kStands, parked);
         Surfels surfels;
         add_wall(surfels, {10.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.5f));
         for (int k = 0; k < 6; ++k)
-            add_wall(surfels, {5.0f, first_wall_y_m + float(0.25 * edge + 0.45 * k), 0.0f},
+            add_wall(surfels, {5.0f, first_wall_y_m + float(0.25 * kEdge + 0.45 * k), 0.0f},
                      glm::quat(0, 0, 0, 1), {2.0f, 0.25f});
         Config config;
         ScanRenderer renderer(device(), wrap_background(std::move(surfels)), config, log);
@@ -233,15 +233,11 @@ TEST_F(MovingActors, AWallHidesHalfOfAParkedVan) {
 
 /// A ray that loses less than half of its light at the edge passes the van.
 TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
-    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
-    Surfels rear, wall;
-    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
+    Surfels wall;
     add_wall(wall, {30.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(30.0f));
-    const PoseAt sensor = [](double) { return Pose{}; };
-    const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    const Log log = drive(7200, sensor, van);
+    const Log log = drive(7200, kStands, kVanAhead);
     for (const bool has_wall : {true, false}) {
-        const Scene scene = make_one_actor(rear, has_wall ? wall : Surfels{});
+        const Scene scene = make_one_actor(make_rear(), has_wall ? wall : Surfels{});
         const RenderedScan scan = ScanRenderer(device(), scene, {}, log).render(make_sensor({}, log), 0.5);
         int n_returns = 0, n_touched = 0;
         for (std::size_t i = 0; i < scan.instance.size(); ++i) {
@@ -249,7 +245,7 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
             n_returns +=
                 scan.instance[i] == 1 && is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
         }
-        EXPECT_NEAR(n_returns, 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0) << has_wall;
+        EXPECT_NEAR(n_returns, 2.0 * std::atan(kEdge / 10.0) / (2.0 * kPi) * 7200.0, 3.0) << has_wall;
         EXPECT_EQ(n_touched > n_returns + 100, !has_wall);
     }
 }
@@ -277,11 +273,10 @@ TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
 }
 
 TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
-    Surfels wall, rear;
+    Surfels wall;
     add_wall(wall, {0.0f, 12.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, -std::sqrt(0.5f)),
              {2.0f, 30.0f});
-    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
-    const Scene scene = make_one_actor(rear, wall);
+    const Scene scene = make_one_actor(make_rear(), wall);
     const PoseAt sensor = [](double t_s) {
         return Pose{glm::angleAxis(0.4 * (t_s - 0.5), glm::dvec3(0, 0, 1)), {15.0 * (t_s - 0.5), 0.0, 0.0}};
     };
