@@ -15,8 +15,7 @@
 namespace relidar {
 namespace {
 
-// Usually 20 to 30 are enough, even for long logs.
-constexpr int kMaxIterations = 100;
+constexpr int kMaxIterations = 100;  // usually 20 to 30 are enough, even for long logs
 // Sums over planes run in parallel: at most kMaxPlaneParts sums over at least
 // kMinPlanesPerPart planes.
 constexpr std::size_t kMaxPlaneParts = 64, kMinPlanesPerPart = 256;
@@ -36,6 +35,29 @@ std::array<std::pair<std::size_t, double>, 2> poses_of_point(const SubsampledPoi
 Eigen::Vector3d plane_jacobian(const WorldPointWithOrigin& point, const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
+}
+
+/// Solves A x = b for a positive definite matrix A by conjugate gradients.
+/// @param multiply  returns A times a vector
+/// @param precondition  returns about the inverse of A times a vector
+template <class Multiply, class Precondition>
+Eigen::VectorXd solve_conjugate_gradient(const Eigen::VectorXd& b, const Multiply& multiply,
+                                         const Precondition& precondition) {
+    // r: residual of the equations, z: preconditioned residual, p: search direction.
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(b.size()), r = b, z = precondition(r), p = z;
+    double rz = r.dot(z);
+    const double final_rz = kSolverTolerance * kSolverTolerance * rz;
+    for (int i = 0; i < kMaxIterations && rz > final_rz && rz > 0.0; ++i) {
+        const Eigen::VectorXd q = multiply(p);
+        const double step = rz / p.dot(q);
+        x += step * p;
+        r -= step * q;
+        z = precondition(r);
+        const double next_rz = r.dot(z);
+        p = z + next_rz / rz * p;
+        rz = next_rz;
+    }
+    return x;
 }
 
 }  // namespace
@@ -66,8 +88,7 @@ double SinglePoseEquations::move_pose(Pose& pose, double prior_weight,
                                       const Twist& current_correction) const {
     if (empty()) return 0.0;
     // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: diagonal prior, c:
-    // current correction. Metres and radians differ in size, so the prior has one weight
-    // for each.
+    // current correction. Metres and radians have different priors.
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
     const double prior_m = prior_weight * stiffness_.diagonal().head<3>().mean(),
@@ -153,20 +174,18 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
     for (std::size_t k = begin; k < couplings_.size(); ++k)
         block_of(gradient_, couplings_[k].pose) -= couplings_[k].c.cast<double>() * whitened(pull);
     plane_end_.push_back(couplings_.size());
-    ++n_planes_;
 }
 
-/// Adds the sums over other cells.
+/// Adds the sums over other cells. All poses are in both equations.
 void PoseEquations::add_equations(PoseEquations&& other) {
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         diagonal_[k] += other.diagonal_[k];
         next_[k] += other.next_[k];
     }
     gradient_ += other.gradient_;
-    // Ends of planes are positions in couplings_, so they shift by its current size.
+    // The couplings of the other planes follow those of the planes so far.
     for (const std::size_t end : other.plane_end_) plane_end_.push_back(couplings_.size() + end);
     couplings_.insert(couplings_.end(), other.couplings_.begin(), other.couplings_.end());
-    n_planes_ += other.n_planes_;
     cost_ += other.cost_;
     weight_ += other.weight_;
     other = PoseEquations(0);  // frees the memory of `other`
@@ -185,41 +204,39 @@ void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, c
     block_of(gradient_, pose + 1) += weights.cwiseProduct(difference);
 }
 
+/// Computes H x with H = T - sum over planes of c c^T. T has the blocks diagonal_ and
+/// next_, because a point connects only neighbouring poses. c has the couplings of a
+/// plane, a block of 6 x 3 for each pose that sees it.
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
-    // H = T - sum over planes of c c^T. T: block tridiagonal (diagonal_, next_).
-    // c: couplings of a plane, a block of 6 x 3 for each pose that sees it.
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
-    // T x: points connect only neighbouring poses.
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         block_of(y, k) += diagonal_[k] * block_of(x, k);
         if (k + 1 == diagonal_.size()) break;
         block_of(y, k) += next_[k] * block_of(x, k + 1);
         block_of(y, k + 1) += next_[k].transpose() * block_of(x, k);
     }
-    if (n_planes_ == 0) return y;
-    // c c^T x: planes connect all poses that see them.
-    y -= parallel_sum(
-        n_planes_, std::max(kMinPlanesPerPart, n_planes_ / kMaxPlaneParts + 1),
-        [&](std::size_t first, std::size_t last) {
-            Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
-            for (std::size_t plane = first; plane < last; ++plane) {
-                const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
-                Eigen::Vector3d c_times_x = Eigen::Vector3d::Zero();
-                for (std::size_t k = begin; k < end; ++k)
-                    c_times_x += couplings_[k].c.cast<double>().transpose() * block_of(x, couplings_[k].pose);
-                for (std::size_t k = begin; k < end; ++k)
-                    block_of(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * c_times_x;
-            }
-            return part;
-        });
+    if (n_planes() == 0) return y;
+    const std::size_t part_size = std::max(kMinPlanesPerPart, n_planes() / kMaxPlaneParts + 1);
+    y -= parallel_sum(n_planes(), part_size, [&](std::size_t first, std::size_t last) {
+        Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());  // sum of c (c^T x)
+        for (std::size_t plane = first; plane < last; ++plane) {
+            Eigen::Vector3d c_times_x = Eigen::Vector3d::Zero();
+            for (const PlanePoseCoupling& coupling : couplings_of(plane))
+                c_times_x += coupling.c.cast<double>().transpose() * block_of(x, coupling.pose);
+            for (const PlanePoseCoupling& coupling : couplings_of(plane))
+                block_of(part, coupling.pose) += coupling.c.cast<double>() * c_times_x;
+        }
+        return part;
+    });
     return y;
 }
 
-/// Equations for groups of eight consecutive poses that move like one rigid body, a part
-/// of the solver's preconditioner.
+/// Equations for groups of eight consecutive poses, each of which moves like one rigid
+/// body. They are small enough for a direct solution.
 class PoseGroupEquations {
 public:
-    /// Sums the equations of all poses to equations of their groups, and factorises them.
+    /// Sums the equations of the poses: a motion g of a group moves its pose k by the
+    /// twist A_k g (carry_), so block (j, k) of the poses becomes A_j^T block A_k.
     /// @param pull diagonal of the prior of each pose
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
         : n_(equations.diagonal_.size()) {
@@ -235,11 +252,8 @@ public:
             find_block(group, next_group) += pair_matrix;
             find_block(next_group, group) += pair_matrix.transpose();
         }
-        std::size_t begin = 0;
-        for (const std::size_t end : equations.plane_end_) {
-            add_couplings(std::span(equations.couplings_).subspan(begin, end - begin));
-            begin = end;
-        }
+        for (std::size_t plane = 0; plane < equations.n_planes(); ++plane)
+            subtract_plane(equations.couplings_of(plane));
         factorise_matrix();
     }
 
@@ -259,8 +273,7 @@ private:
     static constexpr std::size_t kPosesPerGroup = 8;
 
     const std::size_t n_;
-    // [poses] converts the twist (6 values) of the group to the twist of one pose
-    std::vector<Matrix6> carry_;
+    std::vector<Matrix6> carry_;  // [poses] converts the twist of the group to that of the pose
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
@@ -269,9 +282,9 @@ private:
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
-    /// Subtracts the Schur complement of one plane. First adds up the couplings of poses
-    /// in the same group, because they move together.
-    void add_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
+    /// Subtracts the term c c^T of a plane. First adds up its couplings with the poses of
+    /// each group, because these move together.
+    void subtract_plane(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
         std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
         for (const PoseEquations::PlanePoseCoupling& coupling : couplings) {
             const std::size_t group = coupling.pose / kPosesPerGroup;
@@ -298,41 +311,31 @@ private:
     }
 };
 
+/// Solves (H + P) x = -(g + P c). P: diagonal prior, c: current corrections.
 Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
                                            double prior_weight) const {
-    // Solves (H + P) x = -(g + P c). P: diagonal prior, c: current corrections.
     const std::size_t n = diagonal_.size();
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& block : diagonal_) mean += block.diagonal() / double(n);
     const Vector6 pull = prior_weight * mean;  // block of P, the same for each pose
+    const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
+    // The preconditioner solves each pose alone, and adds a solution for groups of poses.
     std::vector<Eigen::LLT<Matrix6>> factorised_blocks;
     for (const Matrix6& block : diagonal_)
         // The small constant keeps the matrix of a pose without points invertible.
         factorised_blocks.emplace_back(block + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
     const PoseGroupEquations groups(*this, track, pull);
-    const auto preconditioned = [&](const Eigen::VectorXd& r) {
+    const auto precondition = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k) block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
         groups.add_group_motions(r, z);
         return z;
     };
-    // r: residual of the equations, z: preconditioned residual, p: search direction.
-    const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
-    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()),
-                    r = -gradient_ - pulls.cwiseProduct(current_corrections), z = preconditioned(r), p = z;
-    double rz = r.dot(z);
-    const double final_rz = kSolverTolerance * kSolverTolerance * rz;
-    for (int i = 0; i < kMaxIterations && rz > final_rz && rz > 0.0; ++i) {
-        const Eigen::VectorXd q = multiply(p) + pulls.cwiseProduct(p);  // (H + P) p
-        const double step = rz / p.dot(q);
-        x += step * p;
-        r -= step * q;
-        z = preconditioned(r);
-        const double next_rz = r.dot(z);
-        p = z + next_rz / rz * p;
-        rz = next_rz;
-    }
-    return x;
+    const auto multiply_with_prior = [&](const Eigen::VectorXd& p) -> Eigen::VectorXd {
+        return multiply(p) + pulls.cwiseProduct(p);
+    };
+    return solve_conjugate_gradient(-gradient_ - pulls.cwiseProduct(current_corrections), multiply_with_prior,
+                                    precondition);
 }
 
 }  // namespace relidar

@@ -10,6 +10,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include <Eigen/Core>
@@ -109,7 +110,7 @@ public:
     Eigen::VectorXd solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
                                 double prior_weight) const;
 
-    std::size_t n_planes() const { return n_planes_; }
+    std::size_t n_planes() const { return plane_end_.size(); }
     double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
@@ -120,18 +121,20 @@ private:
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
     };
-    std::vector<Matrix6> diagonal_, next_;  ///< blocks (k, k) and (k, k + 1) of sum w J J^T
+    std::vector<Matrix6> diagonal_, next_;  ///< [poses] blocks (k, k) and (k, k + 1) of sum w J J^T
     Eigen::VectorXd gradient_;
-    std::vector<PlanePoseCoupling> couplings_;
-    std::vector<std::size_t> plane_end_;  ///< [planes] end of each plane's entries in couplings_
-    std::size_t n_planes_ = 0;
+    std::vector<PlanePoseCoupling> couplings_;  ///< of all planes, plane by plane
+    std::vector<std::size_t> plane_end_;        ///< [planes] end of each plane's couplings
     double cost_ = 0.0, weight_ = 0.0;
 
+    std::span<const PlanePoseCoupling> couplings_of(std::size_t plane) const {
+        const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1];
+        return std::span(couplings_).subspan(begin, plane_end_[plane] - begin);
+    }
     /// Adds the distance of a point from a fixed plane. The point moves with the two
     /// poses between which it was measured.
     void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
-    /// Returns H times a vector without building H, which would be dense because planes
-    /// couple many poses.
+    /// Returns H x without building H, which is dense because planes couple many poses.
     Eigen::VectorXd multiply(const Eigen::VectorXd& input_vector) const;
     friend class PoseGroupEquations;
 };
