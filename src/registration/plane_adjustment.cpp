@@ -10,8 +10,7 @@
 namespace relidar {
 namespace {
 
-// Sums are computed in this fixed number of parts, so that rounding does not depend on
-// the number of threads.
+// Number of partial sums. It is fixed, so that rounding does not depend on threads.
 constexpr int kChunks = 64;
 // Number of optimisation rounds in which the grid cells for fitting planes shrink, and
 // number of further rounds with the smallest cells.
@@ -20,10 +19,8 @@ constexpr double kGridShift_cells = 0.37;  // Shift of the cell grid from one ro
 // Weight of a term that pulls pose corrections to zero, relative to the mean weight of
 // the points. The term matters only in directions that the points do not determine.
 constexpr double kAdjustmentPrior = 1e-4;
-// Minimum number of points on planes that determine a pose reliably.
-constexpr std::size_t kMinPlacedPoints = 30;
-// The registration of a scan failed if less than this share of its points lies on planes.
-constexpr double kMinShareOnPlanes = 0.05;
+constexpr std::size_t kMinPlacedPoints = 30;  // minimum number of points on planes that determine a pose
+constexpr double kMinShareOnPlanes = 0.05;    // minimum share of a registered scan's points on planes
 
 std::vector<WorldPointWithOrigin> points_to_world(const PoseTrack& track,
                                                   const std::vector<SubsampledPoint>& points) {
@@ -105,72 +102,80 @@ PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
     return fit_cell_planes(points_, points_to_world(track_, points_), round_settings, 0.0);
 }
 
+/// Sums the equations of the points in all cells with a plane.
+PoseEquations PoseAdjustment::sum_equations(const std::vector<WorldPointWithOrigin>& world_points,
+                                            const PlaneMap& map, double scale_m) const {
+    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
+    const std::size_t chunk_size = map.cells.size() / kChunks + 1;
+    parallel_ranges(map.cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t cell = begin; cell < end; ++cell)
+            if (map.planes[cell])
+                parts[begin / chunk_size].add_cell(points_, world_points, map.cells.points_in_cell(cell),
+                                                   *map.planes[cell], scale_m);
+    });
+    for (std::size_t chunk = 1; chunk < kChunks; ++chunk) parts[0].add_equations(std::move(parts[chunk]));
+    return std::move(parts[0]);
+}
+
 /// Fits a plane to the points in each cell, and moves all poses by one Gauss-Newton step
 /// towards these planes.
 /// @param grid_shift_cells offset of the grid, so that cell borders differ from round to
 /// round
 /// @return the settings with the statistics of this round
-FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_cells) {
+FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
-    const PlaneMap map = fit_cell_planes(points_, placed, round_settings, grid_shift_cells);
-    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));  // [chunks of cells]
-    const std::size_t chunk_size = map.cells.size() / kChunks + 1;
-    parallel_ranges(map.cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t cell = begin; cell < end; ++cell)
-            if (map.planes[cell])
-                parts[begin / chunk_size].add_cell(points_, placed, map.cells.points_in_cell(cell),
-                                                   *map.planes[cell], round_settings.scale_m);
-    });
-    for (std::size_t chunk = 1; chunk < kChunks; ++chunk) parts[0].add_equations(std::move(parts[chunk]));
-    if (prior_) add_prior(parts[0]);
+    const PlaneMap map = fit_cell_planes(points_, placed, round, grid_shift_cells);
+    const Eigen::VectorXd corrections = stack_twists(start_, track_);
+    PoseEquations equations = sum_equations(placed, map, round.scale_m);
+    if (prior_) add_prior(equations, corrections);
+    const Eigen::VectorXd step = equations.solve_steps(track_, corrections, kAdjustmentPrior);
     const PoseTrack previous = track_;
-    const Eigen::VectorXd step = parts[0].solve_steps(track_, stack_twists(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         track_.pose[k] = apply_twist(track_.pose[k], to_twist(block_of(step, k)));
     centre_poses();
-    round_settings.planes = parts[0].n_planes();
-    round_settings.residual_m = parts[0].rms_residual_m();
+    round.planes = equations.n_planes();
+    round.residual_m = equations.rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        round_settings.step_m = std::max(
-            round_settings.step_m, glm::length(track_.pose[k].translation - previous.pose[k].translation));
-    return round_settings;
+        round.step_m =
+            std::max(round.step_m, glm::distance(track_.pose[k].translation, previous.pose[k].translation));
+    return round;
 }
 
 /// Adds the terms of the prior: they pull each correction to zero, and consecutive
 /// corrections towards each other.
-void PoseAdjustment::add_prior(PoseEquations& equations) const {
+/// @param corrections  [poses, 6] so far
+void PoseAdjustment::add_prior(PoseEquations& equations, const Eigen::VectorXd& corrections) const {
     constexpr double kLinkTime_s = 0.1;
-    const Eigen::VectorXd correction = stack_twists(start_, track_);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        equations.add_zero_prior(k, prior_->pull, block_of(correction, k));
+        equations.add_zero_prior(k, prior_->pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
         equations.add_smooth_prior(k, share * prior_->link,
-                                   block_of(correction, k + 1) - block_of(correction, k));
+                                   block_of(corrections, k + 1) - block_of(corrections, k));
     }
 }
 
-/// Moves the track like one rigid body, so that the mean correction of the gauge poses is
-/// zero. Points only show motions between poses, so they leave this common motion open.
+/// Moves the track like one rigid body, so that the mean correction of the gauge poses
+/// (gauge_) is zero. Points leave this common motion open.
 void PoseAdjustment::centre_poses() {
-    const auto n_gauge = double(std::count(gauge_.begin(), gauge_.end(), true));
+    const auto n_gauge = double(std::ranges::count(gauge_, true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
     // Each pass removes most of the remaining mean.
     for (int pass = 0; pass < 3; ++pass) {
-        glm::dvec3 centre_m(0.0), mean_shift_m(0.0), mean_rotation(0.0);
+        glm::dvec3 centre_m(0.0), shift_m(0.0), rotation(0.0);  // means of the gauge poses
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
             const Twist correction = compute_twist(initial_track_.pose[k], track_.pose[k]);
             centre_m += initial_track_.pose[k].translation / n_gauge;
-            mean_shift_m += glm::dvec3(correction[0], correction[1], correction[2]) / n_gauge;
-            mean_rotation += glm::dvec3(correction[3], correction[4], correction[5]) / n_gauge;
+            shift_m += glm::dvec3(correction[0], correction[1], correction[2]) / n_gauge;
+            rotation += glm::dvec3(correction[3], correction[4], correction[5]) / n_gauge;
         }
-        // Turns the track back about the centre of the gauge poses, and shifts it back.
+        // Shifts the track back, and then rotates it back about the centre.
         const glm::dquat back =
-            apply_twist(Pose{}, {0, 0, 0, -mean_rotation.x, -mean_rotation.y, -mean_rotation.z}).rotation;
+            apply_twist(Pose{}, {0, 0, 0, -rotation.x, -rotation.y, -rotation.z}).rotation;
         for (Pose& pose : track_.pose)
             pose = {glm::normalize(back * pose.rotation),
-                    centre_m + back * (pose.translation - mean_shift_m - centre_m)};
+                    centre_m + back * (pose.translation - shift_m - centre_m)};
     }
 }
 
@@ -220,8 +225,7 @@ double PoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<boo
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), time_fraction(before, pose_index, after));
     // The initial track can jump between this pose and one neighbour. Their corrections
-    // then differ, although both are right. Therefore the smallest of the three
-    // differences counts.
+    // then differ, although both are right. So the smallest difference counts.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

@@ -44,8 +44,7 @@ public:
 
     /// Optimises all poses in several rounds. The cell size and the scale of the robust
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
-    /// @return statistics of each round; fewer rounds if the callback `should_continue`
-    /// returned false
+    /// @return statistics of each round; fewer if `should_continue` returned false
     std::vector<FitRound> adjust_poses(const FitRound& first_round_settings,
                                        const FitRound& last_round_settings,
                                        const std::function<bool(double finished_fraction)>& should_continue);
@@ -81,11 +80,13 @@ public:
 private:
     PoseTrack initial_track_, track_, start_;  // start_: poses before the first round
     std::vector<SubsampledPoint> points_;
-    std::vector<bool> gauge_;
+    std::vector<bool> gauge_;  // [poses] see the constructor
     std::optional<PoseCorrectionPrior> prior_;
 
-    FitRound run_round(FitRound round_settings, double grid_shift_cells);
-    void add_prior(PoseEquations& equations) const;
+    FitRound run_round(FitRound round, double grid_shift_cells);
+    PoseEquations sum_equations(const std::vector<WorldPointWithOrigin>& world_points, const PlaneMap& map,
+                                double scale_m) const;
+    void add_prior(PoseEquations& equations, const Eigen::VectorXd& corrections) const;
     void centre_poses();
     void fill_corrections(const std::vector<bool>& is_correction_known);
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;
