@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "base/fail.hpp"
+#include "base/joined.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "registration/loops.hpp"
@@ -28,34 +29,54 @@ constexpr FitRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale
 constexpr FitRound kFinalOdometryRound{0.5, 0.1};
 constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
+/// Returns the cell size for thinning. With few scans, the cells are smaller, so that
+/// each plane still has enough points.
+double thinning_cell_m(std::size_t n_scans) {
+    return std::clamp(kMaxThinningCell_m * std::sqrt(double(n_scans) / kScansPerCell), kMinThinningCell_m,
+                      kMaxThinningCell_m);
+}
+
+/// Returns the share of each scan's points that lie on planes of the final map, [sweeps].
+std::vector<double> measure_shares(const PoseAdjustment& adjustment, const SubsampledScans& scans) {
+    const PlaneMap map = adjustment.fit_planes(kFinalRound);
+    std::vector<double> shares(scans.size());
+    parallel_for(static_cast<int>(scans.size()), [&](int index) {
+        const auto k = std::size_t(index);
+        shares[k] = adjustment.share_on_planes(map, scans[k], kFinalRound.scale_m);
+    });
+    return shares;
+}
+
+/// Aligns the held-out (test) scans with planes of the training scans, coarse to fine. A
+/// scan has failed if too few of its points lie on planes, or if its correction differs
+/// too much from those of the neighbouring training scans.
 /// @param test_scans [sweeps] points of the held-out scans; empty for other sweeps
 /// @param first_round cell size and kernel scale of the coarsest level
-/// @param max_deviation_m largest accepted difference from the corrections of the
-/// neighbours
-/// @return indices of the scans that could not be aligned, which keep their interpolated
-/// poses
+/// @param max_deviation_m largest accepted difference of the corrections
+/// @return indices of the failed scans, which keep the poses that they had before
 std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
                                            const std::vector<bool>& is_training_sweep,
                                            const SubsampledScans& test_scans, const FitRound& first_round,
                                            double max_deviation_m) {
     std::vector<std::size_t> lost;
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
-    const std::vector<Pose> interpolated_poses = adjustment.track().pose;
+    const std::vector<Pose> poses_before = adjustment.track().pose;
     for (int level = 0; level < kTestLevels; ++level) {
         const FitRound round = blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
-        const double scale_m = round.scale_m;
+        // The poses of the training scans are exact, so all maps have the final scale.
         const PlaneMap map = adjustment.fit_planes({round.cell_m, kFinalRound.scale_m});
+        const auto has_failed = [&](std::size_t k) {
+            const double share = adjustment.share_on_planes(map, test_scans[k], round.scale_m);
+            return !PoseAdjustment::has_enough_planes(share, test_scans[k].size()) ||
+                   adjustment.deviation_m(k, is_training_sweep) > max_deviation_m;
+        };
         for (std::size_t k = 0; k < test_scans.size(); ++k) {
             if (!is_test_sweep[k]) continue;
             for (int step = 0; step < kStepsPerLevel; ++step)
-                adjustment.align_pose(map, k, test_scans[k], scale_m);
+                adjustment.align_pose(map, k, test_scans[k], round.scale_m);
             // Only the finest level shows whether the alignment has succeeded.
-            if (level + 1 < kTestLevels) continue;
-            const bool is_registered = PoseAdjustment::has_enough_planes(
-                adjustment.share_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
-            if (is_registered && adjustment.deviation_m(k, is_training_sweep) <= max_deviation_m) continue;
-            adjustment.set_pose(k, interpolated_poses[k]);
+            if (level + 1 < kTestLevels || !has_failed(k)) continue;
+            adjustment.set_pose(k, poses_before[k]);
             lost.push_back(k);
         }
     }
@@ -74,11 +95,11 @@ std::vector<bool> flag_sweeps(const SweepSet& sweeps, const std::vector<int>& fr
 
 /// Returns one flag per sweep. Only the flag of the middle selected sweep is true.
 std::vector<bool> keep_middle(const std::vector<bool>& is_selected) {
-    std::vector<bool> is(is_selected.size(), false);
-    auto to_go = std::ranges::count(is_selected, true) / 2;
+    std::vector<bool> is_middle(is_selected.size(), false);
+    auto n_before = std::ranges::count(is_selected, true) / 2;
     for (std::size_t k = 0; k < is_selected.size(); ++k)
-        if (is_selected[k] && to_go-- == 0) is[k] = true;
-    return is;
+        if (is_selected[k] && n_before-- == 0) is_middle[k] = true;
+    return is_middle;
 }
 
 }  // namespace
@@ -91,10 +112,7 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
                             is_test = flag_sweeps(sweeps, split.test, log.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    // Each scan keeps one point per grid cell of this size. With few scans, the cells are
-    // smaller, so that each plane still has enough points.
-    const double thin_m = std::clamp(kMaxThinningCell_m * std::sqrt(double(n_train) / kScansPerCell),
-                                     kMinThinningCell_m, kMaxThinningCell_m);
+    const double cell_m = thinning_cell_m(n_train);
     const auto proceed = [&](const char* text) {
         return [&, text](double done) {
             if (options.progress) options.progress(text, done);
@@ -106,21 +124,21 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
     const FitRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
                          std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
 
-    const SubsampledScans scans = thin_sweeps(log, sweeps, is_train, options, thin_m);
+    // Odometry: aligns each scan with a map of the scans before.
+    const SubsampledScans scans = thin_sweeps(log, sweeps, is_train, options, cell_m);
     const PoseTrack followed = run_odometry(
         sweeps.track, scans,
         {first, kFinalOdometryRound, options.use_pose_motion, proceed("tracking the scans"), options.group});
     if (result.stopped || !options.group.is_first()) return result;
+    // Loop closure: aligns a second pass over a road with the first one.
     const LoopClosureResult closed = close_loops(followed, scans, first, kFinalOdometryRound,
                                                  proceed("detecting loops in the path of the vehicle"));
     if (result.stopped) return result;
     result.n_loop_closures = closed.n_closures;
     result.largest_loop_error_m = closed.largest_m;
 
-    std::vector<SubsampledPoint> points;
-    for (const std::vector<SubsampledPoint>& scan : scans)
-        points.insert(points.end(), scan.begin(), scan.end());
-    PoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
+    // Bundle adjustment: optimises the poses of all training scans together.
+    PoseAdjustment adjustment(sweeps.track, closed.track, concatenate(SubsampledScans(scans)),
                               options.use_pose_motion ? is_train : keep_middle(is_train));
     result.rounds = adjustment.adjust_poses(first, kFinalRound, proceed("registering all scans jointly"));
     if (result.stopped) return result;
@@ -129,22 +147,19 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
             "cannot register the scans of {}: no two of its {} training scans show the same surface; try "
             "train.refine_poses=none",
             log.name, split.train.size());
-    // Training scans are finished first, because held-out scans must not affect them.
-    const PlaneMap map = adjustment.fit_planes(kFinalRound);
-    std::vector<double> shares(scans.size()), train_shares;
-    parallel_for(static_cast<int>(scans.size()), [&](int index) {
-        const auto k = std::size_t(index);
-        shares[k] = adjustment.share_on_planes(map, scans[k], kFinalRound.scale_m);
-    });
+    const std::vector<double> shares = measure_shares(adjustment, scans);
+    std::vector<double> train_shares;
     for (std::size_t k = 0; k < shares.size(); ++k)
         if (is_train[k]) train_shares.push_back(shares[k]);
     result.on_planes = compute_median(std::move(train_shares));
     result.lost = adjustment.interpolate_lost(scans, shares, is_train, options.largest_m);
-    const SubsampledScans held_out = thin_sweeps(log, sweeps, is_test, options, thin_m);
+
+    // Held-out scans follow last, because they must not affect the training scans.
+    const SubsampledScans held_out = thin_sweeps(log, sweeps, is_test, options, cell_m);
     const std::vector<std::size_t> lost =
         align_test_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
-    std::sort(result.lost.begin(), result.lost.end());
+    std::ranges::sort(result.lost);
     for (std::size_t& k : result.lost) k = sweeps.pose[k];
     result.world_from_vehicle = spread_corrections(log.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;

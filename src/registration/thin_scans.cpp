@@ -51,6 +51,7 @@ PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, c
         all.pose[pose] = corrected.pose_at(t_s) * relative_pose;
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
+    // Sweeps have exactly the registered poses, without rounding.
     for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected.pose[k];
     return all;
 }

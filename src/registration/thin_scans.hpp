@@ -18,10 +18,11 @@ struct SweepSet {
     std::vector<std::size_t> pose;         ///< [sweeps] index in Log::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Log::frames
 };
-/// Groups the frames of all LiDARs into sweeps, one for each vehicle pose at which the
-/// main LiDAR has a frame.
+/// Groups frames into sweeps, one for each vehicle pose with a frame of the main LiDAR.
 SweepSet group_sweeps(const Log& sequence);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
+/// @param initial  poses of the log
+/// @param corrected  poses of the sweeps after the registration
 PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected);
 
 /// A measured point, and the two poses of the track between which it was measured.
@@ -31,12 +32,11 @@ struct SubsampledPoint {
     std::uint32_t left = 0;
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
-/// [sweeps] points of each scan, frame by frame in the order of the rays; empty for
-/// sweeps that are not used
+/// [sweeps] points of each scan, frame by frame in the order of the rays; empty if not
+/// used
 using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 
-/// Positions in the world frame: of a point, and of the vehicle when it measured the
-/// point.
+/// World positions of a point, and of the vehicle when it measured the point.
 struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
@@ -57,7 +57,8 @@ std::vector<std::size_t> select_returns(const Log& sequence, int frame, const Re
 /// @param pose_index index in `track` of the pose of this frame
 SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index, int frame,
                            std::size_t ray);
-/// Applies select_returns() to the selected sweeps.
+/// Returns some points of the selected sweeps: in each frame, at most one point per cell
+/// of a grid, and none in moving boxes.
 SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m);
