@@ -13,11 +13,8 @@
 namespace relidar {
 namespace {
 
-// Distance along the path between two keyframes (selected poses of the track). Loop
-// closures connect only keyframes.
-constexpr double kKeyframeDistance_m = 4.0;
-// Minimum path length between two passes over a road. Odometry has aligned closer passes.
-constexpr double kMinPassDistance_m = 80.0;
+constexpr double kKeyframeDistance_m = 4.0;  // path between keyframes, the poses that loop closures connect
+constexpr double kMinPassDistance_m = 80.0;  // minimum path between passes; odometry has aligned closer ones
 // A loop closure is searched between two poses that are at most this far apart. The limit
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
@@ -31,18 +28,15 @@ constexpr double kStartGridStep_m = 1.5, kMaxStartOffset_m = 6.0, kMaxStartHeigh
 // Penalty per grid step between a start position and the predicted position. The score of
 // a start position is the share of points on planes of the map, minus this penalty.
 constexpr double kGridPenalty = 0.01;
-// Number of points of a scan from which the score of a start position is computed.
-constexpr std::size_t kGridPoints = 400;
+constexpr std::size_t kGridPoints = 400;  // points of a scan that give the score of a start position
 // An alignment ends after kMaxLoopSteps steps per map level, or after a step shorter than
 // kMinLoopStep_m. For the prior, see SinglePoseEquations::move_pose().
 constexpr int kMaxLoopSteps = 10;
 constexpr double kMinLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// Minimum share of the scan's points on planes of the map.
-constexpr double kMinClosureShare = 0.4;
+constexpr double kMinClosureShare = 0.4;  // minimum share of the scan's points on planes of the map
 constexpr std::size_t kMinLoopClosures = 2;
-// standard deviations of odometry errors between two keyframes
-constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
-constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
+constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;  // odometry errors between two keyframes
+constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;    // standard deviations of a loop closure
 // Scale of a robust kernel. A loop closure that contradicts the other loop closures by
 // much more than this has almost no weight.
 constexpr double kClosureKernel_m = 0.5;
@@ -72,8 +66,7 @@ public:
         }
     }
 
-    /// Searches a loop closure for each keyframe, and corrects the poses if there are
-    /// enough.
+    /// Searches a closure for each keyframe, and corrects the poses if there are enough.
     LoopClosureResult run_closures(const std::function<bool(double)>& proceed) {
         LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
@@ -81,8 +74,8 @@ public:
             if (later % 16 == 0 && !proceed(double(later) / double(keyframes_.size()))) return result;
             const std::optional<std::size_t> earlier = find_earlier(later);
             if (!earlier) continue;
-            // The previous closure predicts the next one only if it is at most three
-            // keyframes older.
+            // The previous closure predicts the next only if it is at most 3 keyframes
+            // older.
             if (before && before->later + 3 < later) before.reset();
             if (const auto closure = find_closure(*earlier, later, before)) {
                 closures_.push_back(*closure);
@@ -112,8 +105,7 @@ private:
     }
 
     /// Returns the nearest keyframe of an earlier pass over the same road, or nothing if
-    /// all are too far away. The allowed distance grows with the path between the two
-    /// keyframes.
+    /// all are too far away. The limit grows with the path between the two.
     std::optional<std::size_t> find_earlier(std::size_t later_keyframe_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
@@ -167,8 +159,7 @@ private:
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = pose * points[i].point_m;
             const LocalPlane* plane = maps_.find_plane(p, 0);
-            // The weight is above 1/4 if the point is closer to the plane than the kernel
-            // scale.
+            // The weight is above 1/4 if the point is closer than the kernel scale.
             on_planes +=
                 plane && robust_weight(glm::dot(plane->normal, p - plane->point_m), first_.scale_m) > 0.25;
         }
@@ -234,26 +225,25 @@ private:
         // Radius of the search for a start pose: 1 m plus the expected drift of odometry.
         const double reach_m = 1.0 + kLoopDistanceGrowth * (path_to_keyframe_m(later_keyframe_index) -
                                                             path_to_keyframe_m(earlier_keyframe_index));
+        const Pose& initial_pose = keyframe_pose(later_keyframe_index);
         Pose aligned_pose;
+        double share = 0.0;
         if (previous_closure) {
             // Predicts the start pose from the previous loop closure, which corrects a
             // nearby pose. Assumes that both poses move together, like one rigid body.
             const Pose& previous_pose = keyframe_pose(previous_closure->later);
-            const Pose world_from_world =
-                apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
-            aligned_pose = world_from_world * keyframe_pose(later_keyframe_index);
-        } else {
-            aligned_pose = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
+            aligned_pose =
+                apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose) * initial_pose;
+            share = refine_pose(points, aligned_pose);
         }
-        double share = refine_pose(points, aligned_pose);
-        // If too few points match, searches for a better start pose.
-        if (previous_closure && share < kMinClosureShare) {
-            aligned_pose = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
+        // Without a prediction, or if too few points match, searches for a start pose.
+        if (share < kMinClosureShare) {
+            aligned_pose = find_start_pose(points, initial_pose, reach_m);
             share = refine_pose(points, aligned_pose);
         }
         if (share < kMinClosureShare) return std::nullopt;
         return LoopClosure{earlier_keyframe_index, later_keyframe_index,
-                           compute_twist(keyframe_pose(later_keyframe_index), aligned_pose)};
+                           compute_twist(initial_pose, aligned_pose)};
     }
 
     /// Solves for the corrections of all keyframes, 6 values each. A least-squares term
@@ -305,8 +295,7 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(g);
     }
 
-    /// Returns the correction of pose `pose_index` if it moves with a keyframe like one
-    /// rigid body.
+    /// Returns the correction of a pose that moves rigidly with a keyframe.
     Vector6 transfer_correction(std::size_t pose_index, std::size_t keyframe_index,
                                 const Eigen::VectorXd& keyframe_corrections) const {
         return twist_transfer(track_.pose[pose_index].translation -

@@ -26,9 +26,7 @@ constexpr double kMinStep_m = 1e-3;  // stops the iteration if a step is shorter
 // weight of the points. The term matters only in directions that the points do not
 // determine, for example along a road without walls.
 constexpr double kPriorWeight = 3e-4;
-// The alignment of a scan failed if less than this share of its points lies on planes of
-// the map.
-constexpr double kMinAlignedShare = 0.1;
+constexpr double kMinAlignedShare = 0.1;  // with fewer points on planes of the map, the alignment has failed
 // Map cells that got no new points while the vehicle drove this distance are removed.
 // Otherwise odometry could match an earlier pass over the same road. close_loops() aligns
 // such passes later.
@@ -36,16 +34,13 @@ constexpr double kMaxCellAge_m = 80.0;
 // The vehicle drives this distance between two removals of old map cells. Removals are
 // rare, because checking all cells takes as long as adding a scan.
 constexpr double kCleanupInterval_m = 5.0;
-// If two predicted poses of a scan are this close, only one is used as a start value.
-constexpr double kSamePrediction_m = 0.05;
-// After this many consecutive scans that do not match the map, the map is cleared.
-constexpr int kMaxLostScans = 5;
+constexpr double kSamePrediction_m = 0.05;  // of two predictions that are this close, only one is tried
+constexpr int kMaxLostScans = 5;  // after so many consecutive scans that do not match, the map is cleared
 constexpr std::size_t kPosesPerSection = 200;  // number of poses in a section of the log
 // Consecutive sections of a log share this number of poses, so that each section has a
 // map before its first new scan.
 constexpr std::size_t kSectionOverlap = 20;
-// Without given poses, several initial speeds are tried on this number of scans.
-constexpr int kTrialScans = 4;
+constexpr int kTrialScans = 4;  // scans on which several initial speeds are tried, without given poses
 // Forward motions per scan that are tried: from -kMaxTrialReverse_m to kMaxTrialMotion_m,
 // which is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kMaxTrialMotion_m = 4.0, kMaxTrialReverse_m = 1.0;
@@ -71,8 +66,7 @@ public:
     }
 
     /// Estimates a pose from its scan, and adds the scan to the map. A scan that does not
-    /// match the map gets its predicted pose and is not added. Must be called for each
-    /// pose in order.
+    /// match keeps its predicted pose and is not added. Call for each pose in order.
     void add_pose(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
         const std::vector<Pose> starts =
             pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]} : predict_poses(pose_index);
@@ -89,8 +83,8 @@ public:
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
-        // After several lost scans, the map probably shows another place. A new map then
-        // starts with this scan.
+        // After several lost scans, the map probably shows another place: starts a new
+        // map.
         if (is_lost && lost_in_a_row_ < kMaxLostScans) return;
         if (is_lost) maps_.clear();
         extend_map(scan);
@@ -114,8 +108,7 @@ private:
     double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
-    /// Adds a scan to the map at its estimated pose, and removes map cells that have
-    /// become too old.
+    /// Adds a scan to the map at its estimated pose, and removes old map cells.
     void extend_map(const std::vector<SubsampledPoint>& scan) {
         std::vector<glm::dvec3> points_m(scan.size());
         parallel_blocks(scan.size(), [&](std::size_t index) {
@@ -127,8 +120,7 @@ private:
         maps_.forget_before(forgotten_m_);
     }
 
-    /// Predicts the motion to pose `pose_index` from the velocity before the previous
-    /// pose.
+    /// Predicts the motion to a pose from the velocity before the previous pose.
     Pose predict_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -193,8 +185,7 @@ private:
             sum_point_equations(scan.size(), [&](SinglePoseEquations& part, std::size_t i) {
                 const WorldPointWithOrigin at = point_to_world(track_, scan[i]);
                 // A point fired before the pose moves only by its fraction `s`, because
-                // the previous pose is fixed. Later points move with the pose and its
-                // prediction.
+                // the previous pose is fixed. Later points move fully.
                 const double moves_along = scan[i].left + 1 == pose_index ? double(scan[i].s) : 1.0;
                 if (const LocalPlane* plane = maps_.find_plane(at.point_m, map_level))
                     part.add_residual(make_residual(at, *plane, kernel_scale_m), moves_along);
@@ -267,8 +258,7 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
     for (std::size_t i = 1; i < sections.size(); ++i) {
         section_begin += std::ptrdiff_t(sections[i - 1].end - sections[i - 1].begin);
         const auto [begin, end] = sections[i];
-        // The pose of a scan without points is only a prediction, so it cannot connect
-        // two sections.
+        // The pose of a scan without points is a prediction, so it connects no sections.
         std::size_t shared = track.size() - 1;
         while (shared > begin && scans[shared].empty()) --shared;
         const Pose track_from_section =

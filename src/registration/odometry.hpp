@@ -15,8 +15,7 @@ namespace relidar {
 
 struct OdometryOptions {
     FitRound first, last;  ///< coarsest and finest plane map (PlaneMaps)
-    /// The motion between scans is predicted from the given poses. False: from the
-    /// previous velocity.
+    /// true: the given poses predict the motion between scans; false: the velocity
     bool use_pose_motion = true;
     /// Callback with the progress, called repeatedly from the calling thread. If it
     /// returns false, the estimation stops.

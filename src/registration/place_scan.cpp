@@ -13,9 +13,7 @@ namespace {
 // Edge length in metres of grid cells; one point of the scan per cell is used. The cells
 // are small, because only one pose is estimated and speed does not matter.
 constexpr double kThinningCell_m = 0.1;
-// Scale of the robust kernel: a point that is farther than this from the rendered surface
-// has a weight below 1/4.
-constexpr double kKernelScale_m = 0.05;
+constexpr double kKernelScale_m = 0.05;    // at this distance from the surface, a point has a weight of 1/4
 constexpr double kPosePriorWeight = 1e-4;  // pulls the pose to its start, relative to the points
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;

@@ -16,8 +16,7 @@ namespace {
 
 constexpr std::size_t kMinPlanePoints = 8;
 constexpr int kPlaneRefits = 4;
-// Minimum standard deviation along the narrower direction of the plane / cell size.
-constexpr double kMinSpreadPerCell = 0.12;
+constexpr double kMinSpreadPerCell = 0.12;  // minimum standard deviation along the plane / cell size
 // Minimum ratio of the same to the scale of the robust kernel. Rejects narrow strips,
 // which a single beam produces if poses are wrong.
 constexpr double kMinSpreadPerKernel = 0.8;
@@ -67,8 +66,7 @@ double robust_weight(double residual_m, double scale_m) {
 std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& points,
                                     std::span<const std::uint32_t> point_indices, double cell_size_m,
                                     double scale_m) {
-    // With fewer inliers, a cell contains several surfaces or none, so refits do not
-    // help.
+    // With fewer inliers, a cell has several surfaces or none: refits do not help.
     constexpr double kHopelessInlierShare = 0.3;
     const std::size_t n = point_indices.size();
     if (n < kMinPlanePoints) return std::nullopt;

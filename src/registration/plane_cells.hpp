@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits planes to the points of all scans at their current poses, one plane in each cell
-// of a grid.
+// Fits planes to the points of all scans, one in each cell of a grid.
 #pragma once
 
 #include <cmath>
@@ -14,8 +13,7 @@
 
 namespace relidar {
 
-/// Interpolates cell size and scale geometrically between the first round (0) and the
-/// last.
+/// Interpolates cell size and scale geometrically from the first round (0) to the last.
 inline FitRound blend_rounds(const FitRound& first_round_settings, const FitRound& last, double fraction) {
     return {first_round_settings.cell_m * std::pow(last.cell_m / first_round_settings.cell_m, fraction),
             first_round_settings.scale_m * std::pow(last.scale_m / first_round_settings.scale_m, fraction)};

@@ -14,8 +14,7 @@ constexpr double kFewestOfVoxel = 6;
 // Points form a plane only if they cover enough of their cell. Minimum standard deviation
 // along the narrower direction of the plane, divided by the cell size.
 constexpr double kVoxelSpread = 0.12;
-// maximum standard deviation of the points along the normal, divided by the cell size
-constexpr double kMaxThicknessPerCell = 0.1;
+constexpr double kMaxThicknessPerCell = 0.1;  // maximum standard deviation along the normal / cell size
 
 /// Returns the mutex that is locked while a plane is fitted to the points of a cell. All
 /// cells share 64 mutexes, because fits rarely run at the same time.

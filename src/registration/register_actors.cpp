@@ -15,22 +15,16 @@
 namespace relidar {
 namespace {
 
-// Shorter boxes are not corrected. Most are pedestrians, whose shape changes.
-constexpr double kMinObjectSize_m = 1.2;
-// Lower points of a box can belong to the ground.
-constexpr double kAboveGround_m = 0.25;
+constexpr double kMinObjectSize_m = 1.2;  // most shorter boxes are pedestrians, whose shape changes
+constexpr double kAboveGround_m = 0.25;   // lower points of a box can belong to the ground
 // Minimum number of points of an actor, of points of a pose, and of poses with points.
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr FitRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// The corrected track replaces the labelled track only if the share of the points on
-// planes grows by at least this value.
-constexpr double kMinShareGain = 0.02;
-// Larger corrections of a pose are rejected as errors of the registration.
-constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
+constexpr double kMinShareGain = 0.02;  // a corrected track must have so many more of its points on planes
+constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;  // of a pose; more is an error
 constexpr double kMaxStandingMotion_m = 3.0;  // a box that moves farther than this is not standing
-constexpr int kPosesPerSide = 3;  // number of poses on each side that are used to interpolate a pose
-// Maximum distance in time to the poses from which a pose is interpolated.
-constexpr double kLongestGap_s = 1.0;
+constexpr int kPosesPerSide = 3;       // number of poses on each side that are used to interpolate a pose
+constexpr double kLongestGap_s = 1.0;  // maximum time to the poses from which a pose is interpolated
 
 /// Points of an object, in the frame of its labelled box.
 struct BoxFramePoints {
@@ -38,8 +32,7 @@ struct BoxFramePoints {
     std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
 };
 
-/// Returns a point in the frame of a box, between the poses of the box before and after
-/// it.
+/// Returns a point of a box, between the poses of the box before and after it.
 SubsampledPoint make_box_point(const BoxTrack& box, const glm::dvec3& local_m, double time_s) {
     const TrackInterpolation at = box.world_from_box.find_segment(time_s);
     const std::size_t nearest_pose = at.s < 0.5 ? at.left : at.left + 1;
@@ -49,8 +42,7 @@ SubsampledPoint make_box_point(const BoxTrack& box, const glm::dvec3& local_m, d
             .pose = static_cast<std::uint32_t>(nearest_pose)};
 }
 
-/// Returns the points of a frame inside each box, without points near the ground:
-/// [boxes].
+/// Returns the points of a frame in each box, without those near the ground: [boxes].
 std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& sequence, const Frame& frame,
                                                           const std::vector<BoxTrack*>& boxes) {
     std::vector<std::vector<SubsampledPoint>> points(boxes.size());
@@ -170,8 +162,7 @@ bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kMaxStandingMotion_m) return false;
-    // Moves the points to the frame of the middle pose, as if the box had stood still
-    // there.
+    // Moves the points to the middle pose, as if the box had stood still there.
     std::vector<SubsampledPoint> still = actor_points.points;
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
@@ -210,8 +201,7 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
         return;
     }
     if (registered_share < labelled_share + kMinShareGain) return;
-    // The adjustment moved the points within the box. The box moves by the inverse
-    // instead.
+    // The adjustment moved the points in the box. The box moves by the inverse instead.
     PoseTrack& track = box.world_from_box;
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(adjustment.track().pose[k]);
