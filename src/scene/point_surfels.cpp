@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scene/point_surfels.hpp"
 
+#include <optional>
 #include <unordered_set>
 
 #include <Eigen/Eigenvalues>
@@ -90,13 +91,13 @@ glm::dvec3 perpendicular_at(const glm::dvec3& normal, double angle_rad) {
     return std::cos(angle_rad) * x + std::sin(angle_rad) * glm::cross(normal, x);
 }
 
-/// Distances to the neighbouring scan lines on a surface, along `across`, which is
-/// perpendicular to the scan lines. 0 if no point exists.
+/// Neighbouring scan lines of a point on a surface, left and right of its own line.
 struct ScanLineGap {
-    glm::dvec3 across{0.0};
-    double left_m = 0.0, right_m = 0.0;
+    glm::dvec3 across{0.0};  ///< unit vector to the right, perpendicular to the scan line
+    /// distance to each of the two lines; empty if no point shows it
+    std::optional<double> left_m{}, right_m{};
 
-    bool is_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
+    bool is_line_missing() const { return !left_m || !right_m; }
 };
 
 /// Returns the unit vector in a surface that is perpendicular to the scan line through a
@@ -105,8 +106,7 @@ struct ScanLineGap {
 /// @param neighbours sorted by distance; the first is the point itself
 glm::dvec3 find_across_line(const LidarSamples& samples, const Neighbours& neighbours,
                             const glm::dvec3& normal) {
-    // number of nearest neighbours that lie on the same scan line as the point
-    constexpr std::size_t kOnLine = 4;
+    constexpr std::size_t kOnLine = 4;  // neighbours that lie on the same scan line as the point
     const glm::dvec3 point(samples[neighbours[0]].position);
     // axes of the surface, in which angles are measured from x
     const glm::dvec3 x = perpendicular_at(normal, 0.0), y = glm::cross(normal, x);
@@ -134,38 +134,46 @@ ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbour
     // kMaxPlaneNoise_m.
     constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbours[0]].position);
-    ScanLineGap gap{find_across_line(samples, neighbours, normal)};
+    ScanLineGap gap{.across = find_across_line(samples, neighbours, normal)};
     for (std::size_t j = 1; j < neighbours.size() && gap.is_line_missing(); ++j) {
         const glm::dvec3 offset = glm::dvec3(samples[neighbours[j]].position) - point;
         const double length = glm::length(offset), across = glm::dot(offset, gap.across);
         const bool is_on_next_line = std::abs(across) > kMinAcrossCosine * length;
         const bool is_on_surface = std::abs(glm::dot(offset, normal)) < kMaxSlope * length + kMaxPlaneNoise_m;
         // The neighbours are sorted, so the first one on each side is the nearest.
-        double& side_m = across > 0.0 ? gap.right_m : gap.left_m;
-        if (side_m == 0.0 && is_on_next_line && is_on_surface) side_m = length;
+        std::optional<double>& side_m = across > 0.0 ? gap.right_m : gap.left_m;
+        if (!side_m && is_on_next_line && is_on_surface) side_m = length;
     }
     return gap;
 }
 
-/// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
-/// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
-/// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
-/// @param sh output: [0] coefficient of degree 0, [1..3] coefficients of degree 1, whose
-/// functions are -y, z and -x
-/// @param normal zero if unknown; then the intensity is the same from all directions
-/// @param incidence q, the strength of the dependence on the angle
-void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& normal, double incidence) {
-    constexpr double kGrazingCosine = 0.1;
-    const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
-    const glm::dvec3 n = facing < 0.0 ? -normal : normal;  // towards the sensor
+/// Sets the SH coefficients of the intensity that a ray of direction d = (x, y, z) sees:
+///   a (1 - q (1 - cos)) = 0.5 + kSh0 sh[0] + kSh1 (-y sh[1] + z sh[2] - x sh[3])
+/// with cos = -n . d and the normal n towards the sensor. The albedo a follows from the
+/// measured intensity.
+/// @param normal  on either side; zero if unknown, then q = 0
+/// @param incidence  q, the strength of the dependence on the angle
+void set_intensity(float* sh, const LidarSample& sample, const glm::dvec3& normal, double incidence) {
+    constexpr double kGrazingCosine = 0.1;  // lower limit, because grazing rays give inaccurate albedos
+    const double cosine = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
+    const glm::dvec3 n = cosine < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) /
-                          (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazingCosine)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // dependence on the components x, y, z of d
+                          (1.0 - q * (1.0 - std::max(std::abs(cosine), kGrazingCosine)));
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // a q cos = kSh1 * dot(slope, d)
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
     sh[3] = static_cast<float>(-slope.x);
+}
+
+/// Sets the SH coefficients of degree 0 of the hit logit and the drop logit, so that a
+/// ray probably returns. The value of a channel is 0.5 + kSh0 * coefficient.
+void set_logits(float* sh, const InitOptions& options) {
+    const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
+                 drop_logit = hit_logit - options.hit_margin;
+    sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
+    sh[2 * kShCoefficients] = (static_cast<float>(drop_logit) - 0.5f) / kSh0;
 }
 
 /// Returns the indices of the `n` nearest samples and their squared distances, ascending.
@@ -184,34 +192,34 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses
-/// more samples if all lie on one scan line, because the plane could rotate about this
-/// line, or if there is no sample on the left or right scan line.
-/// @param nearest indices of the nearest samples, sorted by distance
+/// Fits a plane to the nearest samples, and measures the gap between scan lines.
+/// @param nearest  indices of the nearest samples, sorted by distance
 SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, std::size_t sample,
                                  Neighbours nearest, const InitOptions& options) {
-    constexpr int kMaxWidenings = 2;  // maximum number of repeated searches with more neighbours
-    SurfelPlacement placement{fit_neighbours(samples, nearest, samples[sample].view, options.flatness), {}};
-    if (options.max_gap_m <= 0.0) return placement;  // gaps are not filled
+    constexpr int kMaxWidenings = 2;  // maximum number of repeated searches for the plane
+    const auto fit_plane = [&] {
+        return fit_neighbours(samples, nearest, samples[sample].view, options.flatness);
+    };
     const auto widen = [&] {
         std::vector<float> distance2;
         const std::size_t n = std::min(4 * nearest.size(), samples.size());
         nearest = find_nearest(tree, samples[sample], n, distance2);
     };
-    // Finds the plane of samples on one line from samples on other lines.
+    SurfelPlacement placement{fit_plane(), {}};
+    if (options.max_gap_m <= 0.0) return placement;  // gaps are not filled
+    // A plane could rotate about samples on one line. More samples are on several lines.
     const bool is_line = placement.plane.is_line;
     for (int k = 0; is_line && !placement.plane.is_surface && k < kMaxWidenings; ++k) {
         widen();
-        const NeighbourPlane wider = fit_neighbours(samples, nearest, samples[sample].view, options.flatness);
+        const NeighbourPlane wider = fit_plane();
         if (!wider.is_surface) continue;
         placement.plane = wider;
-        placement.plane.is_line = true;
         placement.plane.point = samples[sample].position;  // the mean of many samples is too coarse
     }
     if (!placement.plane.is_surface) return placement;
     placement.gap = measure_gap(samples, nearest, placement.plane.normal);
     if (is_line || !placement.gap.is_line_missing()) return placement;
-    widen();
+    widen();  // to reach the next scan lines
     placement.gap = measure_gap(samples, nearest, placement.plane.normal);
     return placement;
 }
@@ -222,10 +230,11 @@ SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, 
 /// @param x first axis of a disk, perpendicular to the normal
 void set_rotation_and_scales(Surfels& surfels, std::size_t surfel, const SurfelPlacement& placement,
                              glm::dvec3 x, double spacing_m, const InitOptions& options) {
-    const double gap_m = std::max(placement.gap.left_m, placement.gap.right_m),
-                 disk_m = std::min(spacing_m * options.scale_factor, options.max_scale_m);
-    const bool fills_gap =
-        !placement.gap.is_line_missing() && gap_m > kMinGapRatio * spacing_m && gap_m < options.max_gap_m;
+    const double disk_m = std::min(spacing_m * options.scale_factor, options.max_scale_m);
+    // Beyond the last scan line, no surface is known.
+    const double gap_m =
+        placement.gap.is_line_missing() ? 0.0 : std::max(*placement.gap.left_m, *placement.gap.right_m);
+    const bool fills_gap = gap_m > kMinGapRatio * spacing_m && gap_m < options.max_gap_m;
     if (fills_gap) x = placement.gap.across;
     const glm::dvec3& normal = placement.plane.normal;
     const glm::dquat rotation = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
@@ -244,41 +253,51 @@ double mean_spacing_m(const std::vector<float>& distance2, const InitOptions& op
     return n_others ? sum_m / double(n_others) : options.voxel_m;
 }
 
+/// Returns a random unit vector.
+glm::dvec3 sample_direction(Random& random) {
+    glm::dvec3 direction;
+    // Draws z, y, x. Another order would change the surfels of a seed.
+    for (int axis = 2; axis >= 0; --axis) direction[axis] = random.sample_normal();
+    return direction / std::max(glm::length(direction), 1e-12);
+}
+
 /// Computes all parameters of a surfel from its sample and the nearby samples.
+/// @param incidence  see set_intensity()
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
+    const LidarSample& sample = samples[surfel];
     // The nearest samples include the sample itself, hence + 1.
     const std::size_t n_searched =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> squared_m2;
-    Neighbours nearest = find_nearest(tree, samples[surfel], n_searched, squared_m2);
+    Neighbours nearest = find_nearest(tree, sample, n_searched, squared_m2);
     const double spacing_m = mean_spacing_m(squared_m2, options);
-    // Without a known surface, the normal is random. Draws in the order z, y, x, because
-    // another order would change the surfels of a seed.
-    Random random(hash_pair(options.seed, surfel));
-    glm::dvec3 random_direction;
-    for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_normal();
-    SurfelPlacement placement;
-    placement.plane.normal = random_direction / std::max(glm::length(random_direction), 1e-12);
     nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
+
+    Random random(hash_pair(options.seed, surfel));
+    SurfelPlacement placement;
+    placement.plane.normal = sample_direction(random);
     if (options.normals && nearest.size() >= 3)
         placement = estimate_surface(tree, samples, surfel, std::move(nearest), options);
-    // Moves the centre onto the plane, unless every sample counts as a surface.
     const NeighbourPlane& plane = placement.plane;
-    surfels.mean[surfel] = samples[surfel].position;
-    if (options.flatness < 1.0 && plane.is_surface)
-        surfels.mean[surfel] -= glm::vec3(
-            glm::dot(glm::dvec3(samples[surfel].position) - plane.point, plane.normal) * plane.normal);
     const glm::dvec3 x = perpendicular_at(plane.normal, random.sample_uniform(0.0, 2.0 * kPi));
     set_rotation_and_scales(surfels, surfel, placement, x, spacing_m, options);
+
+    surfels.mean[surfel] = sample.position;
+    if (options.flatness < 1.0 && plane.is_surface)  // unless every sample counts as a surface
+        surfels.mean[surfel] -=                      // moves the centre onto the plane
+            glm::vec3(glm::dot(glm::dvec3(sample.position) - plane.point, plane.normal) * plane.normal);
     surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
-    float* sh = surfels.sh.data() + surfel * kShFloats;  // channels: intensity, hit logit, drop logit
-    set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
-    // The value of a channel is 0.5 + kSh0 * coefficient of degree 0.
-    const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
-                 drop_logit = hit_logit - options.hit_margin;
-    sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
-    sh[2 * kShCoefficients] = (static_cast<float>(drop_logit) - 0.5f) / kSh0;
+    float* sh = surfels.sh.data() + surfel * kShFloats;
+    set_intensity(sh, sample, plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
+    set_logits(sh, options);
+}
+
+/// Returns a random number that depends only on a position, in steps of 0.1 mm.
+std::uint64_t position_hash(const glm::vec3& p) {
+    // z is shifted by three digits and added to y, because hash_pair() takes two numbers.
+    return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
+                     std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
 }
 
 /// Returns a key of the voxel that contains a point of an actor: 10 bits per axis, with
@@ -314,16 +333,9 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count, Sa
         if (occupied_voxels.insert(thinning_voxel_key(samples[i].position)).second)
             first_in_voxel.push_back(static_cast<std::uint32_t>(i));
     if (first_in_voxel.size() > max_count) {
-        // Keeps a random subset, the smallest hashes. It depends only on positions (in
-        // steps of 0.1 mm), not on the sample order.
-        const auto position_hash = [&](std::uint32_t index) {
-            const glm::vec3& p = samples[index].position;
-            return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
-                             std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
-        };
-        std::sort(first_in_voxel.begin(), first_in_voxel.end(), [&](std::uint32_t left, std::uint32_t right) {
-            return position_hash(left) < position_hash(right);
-        });
+        // Keeps a random subset, which does not depend on the order of the samples.
+        std::ranges::sort(first_in_voxel, {},
+                          [&](std::uint32_t i) { return position_hash(samples[i].position); });
         first_in_voxel.resize(max_count);
     }
     LidarSamples thin;

@@ -64,9 +64,8 @@ struct DeformingActorSurfels {
 DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOptions& options,
                                      double incidence, std::size_t max_count, const Progress& progress = {});
 
-/// Computes the distance that an actor has walked along its track. Averages the positions
-/// over one second, because labelled positions jitter. Motion slower than 0.2 m/s counts
-/// as standing.
+/// Computes the distance that an actor has walked along its track. Averages positions
+/// over one second, because labels jitter. Slower than 0.2 m/s counts as standing.
 class WalkedDistanceTrack {
 public:
     explicit WalkedDistanceTrack(const PoseTrack& world_from_box);
