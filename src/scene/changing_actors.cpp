@@ -18,14 +18,10 @@
 namespace relidar {
 namespace {
 
-// maximum distance between points of the same surface
-constexpr double kSameSurface_m = 0.07;
-// minimum share of the frames that have a point at a static position
-constexpr double kMinStaticShare = 0.75;
-// maximum number of frames that are searched for this share
-constexpr std::size_t kMaxComparedFrames = 64;
-// Minimum number of surfels of a frame, because an equal share can be too small.
-constexpr std::size_t kInFrame = 200;
+constexpr double kSameSurface_m = 0.07;   // maximum distance between points of the same surface
+constexpr double kMinStaticShare = 0.75;  // minimum share of the frames with a point at a static position
+constexpr std::size_t kMaxComparedFrames = 64;  // maximum number of frames that are searched for this share
+constexpr std::size_t kInFrame = 200;           // minimum number of surfels of a frame
 // An actor in fewer frames, or that walks less, is modelled as rigid.
 constexpr std::size_t kFewestChanging = 3;
 // kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
@@ -35,8 +31,7 @@ constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
 // would show both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
 
-// Time over which positions are averaged, because labelled boxes jitter.
-constexpr double kAveraging_s = 1.0;
+constexpr double kAveraging_s = 1.0;  // time over which positions are averaged, because labels jitter
 constexpr double kMaxStandingSpeed_mps = 0.2;
 
 /// Adapter that gives nanoflann access to some of the samples.
@@ -131,9 +126,8 @@ double shift_cost(const SamplesByFrame& frames, std::size_t frame, const LidarSa
     return sum;
 }
 
-/// Estimates how the surface around a sample moves in the frame of the actor's box, in
-/// metres per frame. Tries all shifts on a grid. An actor does not move sideways in its
-/// box, so y is 0.
+/// Estimates how the surface around a sample moves in the box of the actor, in metres per
+/// frame. Tries a grid of shifts along x and z, because actors do not move sideways.
 glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame, const LidarSamples& samples,
                          const LidarSample& sample) {
     constexpr float kMaxShift_m = 0.3f, kMaxShiftUp_m = 0.08f, kShiftStep_m = 0.04f;
@@ -193,18 +187,18 @@ std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame&
     parallel_blocks(samples.size(), [&](std::size_t index) {
         std::size_t n_frames_with_point = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            if (frames[k]->index.nearest_m(samples[index].position, 1.0) < kSameSurface_m)
-                ++n_frames_with_point;
+            n_frames_with_point += frames[k]->index.nearest_m(samples[index].position, 1.0) < kSameSurface_m;
         is_static[index] = double(n_frames_with_point) >= kMinStaticShare * double(n_frames);
     });
     return is_static;
 }
 
-/// Makes surfels with the shape of an actor in one frame. They fade out while the actor
-/// walks on: their opacity is a Gaussian of the walked distance. Its standard deviation
-/// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
+/// Makes surfels with the shape of an actor in one frame, which fade out while the actor
+/// walks on (docs/method.md M14): their opacity is about a Gaussian of the walked
+/// distance, whose standard deviation is the distance between frames.
 /// @param changing samples of this frame where the shape of the actor changes
 /// @param period_m walked distance after which the motion repeats
+/// @param incidence strength of the dependence of intensities on the angle
 Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_index,
                            const LidarSamples& samples, const LidarSamples& changing, double period_m,
                            const InitOptions& options, double incidence) {
@@ -213,9 +207,9 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
     parallel_blocks(changing.size(), [&](std::size_t i) {
         shifts[i] = estimate_shift(by_frame, frame_index, samples, changing[i]);
     });
-    // The phase angle is 2 pi walked_m / period_m. It grows by 1 / frames_per_rad from
-    // frame to frame. The position is mean + swing sin(angle), so this swing moves a
-    // surfel by `shift` per frame.
+    // The angle of the walk, 2 pi walked_m / period_m, grows by 1 / frames_per_rad from
+    // frame to frame. At a small angle a after this frame, the position is mean + swing a
+    // and the opacity factor exp(-(sharpness a)^2 / 2).
     const auto frames_per_rad = float(period_m / (2.0 * kPi * frame.spacing_m));
     std::vector<GaitPhaseWindow> gaits;
     for (const glm::vec3& shift : smooth_shifts(changing, shifts))
@@ -223,6 +217,25 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
                          .sharpness = frames_per_rad,
                          .swing = frames_per_rad * shift});
     return make_gait_surfels(changing, gaits, options, incidence);
+}
+
+/// Returns the smallest sharpness with which a surfel is invisible when its centre swings
+/// out of the box of its actor, or 0 if the centre stays inside.
+/// @param room_m distance from the centre, without swing, to the sides of the box
+float find_hiding_sharpness(const glm::vec3& swing_m, const glm::vec3& room_m, float opacity,
+                            float alpha_min) {
+    constexpr float kMinRoom_m = 0.01f;  // for surfels whose mean is already outside
+    // The offset of the centre is swing_m * sin(angle). At this sine, it leaves the box.
+    float sine = 1.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float swing = std::abs(swing_m[axis]);
+        if (swing > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing);
+    }
+    if (sine >= 1.0f) return 0.0f;
+    // Solves alpha_min = opacity exp(sharpness^2 (cosine - 1)), with 1 - cosine =
+    // sine^2 / (1 + cosine).
+    const float cosine = std::sqrt(1.0f - sine * sine);
+    return std::sqrt(std::log(opacity / alpha_min) * (1.0f + cosine)) / sine;
 }
 
 }  // namespace
@@ -270,30 +283,18 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
 }
 
 void fade_far_swings(Scene& scene, float alpha_min) {
-    // The box of a model already has a margin of kObjectMargin_m.
-    constexpr float kSwingMargin_m = 0.1f;
-    constexpr float kMinRoom_m = 0.01f;  // for surfels whose mean is already outside
+    constexpr float kSwingMargin_m = 0.1f;  // the box of a model already has a margin of kObjectMargin_m
     Surfels& surfels = scene.surfels;
     if (!surfels.bends) return;
     for (const SurfelModel& model : scene.models) {
         if (model.stride_m <= 0.0f) continue;
         for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
             GaitPhaseWindow& gait = surfels.gait[i];
-            // The centre swings by `gait.swing` times the sine of the phase angle. At
-            // this sine it leaves the box.
-            float sine = 1.0f;
             const glm::vec3 room_m = model.half_size_m + kSwingMargin_m - glm::abs(surfels.mean[i]);
-            for (int axis = 0; axis < 3; ++axis) {
-                const float swing_m = std::abs(gait.swing[axis]);
-                if (swing_m > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing_m);
-            }
             const float opacity = sigmoid(surfels.opacity_logit[i]);
-            if (sine >= 1.0f || opacity <= alpha_min) continue;  // stays inside, or never visible
-            // At this angle, opacity exp(sharpness^2 (cosine - 1)) = alpha_min. Uses
-            // 1 - cosine = sine^2 / (1 + cosine).
-            const float cosine = std::sqrt(1.0f - sine * sine),
-                        sharpness = std::sqrt(std::log(opacity / alpha_min) * (1.0f + cosine)) / sine;
-            gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
+            if (opacity <= alpha_min) continue;  // never visible
+            const float sharpness = find_hiding_sharpness(gait.swing, room_m, opacity, alpha_min);
+            if (sharpness > 0.0f) gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
         }
     }
 }

@@ -76,8 +76,10 @@ void rotate_sh(const ShRotation& rotation, float* coefficients) {
 }
 
 /// Moves a surfel of a walking actor to its position at a phase of the walk. Reduces its
-/// opacity if it was recorded at another phase. Same formulas as
-/// shaders/scene/gaussian/gait.glsl.
+/// opacity the more, the farther this phase is from that of the surfel:
+///   mean += swing sin(angle),  opacity *= exp(sharpness^2 (cos(angle) - 1))
+/// as in docs/method.md M14 and shaders/scene/gaussian/gait.glsl.
+/// @param phase  in turns
 void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
     const GaitPhaseWindow& gait = surfels.gait[surfel];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
