@@ -15,14 +15,12 @@ constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns 
 // cells around a point then contain four or five returns: two rows of 3 / (4/3) rays.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeamMargin_rad = 0.002;  // margin at the outermost beams, about the width of a beam
-constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
-// Number of azimuth sectors of a sweep with one sensor position each.
-constexpr int kAzimuthSectors = 64;
+constexpr int kMinReturns = 3;       // the 2 x 3 cells around a point must contain at least this many returns
+constexpr int kAzimuthSectors = 64;  // number of azimuth sectors of a sweep with one sensor position each
 // A frame finds a point empty if all its returns in this direction are farther behind the
 // point than this multiple of the range error `margin`.
 constexpr double kMinBehindMargins = 1.5;
-// Edge length of a square ground tile. All points above one tile use the same frames.
-constexpr double kGroundTile_m = 8.0;
+constexpr double kGroundTile_m = 8.0;  // edge of a ground tile; points above a tile use the same frames
 // Maximum distance between a sensor and the tiles for which its frame is used. Farther
 // away, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
@@ -56,8 +54,7 @@ std::vector<double> row_elevations_rad(const RayTable& rays) {
 }
 
 /// Returns the number of columns of a grid per turn. A column is a little narrower than
-/// the azimuth between neighbouring rays (kCellsPerRay), which is measured in the middle
-/// row of the scan.
+/// the azimuth between neighbouring rays (kCellsPerRay), measured in the middle row.
 int choose_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const std::size_t first_of_middle_row = std::size_t(rays.rows / 2) * std::size_t(rays.columns);
@@ -75,6 +72,25 @@ int choose_columns(const RayTable& rays) {
 glm::dvec3 tile_centre(const glm::dvec3& point_m) {
     return kGroundTile_m *
            (glm::floor(glm::dvec3(point_m.x, point_m.y, 0.0) / kGroundTile_m) + glm::dvec3(0.5, 0.5, 0.0));
+}
+
+/// A view (frame) that can observe a tile, and its distance.
+struct ViewInRange {
+    std::uint32_t view;
+    double distance_m;
+};
+
+/// Returns the views whose sensors are near a tile, or about as near as the nearest one.
+/// Of more than kMostViews, returns kMostViews that are evenly spaced in time.
+std::vector<std::uint32_t> choose_views(const std::vector<ViewInRange>& in_range) {
+    const double nearest_m = std::ranges::min(in_range, {}, &ViewInRange::distance_m).distance_m,
+                 max_distance_m = std::max(kMaxTileDistance_m, kMaxDistanceRatio * nearest_m);
+    std::vector<std::uint32_t> near, chosen;
+    for (const ViewInRange& candidate : in_range)
+        if (candidate.distance_m <= max_distance_m) near.push_back(candidate.view);
+    if (near.size() <= kMostViews) return near;
+    for (std::size_t k = 0; k < kMostViews; ++k) chosen.push_back(near[k * near.size() / kMostViews]);
+    return chosen;
 }
 
 }  // namespace
@@ -133,16 +149,14 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
     return nearest;
 }
 
+/// Selects the frames for each tile of the ground. Their images are made when points
+/// above the tile need them.
 VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& positions)
-    : sequence_(log), positions_(positions) {
-    // The first frame of a LiDAR defines its grid. A grid without a frame is never read.
-    grids_.resize(log.lidars.size());
-    std::vector<bool> has_grid(grids_.size());
+    : sequence_(log), grids_(log.lidars.size()), positions_(positions) {
     for (const int position : positions) {
         const Frame& frame = log.frames[std::size_t(position)];
-        const std::size_t lidar = std::size_t(frame.lidar);
-        if (!has_grid[lidar]) grids_[lidar] = BeamGrid(frame.scan);
-        has_grid[lidar] = true;
+        BeamGrid& grid = grids_[std::size_t(frame.lidar)];  // of the first frame of each LiDAR
+        if (grid.rows() == 0) grid = BeamGrid(frame.scan);
         views_.push_back(
             {.time_s = frame.time_s, .lidar = frame.lidar, .sensor_from_world = {}, .range_m = {}});
     }
@@ -159,8 +173,7 @@ void VisibilityChecker::request_images(const glm::dvec3& point_m) {
         if (views_[view].sensor_from_world.empty()) requested_views_.push_back(view);
 }
 
-/// Creates the images that request_images() has noted, each once, because tiles share
-/// views.
+/// Creates the images that request_images() has noted, each once.
 void VisibilityChecker::make_requested() {
     std::sort(requested_views_.begin(), requested_views_.end());
     requested_views_.erase(std::unique(requested_views_.begin(), requested_views_.end()),
@@ -172,8 +185,8 @@ void VisibilityChecker::make_requested() {
     requested_views_.clear();
 }
 
-/// Stores the nearest range in each cell of a frame, and the sensor pose for each sector
-/// of the sweep. Sectors have separate poses, because the vehicle moves during the sweep.
+/// Stores the nearest range in each cell of a frame, and the sensor pose when the LiDAR
+/// head faces the middle of each azimuth sector, because the vehicle moves meanwhile.
 void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) const {
     const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
     const int n_sectors = sequence_.rolling_shutter ? kAzimuthSectors : 1;
@@ -187,15 +200,9 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
 
-/// Selects the frames (views) for each tile of the ground: those whose sensor is within
-/// kMaxTileDistance_m or kMaxDistanceRatio times the smallest distance. Of more than
-/// kMostViews, keeps kMostViews that are evenly spaced in time.
+/// Selects the views of each tile of the ground.
 void VisibilityChecker::select_frames() {
-    // Lists for each tile the views whose sensors are within their maximum range.
-    struct ViewInRange {
-        std::uint32_t view;
-        double distance_m;
-    };
+    // by tile: the views whose sensors are within their maximum range
     std::unordered_map<std::uint64_t, std::vector<ViewInRange>> in_range_of_tile;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
@@ -208,21 +215,11 @@ void VisibilityChecker::select_frames() {
             for (double dy = -farthest_m; dy <= farthest_m; dy += kGroundTile_m) {
                 const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 const double distance_m = glm::distance(tile, sensor);
-                if (distance_m >= farthest_m) continue;
-                in_range_of_tile[grid_key(tile, kGroundTile_m)].push_back({v, distance_m});
+                if (distance_m < farthest_m)
+                    in_range_of_tile[grid_key(tile, kGroundTile_m)].push_back({v, distance_m});
             }
     }
-    for (const auto& [key, in_range] : in_range_of_tile) {
-        const double nearest_m = std::ranges::min(in_range, {}, &ViewInRange::distance_m).distance_m,
-                     max_distance_m = std::max(kMaxTileDistance_m, kMaxDistanceRatio * nearest_m);
-        std::vector<std::uint32_t>& views = tiles_[key].views;
-        for (const ViewInRange& candidate : in_range)
-            if (candidate.distance_m <= max_distance_m) views.push_back(candidate.view);
-        if (views.size() <= kMostViews) continue;
-        // Works in place: the index on the right is never below k.
-        for (std::size_t k = 0; k < kMostViews; ++k) views[k] = views[k * views.size() / kMostViews];
-        views.resize(kMostViews);
-    }
+    for (const auto& [tile, in_range] : in_range_of_tile) tiles_[tile].views = choose_views(in_range);
 }
 
 const std::vector<std::uint32_t>& VisibilityChecker::find_views_near(const glm::dvec3& point_m) const {
@@ -231,19 +228,24 @@ const std::vector<std::uint32_t>& VisibilityChecker::find_views_near(const glm::
     return tile == tiles_.end() ? none : tile->second.views;
 }
 
-/// Returns the range of a point and the returns in the 2 x 3 cells around its direction.
-VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const VisibilityImage& view,
-                                                                    const glm::dvec3& point_m) const {
-    const int n_sectors = static_cast<int>(view.sensor_from_world.size());
+/// Returns the sensor pose when the LiDAR head faced a point: that of its azimuth sector.
+const Pose& VisibilityChecker::VisibilityImage::facing_pose(const glm::dvec3& point_m) const {
+    const auto n_sectors = static_cast<int>(sensor_from_world.size());
     // The sector depends on the sensor pose and the other way round. The pose in the
     // middle of the sweep is accurate enough to find the sector.
-    const glm::dvec3 rough_m = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
-    const int sector = static_cast<int>((0.5 + std::atan2(rough_m.y, rough_m.x) / (2.0 * kPi)) * n_sectors);
-    const Pose& sensor_from_world = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))];
-    const glm::dvec3 in_sensor_m = sensor_from_world * point_m;
-    NeighbourRanges result;
+    const glm::dvec3 rough_m = sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
+    const double turn = 0.5 + std::atan2(rough_m.y, rough_m.x) / (2.0 * kPi);  // 0 to 1
+    return sensor_from_world[std::size_t(std::clamp(static_cast<int>(turn * n_sectors), 0, n_sectors - 1))];
+}
+
+/// Returns the range of a point and the returns in the 2 x 3 cells around its direction:
+/// the rows above and below it, and three columns. No returns if no beam can hit it.
+VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const VisibilityImage& view,
+                                                                    const glm::dvec3& point_m) const {
+    const glm::dvec3 in_sensor_m = view.facing_pose(point_m) * point_m;
     const BeamGrid& grid = grids_[std::size_t(view.lidar)];
     const std::optional<BeamGrid::BeamGridCell> cell = grid.find_grid_cell(in_sensor_m);
+    NeighbourRanges result;
     if (!cell || cell->is_beyond) return result;
     result.range_m = glm::length(in_sensor_m);
     const int first_row = std::max(cell->row_below - 1, 0),

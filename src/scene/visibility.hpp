@@ -12,8 +12,7 @@ namespace relidar {
 
 enum class PointVisibility : char { unknown, occupied, empty };
 
-/// Grid of the directions of a LiDAR. Each row has the elevation of a beam, because beams
-/// can be unevenly spaced.
+/// Grid of the directions of a LiDAR. Each row has the elevation of a beam.
 class BeamGrid {
 public:
     BeamGrid() = default;
@@ -33,8 +32,8 @@ public:
     std::size_t cell_index(int row, int column) const {
         return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
     }
-    /// Returns the range of the nearest return in each cell, [rows * columns] metres, 0
-    /// if a cell has no return.
+    /// Returns the range of the nearest return in each cell, [rows * columns] metres, or
+    /// 0.
     std::vector<float> nearest_ranges_m(const Scan& scan) const;
 
 private:
@@ -43,8 +42,8 @@ private:
 };
 
 /// Compares a point with the range images of at most 64 frames, evenly spaced in time.
-/// Their sensors are within 40 m of the point, or at most 1.25 times as far away as the
-/// nearest sensor.
+/// Their sensors are within 40 m of the point, or at most 1.25 times as far as the
+/// nearest.
 class VisibilityChecker {
 public:
     /// Selects the frames that can observe each tile of the ground. `log` is not
@@ -52,8 +51,8 @@ public:
     /// @param positions indices of the frames to use, in `log.frames`
     VisibilityChecker(const Log& log, const std::vector<int>& positions);
 
-    /// Creates the range images that these points (world) need. Only these points may be
-    /// looked up then.
+    /// Creates the images that these points (world) need. Only they may be looked up
+    /// then.
     template <class Points>
     void make_images(const Points& points_m) {
         for (const auto& point_m : points_m) request_images(glm::dvec3(point_m));
@@ -87,11 +86,11 @@ private:
         /// [azimuth sectors of the sweep] when the LiDAR head faces the middle of the
         /// sector. Empty until make_image() is called.
         std::vector<Pose> sensor_from_world;
-        /// [rows * columns] see nearest_ranges_m()
-        std::vector<float> range_m;
+        std::vector<float> range_m;  ///< [rows * columns] see nearest_ranges_m()
+
+        const Pose& facing_pose(const glm::dvec3& point_m) const;
     };
-    /// Range of a point, and the ranges of the returns in the six cells around it: the
-    /// rows directly above and below it, and three columns.
+    /// Range of a point, and the ranges of the returns in the six cells around it.
     struct NeighbourRanges {
         double range_m = 0.0;
         float returned_m[6];
