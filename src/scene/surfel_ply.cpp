@@ -49,8 +49,7 @@ struct PlyProperty {
     }
 };
 
-/// Returns the properties of a PLY file in their order, which is also the order of the
-/// values of a surfel.
+/// Returns the properties of a PLY file, in the order of the values of a surfel.
 std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
     // Adds prefix0, prefix1, ... for the values of a group from `first` on.
@@ -180,35 +179,43 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
     return layout;
 }
 
-/// Properties that the reader uses, and their byte offsets in a record.
+/// Properties that the reader uses.
 struct PlyColumns {
-    std::vector<PlyProperty> property;
-    std::vector<std::size_t> offset;
+    struct Column {
+        PlyProperty property;
+        std::size_t offset;  ///< bytes from the start of a record
+    };
+    std::vector<Column> present;
     std::vector<PlyProperty> missing;
 };
+
+/// Returns the number of properties f_rest_... of a colour: the SH functions above degree
+/// 0, which are 3, 8 or 15 in a file of degree 1, 2 or 3.
+std::uint32_t count_rest_functions(const PlyRecordLayout& layout) {
+    const auto n_rest = std::ranges::count_if(
+        layout.fields, [](const auto& field) { return field.name.starts_with("f_rest_"); });
+    for (const std::uint32_t n : {3u, 8u})
+        if (n_rest == kColourChannels * n) return n;
+    return kRestCoefficients;
+}
 
 /// Finds the properties that the reader uses. Lists the missing ones separately, because
 /// the surfels of the run can supply them.
 PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameters) {
     PlyColumns columns;
-    // f_rest_0, f_rest_1, ... are the harmonics above degree 0, sorted by colour: 3, 8 or
-    // 15 of each (degree 1, 2 or 3). In a file of a lower degree, the second colour has
-    // names that mean the first colour in a file of degree 3.
-    const auto is_rest = [](const auto& column) { return column.name.starts_with("f_rest_"); };
-    const auto n = std::ranges::count_if(layout.fields, is_rest);
-    const bool is_lower_degree = n == 3 * 3 || n == 3 * 8;
-    const std::uint32_t n_rest = is_lower_degree ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
+    const std::uint32_t n_rest = count_rest_functions(layout);
     for (const PlyProperty& property : list_properties(parameters)) {
         if (!property.is_read) continue;
         const auto field = std::ranges::find(layout.fields, property.name, &PlyRecordLayout::Field::name);
-        const bool is_other_colour = is_rest(property) && property.index > n_rest;  // index from 1
+        // f_rest_... of the first colour come first. In a file of a lower degree, the
+        // next names belong to the second colour, although the reader expects the first.
+        const bool is_other_colour = property.name.starts_with("f_rest_") && property.index > n_rest;
         if (field == layout.fields.end() || is_other_colour) {
             columns.missing.push_back(property);
             continue;
         }
         if (!field->is_float) fail("property {} has another type, expected float", property.name);
-        columns.property.push_back(property);
-        columns.offset.push_back(field->offset);
+        columns.present.push_back({property, field->offset});
     }
     return columns;
 }
@@ -247,8 +254,7 @@ public:
     }
 
     /// Returns the index in the run of the surfel that surfel i of a file comes from. Of
-    /// several surfels at its position, returns the most similar one that has not been
-    /// returned before.
+    /// several surfels at its position, returns the most similar unused one.
     std::optional<std::uint32_t> find_match(const Surfels& surfels, std::size_t i) {
         std::optional<Candidate> best;
         bool has_twin = false;  // true if a surfel of another model fits equally well
@@ -375,9 +381,10 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
     return scene;
 }
 
-/// Parses a PLY file to a scene with the models and instances of `scene_layout`.
+/// Parses a PLY file to a scene with the models and instances of `run_scene`, whose
+/// surfels supply missing properties.
 /// @param note output: says which properties were copied from the run
-Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
+Scene parse_ply(const std::string& bytes, const Scene& run_scene, SurfelParameterSet parameters,
                 std::string& note) {
     // The lines of the header end with LF or CR LF. One record per vertex follows it.
     const std::string start = bytes.substr(0, kMaxPlyHeader);
@@ -385,28 +392,25 @@ Scene parse_ply(const std::string& bytes, const Scene& scene_layout, SurfelParam
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (header_end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, header_end));
-    const std::size_t first_record = start.find('\n', header_end + 1) + 1,
-                      n_data_bytes = bytes.size() - first_record;
     const PlyColumns columns = find_columns(layout, parameters);
-    check_restorable(columns, scene_layout, parameters);
-    if (n_data_bytes / layout.stride != layout.count || n_data_bytes % layout.stride != 0)
-        fail("found {} bytes of data, expected {} vertices of {} bytes", n_data_bytes, layout.count,
+    check_restorable(columns, run_scene, parameters);
+    const std::string_view records = std::string_view(bytes).substr(start.find('\n', header_end + 1) + 1);
+    if (records.size() / layout.stride != layout.count || records.size() % layout.stride != 0)
+        fail("found {} bytes of data, expected {} vertices of {} bytes", records.size(), layout.count,
              layout.stride);
     Surfels surfels;
     surfels.resize(layout.count, parameters);
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
-        for (std::size_t k = 0; k < columns.property.size(); ++k) {
-            const PlyProperty& property = columns.property[k];
+        for (const auto& [property, offset] : columns.present) {
             float value;
-            std::memcpy(&value, bytes.data() + first_record + i * layout.stride + columns.offset[k],
-                        sizeof value);
-            check_value(value, property, i, scene_layout.models.size());
+            std::memcpy(&value, records.data() + i * layout.stride + offset, sizeof value);
+            check_value(value, property, i, run_scene.models.size());
             if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
             else property.value_in(surfels, i) = value;
         }
-    if (!columns.missing.empty()) note = restore_columns(surfels, model, columns, scene_layout);
-    return group_by_model(surfels, model, scene_layout);
+    if (!columns.missing.empty()) note = restore_columns(surfels, model, columns, run_scene);
+    return group_by_model(surfels, model, run_scene);
 }
 
 /// Returns the header of a PLY file.
