@@ -16,13 +16,9 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxPatch_m = 0.3;
-// Patches in this lowest share of a vertical side are ignored, because the ground hides
-// them.
-constexpr double kHiddenHeight = 0.2;
-// Minimum number of mirrored pairs of patches for measuring the symmetry.
-constexpr std::size_t kFewestPairs = 3;
-// Maximum number of pairs of patches along an axis of a box: a box of 120 m.
-constexpr double kMostPairs = 200.0;
+constexpr double kHiddenHeight = 0.2;    // lowest share of a vertical side, which the ground hides
+constexpr std::size_t kFewestPairs = 3;  // minimum number of mirrored pairs of patches for a symmetry
+constexpr double kMostPairs = 200.0;     // maximum number of pairs of patches along an axis: a box of 120 m
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
@@ -30,6 +26,7 @@ int count_patches(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
+/// Returns the patch at a coordinate along a length from -half_length_m to half_length_m.
 int patch_index(double coordinate_m, double half_length_m, int n_patches) {
     return std::clamp(int(std::floor((coordinate_m / half_length_m + 1.0) * 0.5 * n_patches)), 0,
                       n_patches - 1);
@@ -38,8 +35,7 @@ int patch_index(double coordinate_m, double half_length_m, int n_patches) {
 // Maximum distance between the left and the mirrored right surface of a symmetric object.
 // The middle of a too large box is not exactly its symmetry plane.
 constexpr double kMostAsymmetry_m = 0.15;
-/// indices of the spherical harmonics that are odd in y (negative order)
-constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
+constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};  // spherical harmonics that are odd in y (negative order)
 
 }  // namespace
 
@@ -59,19 +55,21 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
 
 /// Returns the patch where a line from the box centre through a point leaves the box.
 auto ObservedBoxSurface::find_patch(const glm::dvec3& point_m) const -> std::optional<BoxSurfacePatch> {
-    // The line leaves through the side along which the point is, relative to the size of
-    // the box, farthest from the centre.
-    const glm::dvec3 relative = point_m / half_m_, distance = glm::abs(relative);
-    const int axis = longest_axis(distance);
-    const bool is_bottom = axis == 2 && relative.z < 0.0;
-    if (is_bottom || !(distance[axis] > 0.0) || !std::isfinite(distance[axis])) return std::nullopt;
+    // In units of the half size, the box is a cube from -1 to 1. The line leaves it along
+    // the axis of the largest coordinate.
+    const glm::dvec3 in_cube = point_m / half_m_;
+    const int axis = longest_axis(glm::abs(in_cube));
+    const double largest = std::abs(in_cube[axis]);
+    const bool is_bottom = axis == 2 && in_cube.z < 0.0;
+    if (is_bottom || !(largest > 0.0) || !std::isfinite(largest)) return std::nullopt;
     // Sides in the order of BoxSide: +x, -x, +y, -y, +z.
-    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(relative[axis] < 0.0);
+    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(in_cube[axis] < 0.0);
     const BoxSideAxes& frame = kSideFrames[side];
-    const glm::dvec3 on_surface = point_m / distance[axis];
-    const BoxSurfacePatch patch{
-        BoxSide(side), patch_index(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
-        patch_index(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    const auto [columns, rows] = n_[std::size_t(side)];
+    const glm::dvec3 exit_m = point_m / largest;
+    const BoxSurfacePatch patch{BoxSide(side),
+                                patch_index(exit_m[frame.first], half_m_[frame.first], columns),
+                                patch_index(exit_m[frame.second], half_m_[frame.second], rows)};
     return is_above_ground(patch) ? std::optional(patch) : std::nullopt;
 }
 
@@ -166,28 +164,23 @@ std::optional<BoxSide> ObservedBoxSurface::find_mirrored_side(const glm::dvec3& 
 }
 
 double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
-    struct Mean {
-        double sum_m = 0.0;
-        int n = 0;
-        double value_m() const { return sum_m / n; }
-    };
-    // By patch (side, column, row): distance of its points from the box centre along the
-    // normal of the side.
-    std::map<std::array<int, 3>, Mean> outward;
+    // Distances of the points of each patch from the box centre along the normal of the
+    // side: sum and number.
+    std::map<BoxSurfacePatch, std::pair<double, int>> distances;
     for (const glm::vec3& point_m : points_m) {
         const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
         if (!patch || !is_patch_set(*patch)) continue;
-        Mean& mean = outward[{int(patch->side), patch->column, patch->row}];
-        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
-        ++mean.n;
+        auto& [sum_m, n] = distances[*patch];
+        sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
+        ++n;
     }
-    std::vector<double> differences_m;
-    for (const auto& [key, mean] : outward) {
-        const BoxSurfacePatch other = mirror_patch({BoxSide(key[0]), key[1], key[2]});
-        const auto mirrored = outward.find({int(other.side), other.column, other.row});
-        // The order of the keys counts each pair of patches once.
-        if (mirrored != outward.end() && key < mirrored->first)
-            differences_m.push_back(std::abs(mean.value_m() - mirrored->second.value_m()));
+    std::vector<double> differences_m;  // of the means of a patch and its mirror patch
+    for (const auto& [patch, distance] : distances) {
+        const auto mirrored = distances.find(mirror_patch(patch));
+        // The order of the patches counts each pair once.
+        if (mirrored == distances.end() || !(patch < mirrored->first)) continue;
+        const auto mean_m = [](const std::pair<double, int>& sum) { return sum.first / sum.second; };
+        differences_m.push_back(std::abs(mean_m(distance) - mean_m(mirrored->second)));
     }
     return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
 }

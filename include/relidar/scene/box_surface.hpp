@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <compare>
 #include <optional>
 #include <string>
 #include <vector>
@@ -69,11 +70,11 @@ public:
     ObservedSideFractions covered_sides() const;
     /// Returns the side of the box if the point is in a completed patch.
     std::optional<BoxSide> find_mirrored_side(const glm::dvec3& point_m) const;
-    /// Measures how much the left and right half of an object differ.
+    /// Measures how much the left and right half of an object differ: compares the mean
+    /// distances of the points of two mirrored patches from the middle of the box.
     /// @param points_m points of the surface, box frame
-    /// @return median difference between the two observed patches of a pair, metres. A
-    /// patch counts with the mean distance of its points from the box centre along the
-    /// normal of its side. 0 with fewer than three pairs
+    /// @return median difference over all pairs of observed patches, metres; 0 with fewer
+    /// than three pairs
     double asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
@@ -87,6 +88,7 @@ private:
     struct BoxSurfacePatch {
         BoxSide side;
         int column, row;
+        auto operator<=>(const BoxSurfacePatch&) const = default;
     };
     glm::dvec3 half_m_;
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
