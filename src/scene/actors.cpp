@@ -4,6 +4,7 @@
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/labels.hpp>
 
+#include <optional>
 #include <unordered_map>
 
 #include <fmt/ranges.h>
@@ -49,8 +50,7 @@ std::vector<LidarSamples> collect_samples(const Log& log, const std::vector<int>
                                           const Progress& progress) {
     std::vector<WalkedDistanceTrack> walks;  // [boxes] distance walked until each time
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
-    // Separate lists per frame, so that threads need no lock and the order stays fixed.
-    // [frames][boxes]
+    // Separate lists per frame, so that the order does not depend on threads.
     std::vector<std::vector<LidarSamples>> by_frame(frames.size(), std::vector<LidarSamples>(boxes.size()));
     progress_for(frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
         append_returns(log, log.frames[std::size_t(frames[index])], boxes, options.second_returns, walks,
@@ -118,36 +118,37 @@ void pad_samples(LidarSamples& samples, std::size_t min_count, const BoxTrack& b
 
 /// Makes the surfels of an actor that changes its shape, if its class is selected for
 /// this. Adds a note for the user with the result.
-/// @return surfels with period 0 if the actor is rigid
-DeformingActorSurfels deform_selected(const BoxTrack& box, const LidarSamples& samples,
-                                      const InitOptions& options, double incidence,
-                                      std::vector<std::string>* notes, const Progress& progress) {
+/// @return nothing if the actor is rigid
+std::optional<DeformingActorSurfels> deform_selected(const BoxTrack& box, const LidarSamples& samples,
+                                                     const InitOptions& options, double incidence,
+                                                     std::vector<std::string>* notes,
+                                                     const Progress& progress) {
     const bool is_selected = options.deform == kEveryClass || has_word(options.deform, box.category) ||
                              has_word(options.deform, name_of(guess_kind(box)));
-    if (!is_selected) return {};
-    DeformingActorSurfels changing =
+    if (!is_selected) return std::nullopt;
+    DeformingActorSurfels deforming =
         make_deforming(samples, options, incidence, std::size_t(options.actor_points), progress);
-    const bool is_rigid = !changing.why_rigid.empty();
+    const bool is_rigid = !deforming.why_rigid.empty();
     if (notes)
         notes->push_back(
             fmt::format("{} ({}) {}{}", box.id, box.category,
                         is_rigid ? "is modelled as rigid, because " : "changes its shape from frame to frame",
-                        changing.why_rigid));
-    return changing;
+                        deforming.why_rigid));
+    return is_rigid ? std::nullopt : std::optional(std::move(deforming));
 }
 
 /// Appends an actor to the scene: its surfels, a model with them, and an instance of this
 /// model. Does nothing if the box has too few points.
-/// @param incidence  strength of the dependence on the incidence angle
-/// (IntensityResponse)
+/// @param incidence  strength of the dependence on the angle (IntensityResponse)
 void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples, const InitOptions& options,
                   double incidence, std::vector<std::string>* notes, const Progress& progress) {
-    LidarSamples rigid = thin_samples(samples, std::size_t(options.actor_points));
-    if (rigid.size() < std::size_t(options.actor_min_points)) return;
-    pad_samples(rigid, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
-    DeformingActorSurfels changing = deform_selected(box, samples, options, incidence, notes, progress);
-    const Surfels surfels =
-        changing.period_m > 0.0 ? std::move(changing.surfels) : make_surfels(rigid, options, incidence);
+    LidarSamples thinned = thin_samples(samples, std::size_t(options.actor_points));
+    if (thinned.size() < std::size_t(options.actor_min_points)) return;
+    pad_samples(thinned, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box,
+                options.seed);
+    const std::optional<DeformingActorSurfels> deforming =
+        deform_selected(box, samples, options, incidence, notes, progress);
+    const Surfels surfels = deforming ? deforming->surfels : make_surfels(thinned, options, incidence);
     ObservedBoxSurface observed_surface(box.size_m);
     for (const LidarSample& s : samples)
         observed_surface.mark_observed(glm::dvec3(s.position), glm::dvec3(s.view));
@@ -156,16 +157,20 @@ void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples
                             .first = static_cast<std::uint32_t>(scene.surfels.size()),
                             .count = static_cast<std::uint32_t>(surfels.size()),
                             .half_size_m = glm::vec3(0.5 * box.size_m + kObjectMargin_m),
-                            .stride_m = static_cast<float>(changing.period_m),
+                            .stride_m = deforming ? static_cast<float>(deforming->period_m) : 0.0f,
                             .surface = std::move(observed_surface)});
     scene.surfels.append_surfels(surfels);
 }
 
-/// Returns the distance that an actor has walked at the start of a new track, so that its
-/// steps continue the logged steps: the distance at the nearest logged pose plus the
-/// distance from there to the new pose.
-double walked_at_start_m(const PoseTrack& logged_track, const PoseTrack& new_track) {
-    const Pose& start = new_track.pose.front();
+/// Returns the distance that an actor has walked at the start of a track. If the track is
+/// not the logged one, the steps continue the logged steps: the distance is that at the
+/// nearest logged pose, plus the way ahead from there to the start.
+/// @param logged_box  null or without poses: the log has no such track
+double walked_at_start_m(const BoxTrack* logged_box, const PoseTrack& track) {
+    if (!logged_box || logged_box->world_from_box.pose.empty() || &logged_box->world_from_box == &track)
+        return 0.0;
+    const PoseTrack& logged_track = logged_box->world_from_box;
+    const Pose& start = track.pose.front();
     const auto distance_m = [&](const Pose& pose) {
         return glm::distance(pose.translation, start.translation);
     };
@@ -183,8 +188,9 @@ std::vector<BoxTrack> list_foreground(const Log& log, const InitOptions& options
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& box : log.boxes) {
         check_box(box);
-        if (!options.mask_others && !is_actor(box, options)) continue;
-        if (box.is_moving() || has_word(options.actor_tracks, box.id)) boxes.push_back(box);
+        const bool is_used = options.mask_others || is_actor(box, options);
+        const bool is_foreground = box.is_moving() || has_word(options.actor_tracks, box.id);
+        if (is_used && is_foreground) boxes.push_back(box);
     }
     return boxes;
 }
@@ -246,25 +252,18 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
     std::vector<InstancePose> placed;
     for (std::size_t i = 0; i < scene.instances.size(); ++i) {
         const ModelInstance& instance = scene.instances[i];
-        if (instance.track.empty()) {
-            placed.push_back({});
-            continue;
-        }
-        const PoseTrack* track = world_from_actor[i];
+        const bool is_background = instance.track.empty();
+        const PoseTrack* track = is_background ? nullptr : world_from_actor[i];
+        InstancePose& pose = placed.emplace_back();
+        pose.present = is_background || track;
+        if (!track) continue;
         const SurfelModel& model = scene.models[instance.model];
-        placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
-                               : InstancePose{{}, false});
-        // A walking actor also gets the phase of its walk: walked distance / distance per
-        // cycle of its motion. A track that is not the logged one continues its steps.
-        const double stride_m = double(model.stride_m);
-        if (!track || stride_m <= 0.0) continue;
-        const BoxTrack* box = find_box(log, instance.track);
-        const PoseTrack* logged_track =
-            box && !box->world_from_box.pose.empty() ? &box->world_from_box : nullptr;
-        const double walked_before_m =
-            logged_track && logged_track != track ? walked_at_start_m(*logged_track, *track) : 0.0;
-        placed.back().phase =
-            (walked_before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
+        pose = box_pose_in_sweep(log, *track, model.half_size_m, sweep);
+        if (model.stride_m <= 0.0f) continue;
+        // The phase of the walk, in cycles of the motion.
+        const double walked_m = walked_at_start_m(find_box(log, instance.track), *track) +
+                                WalkedDistanceTrack(*track).walked_m(pose.time_s);
+        pose.phase = walked_m / double(model.stride_m);
     }
     return placed;
 }

@@ -325,7 +325,8 @@ std::vector<BoxTrack> discover_tracks(const Log& log, const std::vector<int>& fr
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
-/// (BoxTrack::is_moving()) and the tracks listed in actor_tracks.
+/// (BoxTrack::is_moving()) and the tracks listed in actor_tracks. With mask_others=false,
+/// only the actors among them.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
 std::vector<BoxTrack> list_foreground(const Log& log, const InitOptions& options);
