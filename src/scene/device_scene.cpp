@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stores a scene on the device: the parameter arrays, the surfel records, and the tables
-// of models and instances. Runs the activation kernels, which compute the surfel records
-// from the parameters. Also runs the kernels that compute the gradients of the
-// parameters.
+// of models and instances. Runs the kernels that compute the surfel records from the
+// parameters, and those for the gradients.
 
 #include <cmath>
 
@@ -28,17 +27,16 @@ std::vector<SpecialisationConstant> make_constants(bool stage_sh_in_shared_memor
     return all;
 }
 
-/// Rows of each instance (a model with a pose) in the gradient array, one row per surfel.
-/// In the first instance of a model, the row of a surfel is the surfel's index. The rows
-/// of all other instances follow after these rows, sorted by model.
+/// Rows of the array of gradients of surfel records. It has a row for each surfel of each
+/// instance. The first instance of each model uses the rows of its surfels. The blocks of
+/// rows of the further instances follow, sorted by model.
 struct InstanceGradientRows {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1
     std::vector<std::int64_t> first_instance;
     /// first gradient row of the second, third, ... instance of each model, by model
     std::vector<std::uint32_t> further_rows;
-    /// [models + 1] start of each model in `further_rows`
-    std::vector<std::uint32_t> first_further;
+    std::vector<std::uint32_t> first_further;  ///< [models + 1] start of each model in `further_rows`
     std::uint32_t n_rows;
 
     InstanceGradientRows(const Scene& scene, std::uint32_t n_surfels)
@@ -73,8 +71,8 @@ struct InstanceGradientRows {
     }
 };
 
-/// Returns the model table for the device: the surfels and the box of each model, and its
-/// range in `rows.further_rows`, the gradient rows of its second and further instances.
+/// Returns the model table for the device: for each model, its surfels and box, and which
+/// elements of `rows.further_rows` belong to its instances.
 std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
@@ -95,7 +93,7 @@ struct DeviceScene::Impl {
     Scene layout;
     InstanceGradientRows gradient_rows;
     Array<shared::ModelEntry> models;
-    Array<std::uint32_t, shared::FurtherRows> more_rows;
+    Array<std::uint32_t, shared::FurtherRows> further_rows;  ///< InstanceGradientRows::further_rows
     SurfelArrays parameters;
     Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;
@@ -113,7 +111,7 @@ struct DeviceScene::Impl {
         : layout(strip_surfels(scene)),
           gradient_rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, make_models(scene, gradient_rows), "model table"),
-          more_rows(device, gradient_rows.further_rows, "gradient rows of further instances"),
+          further_rows(device, gradient_rows.further_rows, "gradient rows of further instances"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
                      scene.surfels.parameters_used()),
           records(device, scene.surfels.size(), "surfel records"),
@@ -167,8 +165,9 @@ struct DeviceScene::Impl {
     }
 
     /// Uploads the phase of the walking motion of each model (of its first instance).
-    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
-    Address<float> upload_phases(Stream& stream) const {
+    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models;
+    /// null if all models are rigid
+    Address<float, shared::GaitPhases> upload_phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> phases;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
@@ -177,7 +176,7 @@ struct DeviceScene::Impl {
             const bool walks = layout.models[m].stride_m > 0.0f;
             phases.push_back(walks ? static_cast<float>(strides - std::floor(strides)) : -1.0f);
         }
-        return stream.impl().stage_values(phases);
+        return stream.impl().stage_values(phases).cast_tag<shared::GaitPhases>();
     }
 };
 
@@ -206,7 +205,7 @@ void DeviceScene::stage_poses(Stream& stream, const std::vector<InstancePose>& p
                                entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& origin_m) {
+void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
@@ -216,8 +215,8 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
         {.surfels = surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->upload_origins(stream, origin_m),
-         .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
+         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .phases = impl_->upload_phases(stream),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->count_models(),
@@ -227,11 +226,11 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
 
 bool DeviceScene::can_skip_surfels() const { return impl_->touched_list.has_value(); }
 
-void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
-    // Processes only a list of the touched surfels (with a gradient) if the backward pass
-    // has marked them, and if the others need not be set to zero.
+    // A thread per surfel, or threads for a list of those surfels that rays have hit. The
+    // others must then not need zeros, and the backward pass must have marked them.
     const bool has_list = can_skip_surfels() && gradients.touched_is_marked && !gradients.zero_untouched;
     std::size_t n_threads = size();
     Address<std::uint32_t, shared::TouchedRows> listed_surfels;  // null: all surfels
@@ -247,9 +246,9 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
         {.surfels = surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
-         .more_rows = impl_->more_rows.address(),
-         .view_origins = impl_->upload_origins(stream, origin_m),
-         .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
+         .more_rows = impl_->further_rows.address(),
+         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .phases = impl_->upload_phases(stream),
          .d_surfels = surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
          .rows = listed_surfels,
@@ -273,11 +272,11 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // The new surfel ranges change the gradient rows of the instances. The table of rows
-    // keeps its size, because the number of instances does not change.
+    // The blocks of gradient rows depend on the numbers of surfels. Their number does not
+    // change, because the instances stay the same.
     impl_->gradient_rows = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_models(impl_->layout, impl_->gradient_rows));
-    impl_->more_rows.upload(impl_->gradient_rows.further_rows);
+    impl_->further_rows.upload(impl_->gradient_rows.further_rows);
 }
 
 void DeviceScene::append_model(Device& device, const DeviceScene& added) {
@@ -291,15 +290,15 @@ void DeviceScene::append_model(Device& device, const DeviceScene& added) {
     layout.models.back().first = first;
     InstanceGradientRows rows(layout, n);
     Array<shared::ModelEntry> models(device, make_models(layout, rows), "model table");
-    Array<std::uint32_t, shared::FurtherRows> more_rows(device, rows.further_rows,
-                                                        "gradient rows of further instances");
+    Array<std::uint32_t, shared::FurtherRows> further_rows(device, rows.further_rows,
+                                                           "gradient rows of further instances");
     scene.parameters.upload_at(first, added.surfel_parameters().download());
     scene.records.upload(added.surfel_records().download(added.size()), first);
     scene.parameters.n = n;
     scene.layout = std::move(layout);
     scene.gradient_rows = std::move(rows);
     scene.models = std::move(models);
-    scene.more_rows = std::move(more_rows);
+    scene.further_rows = std::move(further_rows);
 }
 
 void DeviceScene::append_instance(Device& device, const ModelInstance& instance) {
@@ -314,7 +313,7 @@ void DeviceScene::append_instance(Device& device, const ModelInstance& instance)
     scene.poses.push_back({.present = false});
     scene.gradient_rows = InstanceGradientRows(scene.layout, size());
     scene.models.upload(make_models(scene.layout, scene.gradient_rows));
-    scene.more_rows = {device, scene.gradient_rows.further_rows, "gradient rows of further instances"};
+    scene.further_rows = {device, scene.gradient_rows.further_rows, "gradient rows of further instances"};
     scene.instances.upload(scene.make_instances(std::vector<InstancePose>(scene.poses)));
 }
 

@@ -266,28 +266,27 @@ public:
     /// Returns true if the new poses change the phase of an actor's walking cycle, so
     /// that activate() must be called again.
     bool moves_gait(const std::vector<InstancePose>& instance_poses) const;
-    /// Computes the SurfelRecord of each surfel from its parameters (docs/method.md M1,
-    /// M2, M9); with ShDirection::surfel also intensity, hit logit and drop logit.
-    /// Tracing kernels read only these records.
+    /// Computes the record of each surfel (axes, opacity), the only input of tracing
+    /// kernels, from its parameters. With ShDirection::surfel, also evaluates intensity,
+    /// hit logit and drop logit, as seen from the sensor.
     /// @param view_origin_m [3] sensor position, world frame. If a model has several
     /// instances, it is used relative to the first of them
     /// @throws UsageError if `model` has another primitive than the scene
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
-    /// Returns true if activate_vjp() can skip surfels without a
-    /// gradient, which is the case on CPU devices.
+    /// Returns true if activate_vjp() can skip surfels without a gradient, which is the
+    /// case on CPU devices.
     bool can_skip_surfels() const;
     /// Converts gradients with respect to the SurfelRecords to gradients with respect to
     /// the parameters (chain rule). Writes the gradients of the SH coefficients only with
     /// ShDirection::surfel. Otherwise the backward pass has already written them.
-    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
+    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                       const ActivationGradients& gradients);
 
     /// Enlarges all arrays to at least `capacity` surfels. Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
-    /// Sets the range of each model after the arrays were rearranged. Afterwards,
-    /// activate() must update the surfel records, and
-    /// stage_poses() or upload_poses() the
-    /// instances.
+    /// Sets the surfel range of each model after the arrays were rearranged. Afterwards,
+    /// activate() must update the surfel records, and stage_poses() or upload_poses() the
+    /// instances, which contain these ranges too.
     void set_models(const std::vector<SurfelModel>& models);
     /// Adds a copy of the only model of another scene at the end, with its surfels and
     /// its surfel records. Adds no instance. No submitted GPU work may use the arrays.
