@@ -182,14 +182,18 @@ void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indi
     }
 }
 
-/// Draws random scales of 0.1 to 0.3 m and opacities of 0.1 to 0.99. With `shrink`, more
-/// surfels are smaller, so that they cover the same area.
+/// Draws scales from 0.1 to 0.3 m, whose logarithms are uniformly distributed, and then
+/// opacities from 0.1 to 0.99.
+/// @param shrink  scales the surfels, so that their total area is that of
+/// kUnscaledSurfels
 void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
-    // n surfels have the same total area as 100 000 surfels of the original size.
-    const double factor = shrink ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
+    constexpr double kUnscaledSurfels = 1e5, kMinScale_m = 0.1, kScaleRatio = 3.0;
+    const double factor = shrink ? std::sqrt(kUnscaledSurfels / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
-        for (int axis = 0; axis < 2; ++axis)
-            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.draw_uniform()) * factor));
+        for (int axis = 0; axis < 2; ++axis) {
+            const double scale_m = kMinScale_m * std::pow(kScaleRatio, random.draw_uniform()) * factor;
+            log_scale[axis] = float(std::log(scale_m));
+        }
     for (float& logit : surfels.opacity_logit) {
         const double opacity = 0.1 + 0.89 * random.draw_uniform();
         logit = float(std::log(opacity / (1.0 - opacity)));
@@ -198,8 +202,7 @@ void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
 
 /// Draws random spherical harmonics (SH) of three channels: intensity, hit logit, drop
 /// logit. First draws degree 0, which sets the mean of a channel, then the other degrees.
-/// scene_gen.py rounds the coefficients to the same steps, half to even, so that both
-/// make the same surfels.
+/// scene_gen.py rounds the coefficients to the same steps, half to even.
 void sample_harmonics(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
     enum Channel { kIntensity, kHitLogit, kDropLogit };
@@ -245,7 +248,7 @@ Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool sh
 }
 
 RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_deg) {
-    if (rows <= 0 || columns <= 0) throw UsageError("make_benchmark_rays: rows and columns must be positive");
+    if (rows <= 0 || columns <= 0) throw UsageError("make_street_rays: rows and columns must be positive");
     RayTable table;
     table.rows = rows;
     table.columns = columns;
@@ -268,7 +271,7 @@ RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_d
 RayTable make_street_rays(const std::string& name) {
     if (name == "waymo") return make_street_rays(64, 2650, 2.4, -17.6);
     if (name == "kitti") return make_street_rays(66, 1030, 2.0, -24.9);
-    throw UsageError("make_benchmark_rays: found \"" + name + "\", expected waymo or kitti");
+    throw UsageError("make_street_rays: found \"" + name + "\", expected waymo or kitti");
 }
 
 }  // namespace relidar
