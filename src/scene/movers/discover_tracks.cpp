@@ -12,21 +12,16 @@
 namespace relidar {
 namespace {
 
-// Closer returns can belong to the same static object, because poses have errors.
-constexpr double kSamePosition_m = 0.2;
-// Margin around the tracked box, because the tracked object may still be there.
-constexpr double kTrackedBoxMargin_m = 0.4;
-// At least this share of the returns of a track must be proven to lie on a moving object.
-constexpr double kMinMovedReturnShare = 0.25;
-// Minimum n_moved_returns / n_decided_returns of a track.
-constexpr double kMinConfirmedShare = 0.85;
+constexpr double kSamePosition_m = 0.2;      // closer returns can be of one static object: poses have errors
+constexpr double kTrackedBoxMargin_m = 0.4;  // around the tracked box, because the object may still be there
+constexpr double kMinMovedReturnShare = 0.25;  // share of a track's returns that must prove the motion
+constexpr double kMinConfirmedShare = 0.85;    // minimum n_moved_returns / n_decided_returns of a track
 constexpr double kMinMovedFrameShare =
     0.5;  // motion must be proven in at least this share of a track's frames
 
 /// Number of frames which show that the object at a position has not moved, or has moved.
 struct MotionEvidence {
-    /// Frames that have a return at the position although the tracked object is
-    /// elsewhere.
+    /// frames that have a return at the position, although the object is elsewhere
     std::size_t n_occupied_frames = 0;
     std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
     void operator+=(const MotionEvidence& other) {
@@ -104,10 +99,9 @@ TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& c
 }
 
 // A second track inside this margin around the box of a person or vehicle is a part of
-// the same object.
+// it.
 constexpr double kPersonMargin_m = 0.5, kVehicleMargin_m = 1.0;
-// minimum number of points per frame after static points are removed
-constexpr std::size_t kMinMoverPoints = 5;
+constexpr std::size_t kMinMoverPoints = 5;  // minimum number of points per frame without static points
 constexpr double kMaxBoxLength_m = 20.0, kMaxBoxWidth_m = 3.2, kMaxBoxHeight_m = 4.5;
 constexpr double kMinSpeed_mps = 0.4, kMaxSpeed_mps = 50.0;
 constexpr double kMinVehicleLength_m = 1.2;  // objects that are at least this long are vehicles, not people
@@ -223,14 +217,15 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const Mo
     return all;
 }
 
-/// Returns the boxes of all objects that are proven to have moved. Each process of the
-/// group checks a share of the tracks.
+/// Returns the boxes of all objects that are proven to have moved: fits boxes to tracks
+/// without a label, and extends the boxes of the labelled ones. Each process of the group
+/// processes a share of the tracks.
 std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& tracks, const Log& log,
                                       const Progress& progress, const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.part_range(tracks.size());
     const std::span<MoverTrack> local_tracks =
         std::span(tracks).subspan(share.begin, share.end - share.begin);
-    for (const MoverTrack& track : local_tracks)
+    for (const MoverTrack& track : local_tracks)  // the parallel loop only looks images up
         for (const MoverObservation& o : track.observations) view.make_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> boxes(local_tracks.size());
     progress_for(boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t i) {
@@ -241,8 +236,8 @@ std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& trac
     return gather_boxes(group, local_tracks, boxes, log);
 }
 
-/// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
-/// than half of the time.
+/// Returns true if the centre of box `inner` is inside the enlarged box `outer` at more
+/// than half of the times of `inner`.
 bool is_same_object(const BoxTrack& inner, const BoxTrack& outer) {
     const double margin_m =
         std::max(outer.size_m.x, outer.size_m.y) < kMinVehicleLength_m ? kPersonMargin_m : kVehicleMargin_m;

@@ -12,14 +12,11 @@ namespace {
 // Number of corrections of a path. The centre of the visible points, which the first path
 // follows, shifts when other sides of the object become visible.
 constexpr int kPathCorrections = 3;
-// The top of an object is its highest return within this time before and after a frame.
-constexpr double kTopWindow_s = 1.0;
-constexpr double kBoxMargin_m = 0.1;  // added around the points of a box
-// Boxes are extended downwards, because actors.cpp treats their lowest part as ground.
-constexpr double kBoxGround_m = 0.15;
+constexpr double kTopWindow_s = 1.0;   // the top is the highest return so long before and after a frame
+constexpr double kBoxMargin_m = 0.1;   // added around the points of a box
+constexpr double kBoxGround_m = 0.15;  // extends boxes downwards; actors.cpp treats this part as ground
 constexpr double kSpeedWindow_s = 0.5;
-// Number of labels from which the offset between box and visible points is computed.
-constexpr std::size_t kLabelsPerEnd = 10;
+constexpr std::size_t kLabelsPerEnd = 10;  // labels that give the offset between box and visible points
 // If the sensor is farther than this outside a box along one axis of the box, it sees
 // only the near end of the object along this axis.
 constexpr double kMinSideDistance_m = 0.5;
@@ -176,16 +173,13 @@ std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track, cons
 struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;
-    /// Minimum length and width if all sides of the object are visible.
-    double min_length_m, min_width_m;
+    double min_length_m, min_width_m;  ///< minimum length and width if all sides of the object are visible
 };
 constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-// Slower objects can be pedestrians, who look like a car if they walk side by side.
-constexpr double kMinCarSpeed_mps = 2.5;
-constexpr double kMinTruckHeight_m = 2.5;  // objects taller than this are trucks
-// Maximum width and minimum height of an object that counts as a cyclist.
-constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
+constexpr double kMinCarSpeed_mps = 2.5;                      // pedestrians side by side look like a slow car
+constexpr double kMinTruckHeight_m = 2.5;                     // objects taller than this are trucks
+constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;  // maximum width, minimum height of a cyclist
 
 const TypicalObjectSize& guess_object_kind(const glm::dvec3& size_m) {
     if (size_m.x < kCar.min_length_m && size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m)
@@ -194,8 +188,7 @@ const TypicalObjectSize& guess_object_kind(const glm::dvec3& size_m) {
 }
 
 /// Returns the side of a box on which the sensor was in more than three quarters of the
-/// observations, along one axis of the box: -1 or 1. Returns 0 if no side has so many
-/// observations.
+/// observations, along one axis of the box: -1 or 1. 0 if there is no such side.
 double facing_side(const BoxTrack& box, const MoverTrack& track, int axis) {
     const double min_distance_m = 0.5 * box.size_m[axis] + kMinSideDistance_m;  // from the box centre
     std::size_t n_negative = 0, n_positive = 0;

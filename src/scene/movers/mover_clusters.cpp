@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides which returns of a frame belong to moving objects. Groups these returns into
-// clusters.
+// Decides which returns of a frame moved, and groups them into clusters.
 #include "scene/movers/mover_tracks.hpp"
 
 #include <iterator>
@@ -12,9 +11,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-// Edge length of the cells for which the program decides whether their returns moved.
-constexpr double kEvidenceCell_m = 0.2;
+constexpr double kMaxRange_m = 40.0;     // beyond this range, a person has only one or two returns
+constexpr double kEvidenceCell_m = 0.2;  // the returns of a cell of this size move or rest together
 constexpr double kClusterSquare_m = 0.3;
 // Two returns belong to the same object if their squares are at most this many squares
 // apart along x and along y.
@@ -24,10 +22,8 @@ constexpr double kMaxLength_m = 14.0;
 // Minimum ratio (frames that find a cell empty) / (frames with a return in it) of a moved
 // cell. The threshold is low, because a vehicle often hides empty cells behind it.
 constexpr double kMinEmptyShare = 0.25;
-// A static object is usually visible in more frames than this.
-constexpr int kTooFewFrames = 3;
-// Points farther below the lowest moved point of a cluster belong to the ground.
-constexpr double kGroundBelow_m = 0.05;
+constexpr int kTooFewFrames = 3;         // A static object is usually visible in more frames than this
+constexpr double kGroundBelow_m = 0.05;  // points farther below the lowest moved point are ground
 // Vertical gap that separates two objects. At 29 m, beams that are two degrees apart
 // leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
@@ -43,7 +39,7 @@ enum class CellMotionState : char { rests, rarely_observed, moved };
 struct MoverReturn {
     glm::vec3 point_m;
     double time_s;
-    std::uint32_t cell;  ///< index of the grid cell, see assign_cells()
+    std::uint32_t cell = 0;  ///< index of the grid cell, see assign_cells()
     CellMotionState motion = CellMotionState::rests;
 };
 
@@ -79,18 +75,24 @@ struct FrameMoverReturns {
     std::vector<MoverCluster> of_labels;
 };
 
-/// Converts sums over the points of a cluster, time and centre, to means.
+/// Adds a return to a cluster, whose time and centre are sums until mean_of_sums().
+void add_to_sums(MoverCluster& sums, const glm::dvec3& point_m, double time_s) {
+    sums.time_s += time_s;
+    sums.centre_m += point_m;
+    sums.points_m.push_back(point_m);
+}
+
 MoverCluster mean_of_sums(MoverCluster sums) {
     sums.time_s /= double(sums.points_m.size());
     sums.centre_m /= double(sums.points_m.size());
     return sums;
 }
 
-/// Separates the returns of a frame into returns inside moving labelled boxes and returns
-/// outside all labelled boxes.
+/// Separates the returns of a frame into returns in the labelled boxes that move, in
+/// those that stand, and outside all labelled boxes.
 FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
     const std::vector<LabelledBox> labelled = labelled_boxes_at(log, frame.time_s);
-    std::vector<MoverCluster> sums_in_boxes(labelled.size());  // of times and points, by box
+    std::vector<MoverCluster> sums_in_boxes(labelled.size());
     FrameMoverReturns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
@@ -99,7 +101,7 @@ FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
             return candidate.box.contains_point(hit.point_m, hit.time_s, kMoverMargin_m);
         });
         if (match == labelled.end()) {
-            result.others.push_back({glm::vec3(hit.point_m), hit.time_s, 0, CellMotionState::rests});
+            result.others.push_back({.point_m = glm::vec3(hit.point_m), .time_s = hit.time_s});
             continue;
         }
         // Returns in the margin belong to no cluster, because the margin contains ground.
@@ -107,9 +109,7 @@ FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
         if (!is_moving_box || !match->box.contains_point(hit.point_m, hit.time_s, 0.0)) continue;
         MoverCluster& sums = sums_in_boxes[std::size_t(match - labelled.begin())];
         sums.label = match->label;
-        sums.time_s += hit.time_s;
-        sums.centre_m += hit.point_m;
-        sums.points_m.push_back(hit.point_m);
+        add_to_sums(sums, hit.point_m, hit.time_s);
     }
     for (MoverCluster& cluster : sums_in_boxes)
         if (!cluster.points_m.empty()) result.of_labels.push_back(mean_of_sums(std::move(cluster)));
@@ -216,16 +216,14 @@ std::optional<MoverCluster> make_cluster(const std::vector<MoverReturn>& returns
         if (returns[i].motion == CellMotionState::moved)
             moved_heights_m.push_back(double(returns[i].point_m.z));
     const auto [bottom_m, top_m] = find_height_range(std::move(moved_heights_m));
-    MoverCluster sums;                  // its time and centre are sums, which mean_of_sums() divides
+    MoverCluster sums;
     glm::dvec3 low(1e30), high(-1e30);  // corners of the bounding box
     double n_moved = 0.0;
     for (const std::uint32_t i : group) {
         const glm::dvec3 p(returns[i].point_m);
         if (p.z < bottom_m || p.z > top_m) continue;
         if (returns[i].motion == CellMotionState::moved) ++n_moved;
-        sums.time_s += returns[i].time_s;
-        sums.points_m.push_back(p);
-        sums.centre_m += p;
+        add_to_sums(sums, p, returns[i].time_s);
         low = glm::min(low, p);
         high = glm::max(high, p);
     }

@@ -13,13 +13,11 @@
 namespace relidar {
 namespace {
 
-// standard deviation of the observed position of an object's near end
-constexpr double kPositionNoise_m = 0.1;
+constexpr double kPositionNoise_m = 0.1;  // standard deviation of an observed position
 // Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1
 // s, the path follows motions that take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerkDensity = 0.2;
-// A position at this distance from the path has half the weight of one on the path.
-constexpr double kFarFromPath_m = 0.3;
+constexpr double kFarFromPath_m = 0.3;  // a position at this distance from the path has half the weight
 constexpr int kPathRounds = 3;
 // The heading at a position is the direction of a chord of the path. The chord begins at
 // this distance before the position and ends at this distance after it.
@@ -28,7 +26,8 @@ constexpr double kHeadingChord_m = 1.5;
 // ratio. The heading at p is then the direction from a to p instead of from a to b.
 constexpr double kMinChordRatio = 0.3;
 
-/// Each column of `state` is a world axis. The rows are position, velocity, acceleration.
+/// State (p, v, a) of each world axis, in the columns of `state`, and its covariance,
+/// which all axes share, because their noise is the same.
 struct KalmanState {
     glm::dmat3 state{0.0}, covariance{0.0};
 };
@@ -53,8 +52,12 @@ KalmanState correct_state(KalmanState state, const glm::dvec3& observed_m, doubl
     return state;
 }
 
+KalmanState predict_state(const KalmanState& previous, double dt_s) {
+    const glm::dmat3 f = transition(dt_s);
+    return {f * previous.state, f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
+}
+
 /// Runs a Kalman filter over the positions, and a smoother back from the last position.
-/// All axes share a covariance, because their noise is the same.
 /// @param weights [times] weight of each observed position, 0 to 1
 KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m,
                            const std::vector<double>& weights) {
@@ -64,29 +67,23 @@ KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector
     predicted[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
     for (int axis = 0; axis < 3; ++axis) predicted[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
-        // Predicts the state at this time from the previous state.
-        if (k > 0) {
-            const KalmanState& previous = filtered[k - 1];
-            const double dt_s = times_s[k] - times_s[k - 1];
-            const glm::dmat3 f = transition(dt_s);
-            predicted[k] = {f * previous.state,
-                            f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
-        }
+        if (k > 0) predicted[k] = predict_state(filtered[k - 1], times_s[k] - times_s[k - 1]);
         filtered[k] = correct_state(predicted[k], positions_m[k], weights[k]);
     }
     // The smoother corrects each state by what the later positions tell about it:
     // state = filtered + back (next state - next prediction), back = P F^T (next P)^-1.
-    KinematicPath path(n);
-    glm::dmat3 state = filtered[n - 1].state;
-    for (std::size_t k = n; k-- > 0;) {
-        if (k + 1 < n) {
-            const glm::dmat3 back = filtered[k].covariance *
-                                    glm::transpose(transition(times_s[k + 1] - times_s[k])) *
-                                    glm::inverse(predicted[k + 1].covariance);
-            state = filtered[k].state + back * (state - predicted[k + 1].state);
-        }
+    std::vector<glm::dmat3> states(n);
+    for (std::size_t k = 0; k < n; ++k) states[k] = filtered[k].state;
+    for (std::size_t k = n - 1; k-- > 0;) {
+        const glm::dmat3 back = filtered[k].covariance *
+                                glm::transpose(transition(times_s[k + 1] - times_s[k])) *
+                                glm::inverse(predicted[k + 1].covariance);
+        states[k] += back * (states[k + 1] - predicted[k + 1].state);
+    }
+    KinematicPath path;
+    for (const glm::dmat3& state : states) {
         const glm::dmat3 rows = glm::transpose(state);
-        path[k] = {rows[0], rows[1], rows[2]};
+        path.push_back({rows[0], rows[1], rows[2]});
     }
     return path;
 }

@@ -6,8 +6,7 @@
 namespace relidar {
 namespace {
 
-// maximum time without a matching cluster before a track is interrupted
-constexpr double kMaxGap_s = 0.35;
+constexpr double kMaxGap_s = 0.35;  // maximum time without a matching cluster before a track is interrupted
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
 // Maximum number of observations from which a velocity is estimated, for the prediction
@@ -21,16 +20,12 @@ constexpr double kMaxPrediction_m = 0.7, kMaxPrediction_mps = 4.0;
 // maximum error is kMaxPrediction_m plus this many metres for each second of the gap.
 constexpr double kMaxGapError_mps = 0.8;
 constexpr double kMaxSpeedChange_mps = 2.0;
-// Maximum factor by which the number of returns of an object may change between two
-// frames.
-constexpr double kMaxRatio = 8.0;
+constexpr double kMaxRatio = 8.0;  // maximum change of an object's number of returns between frames
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// Minimum ratio of net motion to path length. The ratio of noise is small.
-constexpr double kMinStraightness = 0.5;
+constexpr double kMinStraightness = 0.5;  // minimum net motion / path length; the ratio of noise is small
 constexpr double kEgoVehicleRadius_m = 4.0, kMaxRelativeMotion_m = 0.3;
-// Smaller parts are not joined to one vehicle, because they can be people.
-constexpr double kVehiclePart_m = 1.2;
+constexpr double kVehiclePart_m = 1.2;      // smaller parts are not joined, because they can be people
 constexpr double kMaxPartDistance_m = 1.5;  // maximum distance between the parts of one vehicle
 // Maximum standard deviation of the offset between two parts of one vehicle. The offset
 // varies with the visible side.
@@ -80,8 +75,7 @@ double match_cost(const MoverTrack& track, const MoverCluster& cluster, double f
     return glm::length(glm::dvec2(error_m)) / max_error_m;
 }
 
-/// Builds tracks frame by frame. A track is open while a cluster of the next frame can
-/// still continue it.
+/// Builds tracks frame by frame. A track is open while a cluster can continue it.
 class OpenTrackSet {
 public:
     explicit OpenTrackSet(const Log& log) : sequence_(log) {}

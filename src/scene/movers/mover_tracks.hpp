@@ -90,8 +90,7 @@ void merge_tracks(MoverTracks& tracks);
 BoxTrack fit_box(const MoverTrack& track);
 
 /// Enlarges a box if only one side of its object was visible: away from the sensor, to
-/// the typical size of a car, a truck or a cyclist. Stores the name of this kind in the
-/// box.
+/// the typical size of a car, a truck or a cyclist. Stores this kind in the box.
 void enlarge_box(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a
