@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the pose and the motion of an actor at the time when the head of a LiDAR faces
-// it.
+// Computes the pose and the motion of an actor at the time when a LiDAR head faces it.
 #include <relidar/scene/device_scene.hpp>
 
 #include <cmath>
@@ -8,16 +7,14 @@
 namespace relidar {
 namespace {
 
-// Assumed maximum difference between the azimuth of a beam and of the rotating head.
-constexpr double kMaxBeamOffset_rad = 0.17;
+constexpr double kMaxBeamOffset_rad = 0.17;  // maximum azimuth between a beam and the rotating head
 // The azimuths that a box covers are widened on each side by this share of their half
 // width, because the sensor and the box move during the scan.
 constexpr double kWideningShare = 0.25;
 // The time span of a motion is lengthened by this share, because real LiDAR heads deviate
 // from the nominal firing times.
 constexpr double kLengtheningShare = 0.02;
-// Assumed maximum difference between a firing time and the time of a sweep, if unknown.
-constexpr double kUnknownSweep_s = 0.1;
+constexpr double kUnknownSweep_s = 0.1;  // assumed half duration of a sweep, if unknown
 constexpr double kVelocityStep_s = 0.005;
 
 struct TimeSpan {

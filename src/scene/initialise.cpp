@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Makes background surfels from the returns of the training frames. Averages the points
 // of each voxel. Estimates normals and scales from nearest neighbours (docs/method.md
-// section 2; paper section 3.2). Skips points in the boxes of moving objects. Never reads
-// the held-out frames.
+// section 2; paper section 3.2). Skips points in the boxes of moving objects.
 
 #include "base/fail.hpp"
 #include "base/geometry/nearest_place.hpp"
@@ -89,10 +88,21 @@ struct VoxelSample {
     std::uint32_t index_in_frame;
 };
 
-/// The voxels are divided into parts by hash, so that one thread per part can add samples
-/// without a lock.
+/// Parts of the voxels, by hash. One thread per part adds samples without a lock.
 constexpr std::size_t kHashParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kHashParts>;
+
+/// Finds the voxels of the background samples of a frame.
+VoxelSamplesByPart find_frame_voxels(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
+                                     const NearestPointFinder<float>& sensors, const InitOptions& options) {
+    VoxelSamplesByPart by_part;
+    std::uint32_t index_in_frame = 0;
+    for (const LidarSample& sample : background_samples(log, frame, boxes, options)) {
+        const VoxelCell cell = find_voxel_cell(sample.position, sensors, options);
+        by_part[CellHash{}(cell) % kHashParts].push_back({sample, cell, index_in_frame++});
+    }
+    return by_part;
+}
 
 struct VoxelHashTable {
     std::unordered_map<VoxelCell, std::size_t, CellHash> index;
@@ -141,14 +151,10 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
         std::vector<VoxelSamplesByPart> frames(std::min(kFramesPerBatch, train_frames.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
             const Frame& frame = log.frames[std::size_t(train_frames[begin + std::size_t(index)])];
-            VoxelSamplesByPart& by_part = frames[std::size_t(index)];
-            std::uint32_t index_in_frame = 0;
-            for (const LidarSample& s : background_samples(log, frame, separate, options)) {
-                const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
-                by_part[CellHash{}(cell) % kHashParts].push_back({s, cell, index_in_frame++});
-            }
+            frames[std::size_t(index)] = find_frame_voxels(log, frame, separate, sensors, options);
         });
-        // One thread per part adds the points to its voxels, in the order of the frames.
+        // One thread per part adds the samples to its voxels, in the order of the frames.
+        // A sum then does not depend on the threads.
         parallel_for(kHashParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
                 for (const VoxelSample& sample : frames[i][std::size_t(part)])
@@ -167,14 +173,14 @@ LidarSamples remove_movers(const LidarSamples& samples, const Log& log, const st
     std::vector<glm::vec3> points;
     for (const LidarSample& sample : samples) points.push_back(sample.position);
     visibility.make_images(points);
-    std::vector<char> keep(samples.size());
+    std::vector<char> is_static(samples.size());
     progress_blocks(samples.size(), progress, "removing moving points", [&](std::size_t index) {
-        keep[index] = !visibility.count_votes(samples[index].position).is_empty_space(kGoneShare);
+        is_static[index] = !visibility.count_votes(samples[index].position).is_empty_space(kGoneShare);
     });
-    LidarSamples still;
+    LidarSamples static_samples;
     for (std::size_t i = 0; i < samples.size(); ++i)
-        if (keep[i]) still.push_back(samples[i]);
-    return still;
+        if (is_static[i]) static_samples.push_back(samples[i]);
+    return static_samples;
 }
 
 }  // namespace

@@ -38,12 +38,9 @@ bool is_word_in_list(std::span<const std::string_view> words, std::string_view w
     return std::ranges::find(words, word) != words.end();
 }
 
-// Points in the lowest part of a box belong to the ground.
-constexpr double kGroundHeight_m = 0.15;
-// Minimum length of a vehicle without a class. Cyclists are shorter.
-constexpr double kShortestVehicle_m = 3.0;
-// Limits for persons and cyclists without a class.
-constexpr double kMaxPersonWidth_m = 1.1, kMinPersonHeight_m = 1.2;
+constexpr double kGroundHeight_m = 0.15;    // points in the lowest part of a box belong to the ground
+constexpr double kShortestVehicle_m = 3.0;  // minimum length of a vehicle without a class
+constexpr double kMaxPersonWidth_m = 1.1, kMinPersonHeight_m = 1.2;  // persons and cyclists without a class
 constexpr double kMaxPersonLength_m = 1.3, kMaxCyclistLength_m = 2.2;
 
 /// Returns the corners of the part of a box that contains the points of the object.

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the arrays of surfels in host memory: resize, check shapes, sort and
-// concatenate.
+// Surfels in host memory: resize, check, sort and concatenate.
 
 #include <fmt/ranges.h>
 #include <cmath>
