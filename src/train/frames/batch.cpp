@@ -7,21 +7,19 @@
 
 #include "gpu/stream.hpp"
 #include "train/frames/frame_data.hpp"
-#include "train/shared/train.h"
 
 namespace relidar {
-
-namespace {
 
 /// How a frame is divided into batches.
 struct BatchPlan {
     /// Number of columns of a batch. 0 if a batch is every n_batches-th ray of the frame.
     std::uint32_t n_columns = 0;
-    /// number of batches of a series; also the stride of the groups of columns or of the
-    /// rays of a batch
+    /// number of batches of a series; the stride of the groups or rays of a batch
     std::uint32_t n_batches = 1;
     std::uint32_t n_starts = 1;  ///< number of columns (or rays) with which a batch can start
 };
+
+namespace {
 
 /// If the rays are not ordered as an image, the frame has a single row.
 ImageShape image_shape(const TrainingFrameData& frame) {
@@ -67,37 +65,24 @@ std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, std::u
 
 }  // namespace
 
-struct BatchSampler::Impl {
-    std::uint32_t n_rays;  ///< about the number of rays of a batch; 0: all rays
-    bool windows;          ///< true: batches are windows of neighbouring columns
-    Array<DeviceRay> rays;
-    Array<DeviceTarget> targets;
-    Kernel<shared::GatherColumnsParams> gather;
-
-    Impl(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
-        : n_rays(static_cast<std::uint32_t>(config.train.rays_per_iteration)),
-          windows(config.has_pixel_pair_loss()),
-          rays(device, max_column_rays(frames, n_rays, windows), "batch rays"),
-          targets(device, rays.size(), "batch targets"),
-          gather(device, "train/gather_columns") {}
-
-    BatchPlan plan(const TrainingFrameData& frame) const { return plan_batches(frame, n_rays, windows); }
-    SampledBatch copy_columns(Stream& stream, const TrainingFrameData& frame, const BatchPlan& plan,
-                              std::uint32_t first_column);
-};
-
 /// Allocates arrays for the largest batch that consists of columns, which a kernel
 /// copies. Other batches use the arrays of their frame.
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
-    : impl_(new Impl(device, config, frames)) {
+    : n_rays_(static_cast<std::uint32_t>(config.train.rays_per_iteration)),
+      windows_(config.has_pixel_pair_loss()),
+      rays_(device, max_column_rays(frames, n_rays_, windows_), "batch rays"),
+      targets_(device, rays_.size(), "batch targets"),
+      gather_(device, "train/gather_columns") {
     const auto is_image = [](const TrainingFrameData& frame) { return frame.image.is_image(); };
-    if (config.has_pixel_pair_loss() && !std::ranges::all_of(frames, is_image))
+    if (windows_ && !std::ranges::all_of(frames, is_image))
         throw UsageError(
             "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and columns, so "
             "this loss cannot be computed; set it to 0");
 }
 
-BatchSampler::~BatchSampler() = default;
+BatchPlan BatchSampler::plan(const TrainingFrameData& frame) const {
+    return plan_batches(frame, n_rays_, windows_);
+}
 
 /// Converts the index of a ray in the batch to its index in the frame. Must select the
 /// same columns as frame_column() in shaders/train/columns.glsl.
@@ -113,11 +98,11 @@ std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
 }
 
 std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {
-    return impl_->plan(frame).n_batches;
+    return plan(frame).n_batches;
 }
 
 std::uint32_t BatchSampler::draw_start(const TrainingFrameData& frame, Random& random) const {
-    return static_cast<std::uint32_t>(random.next_uint64() % impl_->plan(frame).n_starts);
+    return static_cast<std::uint32_t>(random.next_uint64() % plan(frame).n_starts);
 }
 
 SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random) {
@@ -129,13 +114,13 @@ SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& f
 /// would bias the loss, because a sector with few returns would get a higher weight.
 SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t start,
                                   std::uint32_t index) {
-    const BatchPlan plan = impl_->plan(frame);
-    if (plan.n_columns > 0) {
+    const BatchPlan batches = plan(frame);
+    if (batches.n_columns > 0) {
         const std::uint32_t first_column = start + index * RELIDAR_COLUMN_GROUP;
-        return impl_->copy_columns(stream, frame, plan, first_column % image_shape(frame).columns);
+        return copy_columns(stream, frame, batches, first_column % image_shape(frame).columns);
     }
     // Every n-th ray. This batch needs no copy, because kernels read with a stride.
-    const std::uint32_t stride = plan.n_batches, first_ray = (start + index) % stride;
+    const std::uint32_t stride = batches.n_batches, first_ray = (start + index) % stride;
     const RayBatch rays = frame.strided_batch(first_ray, stride);
     return {.rays = rays,
             .targets = {.targets = &frame.loss_targets(),
@@ -148,32 +133,33 @@ SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame
 }
 
 /// Copies columns of a frame to the batch arrays, which then contain only these rays.
-SampledBatch BatchSampler::Impl::copy_columns(Stream& stream, const TrainingFrameData& frame,
-                                              const BatchPlan& plan, std::uint32_t first_column) {
+SampledBatch BatchSampler::copy_columns(Stream& stream, const TrainingFrameData& frame,
+                                        const BatchPlan& batches, std::uint32_t first_column) {
     const ImageShape image = image_shape(frame);
     const ColumnWindow window{.columns = image.columns,
                               .first = first_column,
-                              .stride = plan.n_batches,
-                              .n_columns = plan.n_columns};
+                              .stride = batches.n_batches,
+                              .n_columns = batches.n_columns};
     const std::uint32_t n_batch_rays = image.rows * window.n_columns;
-    run(stream, gather, n_batch_rays,
+    run(stream, gather_, n_batch_rays,
         {.rays = frame.device_rays().address(),
          .targets = frame.loss_targets().address(),
-         .batch_rays = rays.address(),
-         .batch_targets = targets.address(),
+         .batch_rays = rays_.address(),
+         .batch_targets = targets_.address(),
          .rows = image.rows,
          .columns = window.columns,
          .first_column = window.first,
          .column_stride = window.stride,
          .n_columns = window.n_columns});
     const double share = double(n_batch_rays) / frame.n_rays;
-    return {.rays = {.rays = &rays, .n_rays = n_batch_rays, .columns = window.n_columns, .targets = &targets},
-            .targets = {.targets = &targets,
-                        .n_rays = n_batch_rays,
-                        .n_returned = share * frame.n_returned,
-                        .n_known_rays = share * frame.n_known_rays,
-                        .image = {.rows = image.rows, .columns = window.n_columns}},
-            .window = window};
+    return {
+        .rays = {.rays = &rays_, .n_rays = n_batch_rays, .columns = window.n_columns, .targets = &targets_},
+        .targets = {.targets = &targets_,
+                    .n_rays = n_batch_rays,
+                    .n_returned = share * frame.n_returned,
+                    .n_known_rays = share * frame.n_known_rays,
+                    .image = {.rows = image.rows, .columns = window.n_columns}},
+        .window = window};
 }
 
 }  // namespace relidar

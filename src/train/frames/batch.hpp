@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <memory>
 #include <vector>
 
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/traversal.hpp>
 
 #include "base/random.hpp"
+#include "gpu/kernel.hpp"
+#include "train/shared/train.h"
 
 namespace relidar {
 
 struct Config;
 struct TrainingFrameData;
+struct BatchPlan;
 
 /// Columns of a frame that are copied into a batch (shared::GatherColumnsParams).
 struct ColumnWindow {
@@ -40,7 +42,6 @@ class BatchSampler {
 public:
     /// @throws UsageError if a loss needs images, but the rays are not ordered as images
     BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
-    ~BatchSampler();
     SampledBatch draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
     /// Returns a batch of a series, whose batches together contain all rays of a frame,
     /// except a few columns at the end of a full turn. A window is a series of one batch.
@@ -48,15 +49,21 @@ public:
     /// @param index  below count_batches()
     SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t start,
                         std::uint32_t index);
-    /// Draws the first column of a batch, or its first ray if it does not consist of
-    /// columns.
+    /// Draws the first column (or ray) of a batch.
     std::uint32_t draw_start(const TrainingFrameData& frame, Random& random) const;
     /// Number of batches of a series.
     std::uint32_t count_batches(const TrainingFrameData& frame) const;
 
 private:
-    struct Impl;
-    std::unique_ptr<Impl> impl_;
+    std::uint32_t n_rays_;   ///< about the number of rays of a batch; 0: all rays
+    bool windows_;           ///< true: batches are windows of neighbouring columns
+    Array<DeviceRay> rays_;  ///< rays of the last batch that was copied
+    Array<DeviceTarget> targets_;
+    Kernel<shared::GatherColumnsParams> gather_;
+
+    BatchPlan plan(const TrainingFrameData& frame) const;
+    SampledBatch copy_columns(Stream& stream, const TrainingFrameData& frame, const BatchPlan& batches,
+                              std::uint32_t first_column);
 };
 
 }  // namespace relidar

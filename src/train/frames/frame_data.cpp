@@ -20,8 +20,7 @@ namespace {
 struct MovingBoxMask {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// Radius of a sphere that contains the box during the full sweep.
-    double reach_m;
+    double reach_m;  ///< radius of a sphere that contains the box during the full sweep
 };
 
 /// Returns the moving boxes without a model that are present in a sweep, with a margin

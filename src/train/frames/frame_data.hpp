@@ -44,15 +44,13 @@ struct TrainingFrameData {
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
     ImageShape image;
-    /// index of the first vehicle pose ("knot" of the track) that the rays of this frame
-    /// need
+    /// index of the first vehicle pose ("knot" of the track) that the rays need
     std::size_t first_knot = 0;
     std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays with the rays while the frame is on the device
     /// [n] rays from corrected sensor poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
-    /// Number of rays with a return, without ignored rays. Set by the first upload of the
-    /// frame.
+    /// number of rays with a return, without ignored rays; set by the first upload
     double n_returned = 0.0;
     double n_known_rays = 0.0;
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene

@@ -46,8 +46,7 @@ Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGri
 
 namespace {
 
-// frames prepared in parallel in host memory
-constexpr std::size_t kPreparedAtOnce = 32;
+constexpr std::size_t kPreparedAtOnce = 32;  // frames prepared in parallel in host memory
 
 /// Returns the absolute time at which a ray was fired. Without rolling shutter, all rays
 /// of a frame have the time of the frame.
@@ -55,8 +54,7 @@ double firing_time_s(const Log& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// Frame with the rays that training uses: a copy with the rays of a grid, or the frame
-/// of the log.
+/// Frame with the trained rays: a copy with the rays of a grid, or the frame of the log.
 struct TrainedFrame {
     std::optional<Frame> gridded;
     const Frame& frame;
@@ -146,8 +144,6 @@ TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector
     for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
 }
 
-TrainingFrames::~TrainingFrames() = default;
-
 /// Uploads the resident frames in groups. Threads compute the arrays of a group, and the
 /// size of a group limits host memory.
 void TrainingFrames::upload_frames(Device& device) {
@@ -220,8 +216,7 @@ namespace {
 // steps that can move it, before the rates decay. In SH coefficients; the constant
 // coefficient is 3.5 times its part of the logit.
 constexpr double kMinLogitMotion = 50.0;
-// Maximum rate, so that a single ray does not decide if a surfel returns.
-constexpr double kMaxRate = 2.0;
+constexpr double kMaxRate = 2.0;  // maximum rate, so that a single ray does not decide if a surfel returns
 
 /// Returns the expected number of training steps that use a ray at each actor, [models]:
 /// the steps of each frame that shows the actor, times the share of rays in a batch.

@@ -24,8 +24,7 @@ struct FrameUploadOptions {
     bool moves_rays =
         false;  ///< true if vehicle poses are corrected; FrameArrays::track_positions is then needed
     std::uint64_t resident_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
-    /// If set, training uses one ray for each cell of this grid instead of the rays of
-    /// the sensor.
+    /// if set, training uses a ray for each cell of this grid, not the rays of the sensor
     std::optional<RangeImageGrid> grid = {};
 };
 
@@ -36,7 +35,6 @@ public:
     /// upload
     /// @throws DataError if a frame has no ray
     TrainingFrames(Device& device, const Log& log, const std::vector<int>& frames, FrameUploadOptions use);
-    ~TrainingFrames();
 
     const std::vector<TrainingFrameData>& all() const { return frames_; }
     TrainingFrameData& operator[](std::size_t index) { return frames_[index]; }
@@ -46,8 +44,7 @@ public:
     /// Uploads a frame unless it is on the device, and returns it. Its arrays are valid
     /// until the next upload.
     TrainingFrameData& ensure_resident(Stream& stream, std::size_t frame);
-    /// Announces the next frame. A thread starts to compute its rays if it must be
-    /// uploaded.
+    /// Announces the next frame. A thread starts to compute its rays.
     void prefetch_frame(std::size_t frame);
 
 private:
@@ -61,8 +58,7 @@ private:
     const FrameUploadOptions use_;
     std::vector<TrainingFrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
-    /// arrays that all other frames share
-    std::shared_ptr<const FrameArrays> shared_;
+    std::shared_ptr<const FrameArrays> shared_;  ///< arrays that all other frames share
     std::future<HostFrameArrays> prefetched_frame_;
     std::size_t prefetched_index_ = 0;
 
