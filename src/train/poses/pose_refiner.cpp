@@ -29,8 +29,7 @@ glm::dvec3 three_components(const Twist& twist, std::size_t first_index) {
     return {twist[first_index], twist[first_index + 1], twist[first_index + 2]};
 }
 
-// Learning rate at the end of training, relative to the start.
-constexpr double kFinalShare = 0.1;
+constexpr double kFinalShare = 0.1;  // learning rate at the end of training, relative to the start
 /// Learning rates are multiples of train.pose_rate_m, that of the sensor position in
 /// metres. The rotation rate in radians is a tenth, because most returns are about 10 m
 /// away. The rates of boxes are ten times as large, like their initial errors.
@@ -105,18 +104,15 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .n_rows = kGroupsPerPose});
 }
 
-std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> partial_sums,
-                                                           const TrainingFrameData& frame) const {
-    std::vector<PoseGradient> result(frame.n_knots);
-    for (std::size_t knot = 0; knot < result.size(); ++knot) {
-        PoseGradient& pose = result[knot];
-        pose.pose = frame.first_knot + knot;
+std::vector<Twist> PoseCorrectedRays::sum_gradients(std::span<const float> partial_sums,
+                                                    std::uint32_t n_knots) const {
+    std::vector<Twist> gradients(n_knots, Twist{});
+    for (std::size_t knot = 0; knot < n_knots; ++knot)
         for (std::size_t group = 0; group < kGroupsPerPose; ++group) {
             const auto sums = partial_sums.subspan(6 * (group * max_knots_ + knot), 6);
-            for (std::size_t i = 0; i < 6; ++i) pose.gradient[i] += sums[i];
+            for (std::size_t i = 0; i < 6; ++i) gradients[knot][i] += sums[i];
         }
-    }
-    return result;
+    return gradients;
 }
 
 TrackCorrection::TrackCorrection(PoseTrack track)
@@ -224,7 +220,7 @@ PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layou
       poses_(copy_without_scans(sequence)) {
     if (config.refines("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
-        rays_ = std::make_unique<PoseCorrectedRays>(device, frames.all());
+        rays_.emplace(device, frames.all());
         sensor_readback_.emplace(device, rays_->partial_sums().size(), "pose gradients of rays");
     }
     if (!config.refines("actors")) return;
@@ -237,8 +233,6 @@ PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layou
     // 6 values per instance: rotation and translation
     instance_readback_.emplace(device, 6 * layout_.instances.size(), "pose gradients of instances");
 }
-
-PoseRefiner::~PoseRefiner() = default;
 
 RefinedPoses PoseRefiner::refined_poses() const { return {poses_.world_from_vehicle, poses_.boxes}; }
 
@@ -305,8 +299,10 @@ void PoseRefiner::wait_for_pending(Stream& stream) {
 /// Updates the poses of the sensor and of the actors' boxes by one step of Adam each.
 void PoseRefiner::apply_gradients(const PendingPoseGradients& pending) {
     if (rays_) {
-        for (const PoseGradient& pose : rays_->sum_gradients(pending.of_sensor, frames_.all()[pending.frame]))
-            sensor_->add_gradient(pose.pose, 1.0, pose.gradient);
+        const TrainingFrameData& frame = frames_.all()[pending.frame];
+        const std::vector<Twist> gradients = rays_->sum_gradients(pending.of_sensor, frame.n_knots);
+        for (std::size_t k = 0; k < gradients.size(); ++k)
+            sensor_->add_gradient(frame.first_knot + k, 1.0, gradients[k]);
         sensor_->run_adam_step(pose_rates(config_, config_.pose_rate_m, pending.step));
         sensor_->remove_mean_motion();
     }

@@ -7,7 +7,6 @@
 
 #include <cstdint>
 #include <deque>
-#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
@@ -68,11 +67,6 @@ private:
     Twist stored_correction(std::size_t pose) const;
 };
 
-struct PoseGradient {
-    std::size_t pose = 0;
-    Twist gradient{};
-};
-
 class PoseCorrectedRays {
 public:
     PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
@@ -86,9 +80,8 @@ public:
                      const Array<float, shared::DeviceRayGradients>& ray_gradients);
     /// [kGroupsPerPose, max_knots_, 6] partial sums of the gradients of each pose
     const Array<float>& partial_sums() const { return partial_sums_; }
-    /// Adds the partial sums on the host, which gives one gradient per pose of the frame.
-    std::vector<PoseGradient> sum_gradients(std::span<const float> partial_sums,
-                                            const TrainingFrameData& frame) const;
+    /// Adds the partial sums on the host. Returns the gradient of each pose of a frame.
+    std::vector<Twist> sum_gradients(std::span<const float> partial_sums, std::uint32_t n_knots) const;
 
 private:
     /// workgroups per pose, so that the GPU has enough parallel work
@@ -124,8 +117,7 @@ struct PendingPoseGradients {
     /// [actors, 2] start and end of the time in which each actor was visible
     std::vector<double> actor_time_s;
     /// Gradients of the sensor poses, [kGroupsPerPose, max_knots_, 6], and of the actors,
-    /// [instances, 6]. Empty if they are still on the device, or if these poses are not
-    /// corrected.
+    /// [instances, 6]. Empty while they are on the device, or if not needed.
     std::vector<float> of_sensor, of_instances;
 };
 
@@ -141,7 +133,6 @@ public:
     /// @param config  with train.refine_poses=none, all functions do nothing
     PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
-    ~PoseRefiner();
 
     bool is_enabled() const { return is_active_; }
     /// Returns which gradients the backward pass must compute for record_gradients().
@@ -153,8 +144,7 @@ public:
                           const SampledBatch& batch, const DeviceGradients& gradients, int step);
     /// Applies the gradients of pending iterations in order. Waits for them if necessary.
     void apply_until(Stream& stream, int last_step);
-    /// Waits for the pending gradients, so that a checkpoint can store them. Does not
-    /// update the poses.
+    /// Waits for the pending gradients, so that a checkpoint can store them.
     void wait_for_pending(Stream& stream);
     RefinedPoses refined_poses() const;
 
@@ -193,7 +183,7 @@ private:
     Scene layout_;
     Log poses_;  ///< the log without its scans, with the current corrections
     std::optional<TrackCorrection> sensor_;
-    std::unique_ptr<PoseCorrectedRays> rays_;
+    std::optional<PoseCorrectedRays> rays_;
     std::vector<RefinedActor> actors_;
     std::deque<PendingPoseGradients> pending_;  ///< oldest first
     /// gradients on their way to the host; empty if these poses are not corrected
