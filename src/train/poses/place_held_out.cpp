@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns held-out scans with the trained scene, so that the metrics do not contain the
-// pose error of the scan.
+// Aligns held-out scans with the trained scene, so that metrics do not contain pose
+// errors.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -16,56 +16,44 @@
 namespace relidar {
 namespace {
 
-// Minimum blending weight of a ray that hits a solid surface.
-constexpr float kFewestWeight = 0.5f;
+constexpr float kFewestWeight = 0.5f;  // minimum blending weight of a ray that hits a solid surface
 
-/// Renders the surfaces of the trained background, to which held-out scans are aligned.
-/// Excludes actors, because their poses are only estimates.
-class TrainedBackgroundRenderer {
-public:
-    TrainedBackgroundRenderer(Device& device, const Run& run)
-        : run_(run), renderer_(device, run.scene, surface_config(run.config), run.sequence) {}
+/// Returns the settings for rendering the surfaces of a scene.
+Config surface_config(Config config) {
+    config.render.channels = "normal";
+    config.sensor.sub_rays = config.sensor.returns = 1;
+    return config;
+}
 
-    /// Returns the surface point and normal that the scene predicts for each ray, in the
-    /// world frame of the log. An entry stays empty if the ray hits an actor or no
-    /// surface.
-    std::vector<SurfaceHit> render_surfaces(int frame_index, const std::vector<std::size_t>& ray_indices,
-                                            const PoseTrack& world_from_vehicle) {
-        const Frame& frame = run_.sequence.frames[std::size_t(frame_index)];
-        SimulatedSensor sensor;
-        sensor.rays = select_rays(frame.scan.rays, ray_indices);
-        sensor.follows_sweeps = false;
-        sensor.lidar = frame.lidar;
-        sensor.rolling_shutter = run_.sequence.rolling_shutter;
-        const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
-        const glm::dvec3& offset_m = run_.sequence.world_offset_m;
-        const RenderedScan scan = renderer_.render(
-            sensor, {frame.time_s, shift_track(mount_track(world_from_vehicle, mounted), offset_m), {}});
-        const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
-        std::vector<SurfaceHit> surfaces(ray_indices.size());
-        FiringPoseInterpolator firing(scan);
-        for (std::size_t i = 0; i < ray_indices.size(); ++i) {
-            const std::int32_t instance = scan.instance[i];
-            if (scan.weight[i] < kFewestWeight || instance < 0 ||
-                !run_.scene.instances[std::size_t(instance)].track.empty())
-                continue;
-            const Pose& pose = firing.pose_of(i);
-            surfaces[i] = {pose * glm::dvec3(scan.end_of(i)) - offset_m,
-                           pose.rotation * glm::dvec3(normals[i])};
-        }
-        return surfaces;
+/// Returns the surface point and normal that the trained background shows along each ray,
+/// in the world frame of the log. An entry stays empty if the ray hits no surface, or an
+/// actor, because the poses of actors are only estimates.
+std::vector<SurfaceHit> render_surfaces(ScanRenderer& renderer, const Run& run, int frame_index,
+                                        const std::vector<std::size_t>& ray_indices,
+                                        const PoseTrack& world_from_vehicle) {
+    const Frame& frame = run.sequence.frames[std::size_t(frame_index)];
+    SimulatedSensor sensor;
+    sensor.rays = select_rays(frame.scan.rays, ray_indices);
+    sensor.follows_sweeps = false;
+    sensor.lidar = frame.lidar;
+    sensor.rolling_shutter = run.sequence.rolling_shutter;
+    const Pose& mounted = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    const glm::dvec3& offset_m = run.sequence.world_offset_m;
+    const RenderedScan scan = renderer.render(
+        sensor, {frame.time_s, shift_track(mount_track(world_from_vehicle, mounted), offset_m), {}});
+    const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
+    std::vector<SurfaceHit> surfaces(ray_indices.size());
+    FiringPoseInterpolator firing(scan);
+    for (std::size_t i = 0; i < ray_indices.size(); ++i) {
+        const std::int32_t instance = scan.instance[i];
+        if (scan.weight[i] < kFewestWeight || instance < 0 ||
+            !run.scene.instances[std::size_t(instance)].track.empty())
+            continue;
+        const Pose& pose = firing.pose_of(i);
+        surfaces[i] = {pose * glm::dvec3(scan.end_of(i)) - offset_m, pose.rotation * glm::dvec3(normals[i])};
     }
-
-private:
-    const Run& run_;
-    ScanRenderer renderer_;
-
-    static Config surface_config(Config config) {
-        config.render.channels = "normal";
-        config.sensor.sub_rays = config.sensor.returns = 1;
-        return config;
-    }
-};
+    return surfaces;
+}
 
 }  // namespace
 
@@ -78,7 +66,7 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
         return result;
     }
     const RegistrationOptions options = registration_options(run.sequence, config);
-    TrainedBackgroundRenderer view(device, run);
+    ScanRenderer renderer(device, run.scene, surface_config(config), run.sequence);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
     // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
@@ -93,7 +81,7 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
         const ScanAlignment placed = align_scan(
             run.sequence, pose,
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
-                return view.render_surfaces(position, rays, from);
+                return render_surfaces(renderer, run, position, rays, from);
             },
             options);
         ++result.scans;
