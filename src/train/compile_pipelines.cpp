@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiles every pipeline by constructing the objects of training and rendering. Needs
-// neither a log nor a GPU.
+// Compiles every pipeline by constructing the objects of training and rendering.
 #include "train/compile_pipelines.hpp"
 
 #include <relidar/diff/forward.hpp>
@@ -16,24 +15,19 @@
 namespace relidar {
 namespace {
 
-/// A setting that selects other variants of kernels.
-struct KernelSetting {
-    const char* key;
-    const char* value;
-};
-
-/// Returns the settings that select kernels which no preset uses. Each is compiled
-/// separately, with the preset `default`. Add a row for each new specialisation constant.
-std::vector<KernelSetting> list_kernel_settings() {
-    std::vector<KernelSetting> settings{{"image.sh_direction", "ray"},
-                                        {"image.sh_direction", "surfel"},
-                                        {"image.single_drop_logit", "true"},
-                                        {"train.deterministic", "true"},
-                                        {"train.refine_poses", "sensor,actors"},
-                                        {"render.range", "mode"},
-                                        {"trace.chunk", "16"},
-                                        {"trace.chunk", "64"},
-                                        {"densify.strategy", "adaptive"}};
+/// Returns settings (key and value) that select kernels which no preset uses. Each is
+/// compiled separately, with the preset `default`. Add a row for each new specialisation
+/// constant.
+std::vector<std::pair<std::string, std::string>> list_kernel_settings() {
+    std::vector<std::pair<std::string, std::string>> settings{{"image.sh_direction", "ray"},
+                                                              {"image.sh_direction", "surfel"},
+                                                              {"image.single_drop_logit", "true"},
+                                                              {"train.deterministic", "true"},
+                                                              {"train.refine_poses", "sensor,actors"},
+                                                              {"render.range", "mode"},
+                                                              {"trace.chunk", "16"},
+                                                              {"trace.chunk", "64"},
+                                                              {"densify.strategy", "adaptive"}};
     // The weight of each loss, which enables its kernels.
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) \
     settings.push_back({"loss." #setting, "0.1"});
@@ -93,7 +87,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_training(device, street, make_preset(preset));
     }
     for (const auto& [key, value] : list_kernel_settings()) {
-        report(std::string(key) + "=" + value);
+        report(key + "=" + value);
         Config config = make_preset("default");
         set_value(config, key, value);
         compile_training(device, street, config);

@@ -25,8 +25,8 @@ bool has_usable_poses(const Log& sequence, const Config& config) {
 struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// Computes the median and the maximum of the corrections from the poses of the log
-    /// to the registered poses.
+    /// Computes the median and the maximum of the corrections from the log to the
+    /// registration.
     PoseCorrectionStatistics(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {
@@ -72,8 +72,7 @@ std::string describe_length(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
-// Maximum share of scans that may fail to register. One failed scan is always allowed.
-constexpr double kMostLost = 0.05;
+constexpr double kMostLost = 0.05;  // share of scans that may fail to register; one may always
 
 /// Prints which scans could not be registered.
 /// @throws DataError if too many scans failed
@@ -289,8 +288,7 @@ std::string describe_extension(const BoxTrack& box) {
     return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
-/// Returns the progress callback of a long step: it also stops the step if the user has
-/// interrupted it.
+/// Returns a progress callback that also stops a long step if the user interrupts it.
 Progress interruptible_progress(const LogPreparationCallbacks& session) {
     return [&session](std::string_view description, double done) {
         check_interrupted(session);

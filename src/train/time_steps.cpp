@@ -12,19 +12,19 @@ namespace {
 
 constexpr int kWarmUp = 5;  // iterations before the measurement
 
+using KernelTotals = std::map<std::string, KernelTimes::LaunchTotals>;
+
 /// Returns the time and number of launches of each kernel per step.
 /// @param before,after totals before and after `n_steps` timed steps
-std::map<std::string, TrainingStepTimes::StepKernelTime> mean_kernel_times(
-    const std::map<std::string, KernelTimes::LaunchTotals>& before,
-    const std::map<std::string, KernelTimes::LaunchTotals>& after, int n_steps) {
+std::map<std::string, TrainingStepTimes::StepKernelTime> mean_kernel_times(KernelTotals before,
+                                                                           const KernelTotals& after,
+                                                                           int n_steps) {
     std::map<std::string, TrainingStepTimes::StepKernelTime> result;
     for (const auto& [kernel, total] : after) {
-        const auto earlier = before.find(kernel);
-        const KernelTimes::LaunchTotals skipped =
-            earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
-        if (total.launches == skipped.launches) continue;
-        result[kernel] = {.launches = (total.launches - skipped.launches) / n_steps,
-                          .ms = (total.ms - skipped.ms) / n_steps};
+        const KernelTimes::LaunchTotals& earlier = before[kernel];  // zeros for a new kernel
+        if (total.launches == earlier.launches) continue;
+        result[kernel] = {.launches = (total.launches - earlier.launches) / n_steps,
+                          .ms = (total.ms - earlier.ms) / n_steps};
     }
     return result;
 }
@@ -46,7 +46,7 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.finish_steps();
-    const std::map<std::string, KernelTimes::LaunchTotals> warm_up_totals = loop.training_times().totals;
+    const KernelTotals warm_up_totals = loop.training_times().totals;
     TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
     while (result.n_steps < n_steps && !(stop && stop())) {

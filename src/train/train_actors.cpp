@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the actors of a scene in blocks a second time, in front of the joined
 // background. Uses only the rays near the boxes of actors and the surfels along these
-// rays. An actor that drives through several blocks then learns from all of them in
-// random order.
+// rays. An actor in several blocks then learns from all of them in random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -21,18 +20,15 @@
 namespace relidar {
 namespace {
 
-// Margin around the box of an actor. Rays inside the margin are also used.
-constexpr double kBoxMargin_m = 0.5;
+constexpr double kBoxMargin_m = 0.5;  // around the box of an actor; rays inside the margin are also used
 constexpr double kMaxMotionPerBeam_m =
     0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kMaxHalfSweepMotion_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Farther from its centre, a surfel is nearly transparent.
-constexpr double kReach_sigmas = 3.5;
+constexpr double kReach_sigmas = 3.5;          // farther from its centre, a surfel is nearly transparent
 // Maximum number of surfels in the scene blocks of a section of the log, including
 // surfels that no ray to an actor can hit.
 constexpr std::size_t kMaxSectionSurfels = 1'500'000;
-// Rays that the sensor drops more often carry no information about actors.
-constexpr float kMaxDropProbability = 0.5f;
+constexpr float kMaxDropProbability = 0.5f;  // rays that are dropped more often tell nothing about actors
 
 /// An actor in one sweep.
 struct ActorSighting {
@@ -196,15 +192,10 @@ Surfels select_surfels(const Surfels& surfels, const std::vector<ActorSighting>&
     return surfels.reorder(selected);
 }
 
-/// `extent_m` is the mean extent of the scene blocks.
-struct SectionScene {
-    Scene scene;
-    double extent_m = 1.0;
-};
-
 /// Returns the actors of the run, and the surfels of the background that rays to actors
 /// can hit. Loads one block at a time, because all blocks may not fit into memory.
-SectionScene section_scene(const Run& run, const ActorTrainingSection& section) {
+/// @return the scene, and the mean extent of its blocks in metres
+std::pair<Scene, double> section_scene(const Run& run, const ActorTrainingSection& section) {
     const auto list_sightings = [&](const auto& is_used) {
         std::vector<ActorSighting> sightings;
         for (const FrameWithSightings& frame : section.frames)

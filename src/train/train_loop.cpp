@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs a training iteration (docs/method.md sections 4-6). The host submits each
-// iteration to the GPU without waiting, and reads the losses a few iterations later
+// iteration to the GPU without waiting, and reads the losses later
 // (iteration_reports.hpp).
 #include "train/train_loop.hpp"
 
@@ -82,8 +82,7 @@ int active_sh_degree(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
-/// A margin around the surfels' boxes prevents missed hits between two refits of the
-/// tree.
+/// A margin around the surfels' boxes prevents missed hits between two refits.
 struct TreeRefitSchedule {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
@@ -407,8 +406,8 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     return drops;
 }
 
-/// Renders a batch, and adds the measurements of those rays for which the scene predicts
-/// a return.
+/// Renders a batch. Counts the measurements of rays for which the scene predicts a
+/// return.
 void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
     constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface

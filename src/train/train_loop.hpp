@@ -25,8 +25,7 @@ class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t next_frame();
-    /// Nothing at the end of an epoch, because the order of the next epoch is still
-    /// unknown.
+    /// Nothing at the end of an epoch: the next order is still unknown.
     std::optional<std::size_t> peek_frame() const;
     Random& generator() { return random_; }
 
@@ -47,8 +46,7 @@ class TrainLoop {
 public:
     /// @param n_fixed_surfels  the first n_fixed_surfels surfels of the scene are not
     /// trained
-    /// @param extent_m  of the background; if empty, it is computed from the initial
-    /// scene
+    /// @param extent_m  of the background; if empty, computed from the initial scene
     TrainLoop(Device& device, const Log& sequence, const Split& split, const Scene& initial,
               const Config& config, std::uint32_t n_fixed_surfels = 0,
               std::optional<double> extent_m = std::nullopt);
@@ -116,8 +114,7 @@ private:
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;  ///< submission ticket of the last iteration
     int last_step_ = 0;
-    /// true if device memory was too small to store more hits per ray
-    bool hit_memory_exhausted_ = false;
+    bool hit_memory_exhausted_ = false;  ///< true if device memory was too small to store more hits per ray
 
     /// A state variable that is missing here is lost when training is resumed.
     template <class Visitor>

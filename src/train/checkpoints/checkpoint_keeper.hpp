@@ -77,8 +77,7 @@ public:
         /// separate thread, because hashing a log takes some time.
         std::function<Texts()> make_texts;
     };
-    /// Keeps the two newest checkpoints, because a failure of the machine can damage the
-    /// newest.
+    /// Keeps the two newest checkpoints, because a crash can damage the newest.
     explicit CheckpointFolder(Options options);
 
     bool is_enabled() const { return !options_.folder.empty(); }

@@ -89,12 +89,6 @@ std::string hash_boxes(const Log& sequence) {
     return hash.hex_digest();
 }
 
-std::string hash_poses(const Log& sequence) {
-    RunningHash hash;
-    hash.add_to_hash(sequence.world_from_vehicle);
-    return hash.hex_digest();
-}
-
 void hash_surfels(RunningHash& hash, const Surfels& surfels) {
     if (surfels.size() == 0) return;
     for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used())) {
@@ -103,12 +97,9 @@ void hash_surfels(RunningHash& hash, const Surfels& surfels) {
     }
 }
 
-// Number of checkpoints that are kept. If a failure of the machine damages the newest
-// checkpoint, the older one is used.
-constexpr int kMaxCheckpoints = 2;
+constexpr int kMaxCheckpoints = 2;  // if a failure of the machine damages the newest, the older one is used
 
-// Prefixes of settings that are used only after training.
-constexpr std::array kAfterTrainingPrefixes{"refine.", "render."};
+constexpr std::array kAfterTrainingPrefixes{"refine.", "render."};  // settings used only after training
 /// Settings that do not change the result of an iteration. The contents of the log are
 /// compared instead of paths.
 constexpr std::array kResumeFreeSettings{"dataset.path",
@@ -161,8 +152,7 @@ auto& densify_count(Report& report, std::size_t k) {
     return report.*kDensifyCounts[k].second;
 }
 
-/// Returns a line of the training log without a remaining time and without counts of
-/// densification.
+/// Returns a line of the training log without remaining time and densification.
 TrainProgress make_progress(int step, const Config& config, double elapsed_s,
                             const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
     return {.iteration = step,
@@ -178,9 +168,11 @@ TrainProgress make_progress(int step, const Config& config, double elapsed_s,
 }  // namespace
 
 std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split) {
+    RunningHash poses;
+    poses.add_to_hash(sequence.world_from_vehicle);
     return {{"log/training frames", "the log's training frames", hash_frames(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
-            {"log/sensor poses", "the log's sensor poses", hash_poses(sequence)},
+            {"log/sensor poses", "the log's sensor poses", poses.hex_digest()},
             {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
 }
 
@@ -285,8 +277,7 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
     }
 }
 
-/// Every checkpoint contains the settings and hashes of the log, which check_resume()
-/// compares.
+/// Every checkpoint contains the settings and hashes that check_resume() compares.
 CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),

@@ -46,8 +46,7 @@ std::vector<ConfigKey> list_network_settings(const Config& config) {
     return settings;
 }
 
-// Standard deviation of the drop logits of beams on actors, before they are measured.
-constexpr double kActorLogitSigma = 0.5;
+constexpr double kActorLogitSigma = 0.5;  // expected size of the offsets that are fitted to actors
 
 bool uses_grid_rays(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
@@ -133,8 +132,8 @@ struct TrainingImages {
     }
 };
 
-/// Returns the drops that the network learns from a rendered frame, [pixels]: 0 returned,
-/// 1 dropped, -1 not used.
+/// Returns the drops that the network learns, [pixels]: 0 returned, 1 dropped, -1 not
+/// used.
 std::vector<float> learned_drops(const Run& run, const Config& config, const Frame& frame,
                                  const IgnoredMeasurements& masks) {
     std::vector<float> dropped = classify_drops(run.sequence, frame, masks);

@@ -10,20 +10,15 @@
 namespace relidar {
 namespace {
 
-// Image columns per azimuth bin, so that each bin gets enough rays.
-constexpr int kColumnsPerBin = 3;
-// bins on each side over which the local drop rate is averaged
-constexpr int kNeighbourBins = 2;
-// With fewer rays, a hole in the scene would look like a blind spot of the sensor.
-constexpr std::uint32_t kMinRaysPerRate = 60;
+constexpr int kColumnsPerBin = 3;  // image columns per azimuth bin, so that each bin gets enough rays
+constexpr int kNeighbourBins = 2;  // bins on each side over which the local drop rate is averaged
+constexpr std::uint32_t kMinRaysPerRate = 60;  // with fewer, a hole in the scene would look like a blind spot
 // Number of virtual rays that stabilise a drop rate if a bin has few real rays:
 //   rate of a bin = (drops + kPriorRays * local rate) / (rays + kPriorRays)
 //   local rate    = drops / (rays + kPriorRays), summed over the bin and its neighbours
 constexpr double kPriorRays = 8.0;
-// minimum width of a sector without returns, as a share of the full circle
-constexpr double kMinSectorShare = 10.0 / 360.0;
-// A beam is blind at an azimuth if at least this share of its rays is dropped.
-constexpr float kMinBlindRate = 0.95f;
+constexpr double kMinSectorShare = 10.0 / 360.0;  // minimum width of a sector / full circle
+constexpr float kMinBlindRate = 0.95f;  // share of dropped rays from which a beam is blind at an azimuth
 
 int count_azimuth_bins(const Log& sequence) {
     int columns = 0;
@@ -53,8 +48,7 @@ void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit&
     }
 }
 
-/// Returns the index of a bin of a beam. Bins before the first and after the last wrap
-/// around the circle.
+/// Returns the index of a bin of a beam. Bins wrap around the circle.
 std::size_t wrapped_bin(const RayDropTable& table, std::size_t beam, int bin) {
     return beam * std::size_t(table.bins) + std::size_t((bin + table.bins) % table.bins);
 }
@@ -81,8 +75,8 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
 }
 
 /// Sums the rays of the bins from `first` on, until there are enough for a rate.
-/// @return nothing if the beam has fewer rays
-std::optional<RayDropCounts::Interval> RayDropCounts::grow_interval(int channel, int first) const {
+/// @return end of the bins, and their drop rate; nothing if the beam has fewer rays
+std::optional<std::pair<int, float>> RayDropCounts::grow_interval(int channel, int first) const {
     std::uint32_t n_rays = 0, n_drops = 0;
     int end = first;
     for (; end < first + index_.bins && n_rays < kMinRaysPerRate; ++end) {
@@ -90,7 +84,7 @@ std::optional<RayDropCounts::Interval> RayDropCounts::grow_interval(int channel,
         n_drops += drops_[bin_index(channel, end)];
     }
     if (n_rays < kMinRaysPerRate) return std::nullopt;
-    return Interval{.end = end, .rate = float(n_drops) / float(n_rays)};
+    return std::pair(end, float(n_drops) / float(n_rays));
 }
 
 /// A beam can lose its rays at an azimuth in most frames, for example because the vehicle
@@ -101,14 +95,15 @@ RayDropTable RayDropCounts::persistent_rates() const {
     table.probability.assign(rays_.size(), 0.0f);
     for (int channel = 0; channel < index_.channels; ++channel) {
         for (int first = 0; first < index_.bins; ++first) {
-            const std::optional<Interval> interval = grow_interval(channel, first);
+            const auto interval = grow_interval(channel, first);
             if (!interval) break;  // the beam has too few rays
-            for (int bin = first; bin < interval->end; ++bin) {
+            const auto [end, interval_rate] = *interval;
+            for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
-                // At most the rate of the bin, because an interval can contain bins whose
-                // rays return.
+                // At most the bin's rate, because other bins of the interval can drop
+                // more.
                 const float bin_rate = rays_[i] > 0 ? float(drops_[i]) / float(rays_[i]) : 1.0f;
-                table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval->rate));
+                table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval_rate));
             }
         }
         drop_unfired(table, channel);

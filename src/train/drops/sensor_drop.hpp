@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <relidar/log/sequence.hpp>
@@ -16,7 +17,7 @@ namespace relidar {
 class RayDropCounts {
 public:
     /// A row of azimuth bins of about three columns for each beam. The log must outlive
-    /// this object.
+    /// it.
     explicit RayDropCounts(const Log& sequence);
     /// Several threads may call this simultaneously.
     void add_ray(const Frame& frame, std::size_t ray);
@@ -37,14 +38,8 @@ private:
     RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
-    /// Bins of a beam up to `end`, and the drop rate of their rays together.
-    struct Interval {
-        int end;
-        float rate;
-    };
-
     std::size_t bin_index(int channel, int bin) const;
-    std::optional<Interval> grow_interval(int channel, int first_bin) const;
+    std::optional<std::pair<int, float>> grow_interval(int channel, int first_bin) const;
     void drop_unfired(RayDropTable& drop_table, int channel) const;
     double local_rate(int channel, int bin) const;
 };
