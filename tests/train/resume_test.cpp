@@ -22,8 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kIterations = 40;
-// stops between two lines of the log, and within an epoch of ten frames
-constexpr int kStoppedAfter = 17;
+constexpr int kStoppedAfter = 17;  // stops between two lines of the log, and within an epoch of ten frames
 
 Config make_resumed_config() {
     Config config = make_preset("quick");

@@ -20,8 +20,7 @@ namespace {
 class RigStreet : public test::DeviceTest {};
 
 struct Score {
-    /// of rays with a return both in the exact street and in the rendering
-    std::vector<double> errors_m;
+    std::vector<double> errors_m;  ///< of rays with a return both in the exact street and in the rendering
     std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 
     double median_m() {
