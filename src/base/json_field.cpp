@@ -139,16 +139,18 @@ std::string JsonField::short_text(std::size_t max_bytes) const {
 }
 
 std::vector<double> JsonField::numbers() const {
-    std::vector<double> result(size());
-    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
-    return result;
+    return list([](const JsonField& entry) { return entry.number(); });
+}
+
+glm::dvec3 JsonField::vector_in(double min_value, double max_value) const {
+    const std::array<double, 3> v = numbers<3>();
+    for (std::size_t k = 0; k < v.size(); ++k) at(k).number_in(min_value, max_value);
+    return {v[0], v[1], v[2]};
 }
 
 std::vector<std::size_t> JsonField::sizes() const {
-    std::vector<std::size_t> result(size());
-    for (std::size_t i = 0; i < result.size(); ++i)
-        result[i] = std::size_t(at(i).integer_in(0, std::int64_t(1) << 48));
-    return result;
+    return list(
+        [](const JsonField& entry) { return std::size_t(entry.integer_in(0, std::int64_t(1) << 48)); });
 }
 
 /// Parses JSON. Shortens the parser's message to the reason and the position.
@@ -163,6 +165,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
             why.erase(0, bracket + 2);
         // Removes "; last read: ...", which quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
+        // A message is one line.
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file, why);
     }

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include <glm/vec3.hpp>
 #include <nlohmann/json_fwd.hpp>
 
 namespace relidar {
@@ -41,6 +42,15 @@ public:
     std::vector<double> numbers() const;
     std::vector<std::size_t> sizes() const;  ///< Returns a list of integers of at least 0.
     std::vector<double> flat_numbers(int max_depth) const;
+    /// Returns an array of three numbers, each within the limits.
+    glm::dvec3 vector_in(double min_value, double max_value) const;
+    /// Returns parse(entry) for each entry of an array.
+    template <class Parse>
+    auto list(const Parse& parse) const {
+        std::vector<decltype(parse(*this))> values;
+        for (std::size_t i = 0; i < size(); ++i) values.push_back(parse(at(i)));
+        return values;
+    }
     template <std::size_t n>
     std::array<double, n> numbers() const {
         const std::vector<double> all = numbers();

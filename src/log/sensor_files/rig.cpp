@@ -33,13 +33,7 @@ void check_count(const JsonField& list) {
 
 /// Returns zeros if the key is missing.
 glm::dvec3 read_vector(const JsonField& object, const char* key, double max_abs_value) {
-    if (!object.has_member(key)) return glm::dvec3(0.0);
-    const JsonField field = object.at(key);
-    const std::array<double, 3> v = field.numbers<3>();
-    for (const double x : v)
-        if (std::abs(x) > max_abs_value)
-            field.reject(fmt::format("found {}", x), fmt::format("expected at most {}", max_abs_value));
-    return {v[0], v[1], v[2]};
+    return object.has_member(key) ? object.at(key).vector_in(-max_abs_value, max_abs_value) : glm::dvec3(0.0);
 }
 
 /// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
@@ -61,33 +55,29 @@ SensorModel read_rig_sensor(const Json& entry_json, const JsonField& entry, cons
     return find_sensor(is_in_folder ? path.string() : name_or_file);
 }
 
-/// Folders get the names of sensors, so names must be unique and valid in a path.
+/// Reads and checks the name of a sensor. Folders get the names of sensors, so names must
+/// be unique and valid in a path.
 std::string read_sensor_name(const JsonField& name_field, const std::vector<MountedSensor>& others) {
     const std::string name = name_field.text();
     const auto allowed = [](unsigned char character) {
         return std::isalnum(character) || character == '-' || character == '_' || character == '.';
     };
     if (name.empty() || name.size() > 64 || name.starts_with('.') || !std::ranges::all_of(name, allowed))
-        name_field.reject(fmt::format("found \"{}\"", quote(name)), "expected letters, digits, -, _ and .");
+        name_field.reject(fmt::format("found \"{}\"", quote(name)),
+                          "expected at most 64 letters, digits, -, _ and .");
     if (std::ranges::find(others, name, &MountedSensor::name) != others.end())
         name_field.reject(fmt::format("\"{}\" occurs twice", name), "expected it once");
     return name;
 }
 
-/// Reads the boxes of the vehicle. The origin is on the ground below the rear axle.
-std::vector<VehicleBox> parse_vehicle_boxes(const JsonField& boxes) {
-    check_count(boxes);
-    std::vector<VehicleBox> result;
-    for (std::size_t i = 0; i < boxes.size(); ++i) {
-        const JsonField box = boxes.at(i), size = box.at("size_m");
-        box.check_members({"centre_m", "size_m"});
-        const glm::dvec3 size_m = read_vector(box, "size_m", kMaxOffset_m);
-        if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            size.reject("found a number that is not above 0", "expected three numbers above 0");
-        result.push_back({.frame_from_box = {.translation = read_vector(box, "centre_m", kMaxOffset_m)},
-                          .size_m = size_m});
-    }
-    return result;
+/// Reads a box of the vehicle. Its centre is relative to the ground below the rear axle.
+VehicleBox parse_vehicle_box(const JsonField& box) {
+    box.check_members({"centre_m", "size_m"});
+    const JsonField size = box.at("size_m");
+    const glm::dvec3 size_m = size.vector_in(-kMaxOffset_m, kMaxOffset_m);
+    if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
+        size.reject("found a number that is not above 0", "expected three numbers above 0");
+    return {.frame_from_box = {.translation = read_vector(box, "centre_m", kMaxOffset_m)}, .size_m = size_m};
 }
 
 /// Reads the body of the vehicle, which blocks rays. By default, it is one box.
@@ -104,9 +94,11 @@ OwnVehicle parse_vehicle(const Json& json, const JsonField& field) {
     const std::string points = field.has_member("points") ? field.at("points").text() : "drop";
     if (points != "drop" && points != "ego")
         field.at("points").reject(fmt::format("found \"{}\"", quote(points)), "expected drop or ego");
-    vehicle.keeps_points = points == "ego";
-    if (field.has_member("boxes")) vehicle.boxes = parse_vehicle_boxes(field.at("boxes"));
-    else {
+    vehicle.keeps_points = points == "ego";  // "drop" leaves out the points of the vehicle
+    if (field.has_member("boxes")) {
+        check_count(field.at("boxes"));
+        vehicle.boxes = field.at("boxes").list(parse_vehicle_box);
+    } else {
         // The origin is on the ground below the rear axle, so the centre is half a length
         // behind the front and half a height above the ground.
         const glm::dvec3 centre_m(front_m - 0.5 * length_m, 0.0, 0.5 * height_m);

@@ -31,10 +31,7 @@ Georeference read_georeference(const JsonField& field) {
     g.position.longitude_deg = field.at("longitude_deg").number_in(-360.0, 360.0);
     g.position.height_m = field.at("height_m").number_in(-kMaxLength_m, kMaxLength_m);
     g.crs = field.at("crs").short_text(kMaxCrsBytes);
-    const JsonField point = field.at("world_point_m");
-    point.numbers<3>();  // checks that there are three numbers
-    for (std::size_t axis = 0; axis < 3; ++axis)
-        g.point_m[int(axis)] = point.at(axis).number_in(-kMaxLength_m, kMaxLength_m);
+    g.point_m = field.at("world_point_m").vector_in(-kMaxLength_m, kMaxLength_m);
     const auto wxyz = field.at("rotation").numbers<4>();
     g.rotation = {wxyz[0], wxyz[1], wxyz[2], wxyz[3]};
     if (std::abs(glm::length(g.rotation) - 1.0) > 1e-6)

@@ -23,9 +23,8 @@ void read_architecture(const JsonField& architecture, RayDropNetwork& network) {
     if (widths.size() < 1 || widths.size() > 8)
         widths.reject(fmt::format("found {} channel numbers", widths.size()),
                       "expected 1 to 8 channel numbers, one per level");
-    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).text());
-    for (std::size_t i = 0; i < widths.size(); ++i)
-        network.widths.push_back(std::uint32_t(widths.at(i).integer_in(2, 4096)));
+    network.inputs = inputs.list([](const JsonField& name) { return name.text(); });
+    network.widths = widths.list([](const JsonField& n) { return std::uint32_t(n.integer_in(2, 4096)); });
     network.heads = std::uint32_t(architecture.at("heads").integer_in(0, network.widths.back()));
     // Attention divides the channels of the last level evenly among its heads.
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
@@ -63,7 +62,7 @@ RayDropNetwork load_drop_network(const std::filesystem::path& path) {
         const std::vector<double> numbers = file.find_numbers(name, "f4");
         values->assign(numbers.begin(), numbers.end());
     }
-    // Networks of other runs do not have it.
+    // The network "paper" and networks of scenes without actors have no such offsets.
     if (find_array(file.arrays, kActorLogits)) {
         const std::vector<double> logits = file.find_numbers(kActorLogits, "f4");
         network.actor_logits.assign(logits.begin(), logits.end());

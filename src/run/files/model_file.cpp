@@ -5,7 +5,6 @@
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <map>
 #include <numeric>
@@ -37,19 +36,12 @@ void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surf
     fail("{}: array {}: row {} contains {}, expected finite numbers", file, group.name, row, *bad);
 }
 
-/// Reads three numbers in an interval.
-glm::dvec3 read_vector(const JsonField& field, double min, double max) {
-    const std::array<double, 3> v = field.numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) field.at(k).number_in(min, max);
-    return {v[0], v[1], v[2]};
-}
-
 /// Reads which parts of an actor's box surface the log has observed. Returns nothing if
 /// the file does not contain them.
 std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     if (!model.has_member(kSurfaceKey)) return {};
     const JsonField field = model.at(kSurfaceKey);
-    ObservedBoxSurface surface(read_vector(field.at("size_m"), 1e-3, 1e4));
+    ObservedBoxSurface surface(field.at("size_m").vector_in(1e-3, 1e4));
     surface.is_completed = field.at("completed").boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const JsonField side = field.at(name_of(BoxSide(s)));
@@ -79,7 +71,7 @@ SurfelModel read_model(const JsonField& field) {
     return {field.at("name").text(),
             static_cast<std::uint32_t>(field.at("first").integer_in(0, kMaxSurfels)),
             static_cast<std::uint32_t>(field.at("count").integer_in(0, kMaxSurfels)),
-            glm::vec3(read_vector(field.at("half_size_m"), 0.0, 1e6)),
+            glm::vec3(field.at("half_size_m").vector_in(0.0, 1e6)),
             float(stride_m),
             read_surface(field)};
 }
@@ -140,7 +132,7 @@ void parse_blocks(const std::string& json_text, const std::string& where,
             block.at("file").reject("found the file name " + file.string(),
                                     "expected the name of a file in the folder of the model");
         const auto read_corner = [&](const char* name) {
-            return glm::vec3(read_vector(block.at(name), -1e7, 1e7));
+            return glm::vec3(block.at(name).vector_in(-1e7, 1e7));
         };
         scene.blocks.push_back({model_folder / file,
                                 static_cast<std::uint32_t>(block.at("surfels").integer_in(0, kMaxSurfels)),
@@ -219,7 +211,7 @@ Scene load_model(const std::filesystem::path& path) {
         read_parameter_set(file.path, file.metadata, kPrimitiveKey,
                            [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
     for (const SurfelParameterGroup& group : list_groups(parameters))
-        file.find(group.name, "f4", group.array_shape(n_surfels));
+        file.find(group.name, "f4", group.array_shape(n_surfels));  // throws if the shape differs
 
     Scene scene;
     scene.surfels.resize(n_surfels, parameters);

@@ -116,12 +116,6 @@ Pose read_pose(const JsonField& field) {
     return {q, {v[0], v[1], v[2]}};
 }
 
-glm::dvec3 read_vector(const JsonField& field, double max_absolute_value) {
-    const auto v = field.numbers<3>();
-    check_magnitude(field, {v[0], v[1], v[2]}, max_absolute_value);
-    return {v[0], v[1], v[2]};
-}
-
 /// Reads the noise of a LiDAR: a table with the standard deviation of the range for each
 /// range and each cosine of the angle of incidence.
 RangeNoiseTable parse_range_noise(const JsonField& field) {
@@ -137,19 +131,12 @@ RangeNoiseTable parse_range_noise(const JsonField& field) {
     return noise;
 }
 
-/// Reads the LiDARs with their sensors and poses on the vehicle.
-std::vector<Lidar> read_lidars(const JsonField& root) {
-    const JsonField field = root.at("lidars");
-    std::vector<Lidar> lidars;
-    for (std::size_t i = 0; i < field.size(); ++i) {
-        const JsonField entry = field.at(i);
-        Lidar& lidar = lidars.emplace_back(
-            Lidar{entry.at("name").text(), {}, read_pose(entry.at("vehicle_from_sensor"))});
-        set_sensor(lidar, read_sensor_json(entry.at("sensor"), ""));
-        if (entry.has_member("range_noise")) lidar.range_noise = parse_range_noise(entry.at("range_noise"));
-    }
-    if (lidars.empty()) field.reject("found no LiDAR", "expected at least one LiDAR");
-    return lidars;
+/// Reads a LiDAR with its sensor and its pose on the vehicle.
+Lidar read_lidar(const JsonField& entry) {
+    Lidar lidar{entry.at("name").text(), {}, read_pose(entry.at("vehicle_from_sensor"))};
+    set_sensor(lidar, read_sensor_json(entry.at("sensor"), ""));
+    if (entry.has_member("range_noise")) lidar.range_noise = parse_range_noise(entry.at("range_noise"));
+    return lidar;
 }
 
 /// Reads how measured intensities depend on range and on the angle of incidence.
@@ -213,19 +200,18 @@ BoxTrack read_box_track(const JsonField& field) {
     BoxTrack box;
     box.id = field.at("id").text();
     box.category = field.at("category").text();
-    box.size_m = read_vector(field.at("size_m"), kMaxCoordinate_m);
+    box.size_m = field.at("size_m").vector_in(-kMaxCoordinate_m, kMaxCoordinate_m);
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
         field.at("size_m").reject(
             fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
             "expected three lengths above 0");
     box.world_from_box.time_s = field.at("time_s").numbers();
-    const JsonField poses = field.at("world_from_box");
-    for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
+    box.world_from_box.pose = field.at("world_from_box").list(read_pose);
     check_poses(field, box.world_from_box);
     if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").text();
-    if (field.has_member("beside_labels")) {
+    if (field.has_member("beside_labels")) {  // numbers of poses before and after the labels
         const JsonField beside = field.at("beside_labels");
-        const auto n_poses = static_cast<std::int64_t>(poses.size());
+        const std::int64_t n_poses = std::ssize(box.world_from_box.pose);
         const std::int64_t n_before = beside.at(0).integer_in(0, n_poses);
         box.n_before = static_cast<std::size_t>(n_before);
         box.n_after = static_cast<std::size_t>(beside.at(1).integer_in(0, n_poses - n_before));
@@ -306,22 +292,20 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
     log.conventions = root.at("source_conventions").text();
     if (root.has_member("start_unix_ns"))
         log.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
-    for (std::size_t i = 0; i < root.at("notes").size(); ++i)
-        log.notes.push_back(root.at("notes").at(i).text());
-    log.world_offset_m = read_vector(root.at("world_offset_m"), kMaxWorldOffset_m);
+    log.notes = root.at("notes").list([](const JsonField& note) { return Note(note.text()); });
+    log.world_offset_m = root.at("world_offset_m").vector_in(-kMaxWorldOffset_m, kMaxWorldOffset_m);
     if (root.has_member("georeference")) log.georeference = read_georeference(root.at("georeference"));
     log.rolling_shutter = root.at("rolling_shutter").boolean();
-    log.lidars = read_lidars(root);
+    log.lidars = root.at("lidars").list(read_lidar);
+    if (log.lidars.empty()) root.at("lidars").reject("found no LiDAR", "expected at least one LiDAR");
     parse_frames(root.at("frames"), scene);
-    const JsonField boxes = root.at("boxes");
-    for (std::size_t i = 0; i < boxes.size(); ++i) log.boxes.push_back(read_box_track(boxes.at(i)));
+    log.boxes = root.at("boxes").list(read_box_track);
     if (root.has_member("intensity_response"))
         log.intensity_response = parse_response(root.at("intensity_response"));
-    if (root.has_member("edits")) {
-        const JsonField edits = root.at("edits");
-        for (std::size_t i = 0; i < edits.size(); ++i)
-            scene.edits.push_back({edits.at(i).at("run").text(), edits.at(i).at("edit").text()});
-    }
+    if (root.has_member("edits"))
+        scene.edits = root.at("edits").list([](const JsonField& entry) {
+            return EditHistoryEntry{entry.at("run").text(), entry.at("edit").text()};
+        });
     scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").boolean();
     if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);
