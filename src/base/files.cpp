@@ -10,6 +10,7 @@
 #include <system_error>
 
 #include "base/fail.hpp"
+#include "base/number_text.hpp"
 
 namespace relidar {
 
@@ -86,9 +87,7 @@ std::optional<int> parse_stem(const std::string& file_stem) {
     if (file_stem.empty() || file_stem.size() - first > 8 ||
         file_stem.find_first_not_of("0123456789") != std::string::npos)
         return std::nullopt;
-    int number = 0;
-    std::from_chars(file_stem.data(), file_stem.data() + file_stem.size(), number);
-    return number;
+    return parse_integer<int>(file_stem);
 }
 
 std::string quote(std::string_view text) {

@@ -6,7 +6,9 @@
 #include <charconv>
 #include <cmath>
 #include <concepts>
+#include <optional>
 #include <string>
+#include <string_view>
 
 namespace relidar {
 
@@ -21,6 +23,16 @@ std::string number_text(T value) {
     const std::string text(buffer.data(), end.ptr);
     const bool is_integer_text = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;
     return is_integer_text ? text + ".0" : text;
+}
+
+/// Parses a text that consists of digits, with a minus before them if T is signed.
+/// Returns nothing for other texts and for numbers that do not fit into T.
+template <std::integral T>
+std::optional<T> parse_integer(std::string_view text, int base = 10) {
+    T value = 0;
+    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
+    const bool is_integer = error == std::errc() && stop == text.data() + text.size();
+    return is_integer ? std::optional(value) : std::nullopt;
 }
 
 }  // namespace relidar

@@ -9,7 +9,6 @@
 #include <atomic>
 #include <cctype>
 #include <cerrno>
-#include <charconv>
 #include <csignal>
 #include <regex>
 
@@ -21,6 +20,7 @@
 #include <fmt/format.h>
 
 #include "base/fail.hpp"
+#include "base/number_text.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
@@ -144,11 +144,7 @@ constexpr std::string_view kStagedInfix = ".tmp-";
 pid_t parse_process_id(const std::string& folder_name) {
     const std::size_t infix = folder_name.rfind(kStagedInfix);
     if (!folder_name.starts_with('.') || infix == std::string::npos) return 0;
-    pid_t process = 0;
-    const char* name_end = folder_name.data() + folder_name.size();
-    const auto [end, error] =
-        std::from_chars(folder_name.data() + infix + kStagedInfix.size(), name_end, process);
-    return error == std::errc() && end == name_end ? process : 0;
+    return parse_integer<pid_t>(folder_name.substr(infix + kStagedInfix.size())).value_or(0);
 }
 
 /// True for a temporary folder (.NAME.tmp-PID) whose process no longer exists. A process
@@ -221,8 +217,8 @@ void codecs::write_file(const std::filesystem::path& path, std::string_view byte
     });
 }
 
-/// Creates the temporary folder next to the final one, so that it can be renamed, after
-/// removing the folders of processes that were killed.
+/// Creates the temporary folder .NAME.tmp-PID next to the final one, so that it can be
+/// renamed. Also removes such folders of processes that were killed.
 StagedFolder::StagedFolder(const fs::path& final_path)
     // Removes a slash at the end, because filename() would be empty.
     : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
@@ -233,8 +229,8 @@ StagedFolder::StagedFolder(const fs::path& final_path)
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
     if (failed) fail("cannot create the folder {}: {}", path_.string(), failed.message());
-    // While this process holds the lock, remove_abandoned() keeps the folder, even on
-    // another machine.
+    // The lock shows other machines, which do not know the process, that the folder is in
+    // use. A file system without locks is no error.
     marker_ = ::open((path_ / kMarkerFile).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
     if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
 }

@@ -2,10 +2,10 @@
 // Checks the names, types and shapes of arrays for the npz and safetensors codecs.
 #include "named_array.hpp"
 #include "base/fail.hpp"
+#include "base/number_text.hpp"
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cstring>
 #include <type_traits>
 
@@ -123,14 +123,11 @@ namespace codecs {
 std::size_t element_bytes(std::string_view numpy_type) {
     // Texts of a fixed number of characters: S has bytes, U has UTF-32.
     if (numpy_type.starts_with('S') || numpy_type.starts_with('U')) {
-        std::uint32_t length = 0;
-        const auto [end, error] =
-            std::from_chars(numpy_type.data() + 1, numpy_type.data() + numpy_type.size(), length);
-        if (error != std::errc() || end != numpy_type.data() + numpy_type.size()) return 0;
-        return length * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1);
+        const std::size_t n_characters = parse_integer<std::uint32_t>(numpy_type.substr(1)).value_or(0);
+        return n_characters * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1);
     }
-    if (!find_converter<float>(numpy_type)) return 0;
-    return std::size_t(numpy_type[1] - '0');
+    const bool is_number = find_converter<float>(numpy_type) != nullptr;
+    return is_number ? std::size_t(numpy_type[1] - '0') : 0;  // "f4" has 4 bytes
 }
 
 std::optional<std::size_t> array_bytes(const ArrayShape& shape, std::size_t element_size_bytes) {

@@ -5,7 +5,6 @@
 #include "base/codecs/zarr.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <fstream>
 #include <optional>
 #include <set>
@@ -18,6 +17,7 @@
 #include "base/codecs/unpack.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "base/number_text.hpp"
 
 namespace relidar {
 namespace {
@@ -41,11 +41,7 @@ std::string_view until_zero(std::string_view field) { return field.substr(0, fie
 
 /// Parses a number of a tar header: octal digits, with blanks around them.
 std::optional<std::uint64_t> parse_octal(std::string_view text) {
-    text = trim(until_zero(text));
-    std::uint64_t value = 0;
-    const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), value, 8);
-    if (failed != std::errc() || end != text.data() + text.size()) return std::nullopt;
-    return value;
+    return parse_integer<std::uint64_t>(trim(until_zero(text)), 8);
 }
 
 /// Returns the value of "path" in an extended header, which has lines "LENGTH KEY=VALUE".
@@ -141,8 +137,9 @@ std::vector<std::string> ZarrStore::list_children(const std::string& group) cons
         for (const fs::path& entry : list_folder(path_ / group))
             if (fs::is_directory(entry)) names.insert(entry.filename().string());
     }
+    // In an archive, each key is the path of a file. Keys are sorted, so those with the
+    // same prefix follow each other.
     const std::string prefix = group.empty() ? "" : group + "/";
-    // Keys are sorted, so those with the prefix follow each other.
     for (auto member = members_.lower_bound(prefix); member != members_.end(); ++member) {
         const std::string& key = member->first;
         if (!key.starts_with(prefix)) break;
@@ -197,7 +194,8 @@ std::string read_zarr_bytes(const ZarrStore& store, const std::string& path, con
     const std::string where = fmt::format("{}: {}", store.name(), path);
     const nlohmann::json json = parse_json(store.read_value(path + "/.zarray"), where);
     const ZarrChunks chunks = parse_zarr_array(json, where, type, shape);
-    std::size_t line_bytes = std::size_t(type.back() - '0');  // bytes of an entry of the first dimension
+    // Bytes of an entry of the first dimension. The type ends with the bytes of a number.
+    std::size_t line_bytes = std::size_t(type.back() - '0');
     for (std::size_t d = 1; d < shape.size(); ++d) line_bytes *= shape[d];
 
     std::string bytes;

@@ -4,13 +4,13 @@
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
-#include <charconv>
 
 #include <fmt/ranges.h>
 #include <zlib.h>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "base/number_text.hpp"
 
 namespace relidar {
 namespace {
@@ -62,10 +62,8 @@ void check_equal(const std::string& what, const std::string& found, const std::s
 
 /// Parses an integer of at least 0. Returns nothing for other texts.
 std::optional<int> parse_iteration(std::string_view text) {
-    int iteration = -1;
-    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
-    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0) return std::nullopt;
-    return iteration;
+    const std::optional<int> iteration = parse_integer<int>(text);
+    return iteration >= 0 ? iteration : std::nullopt;
 }
 
 /// Checks format, version and checksum of a file's contents, and that all numbers are

@@ -2,10 +2,10 @@
 // Reads and writes the files of a run folder that have arrays and no surfels.
 #include "run/files/run_files.hpp"
 
-#include <charconv>
 #include <cmath>
 #include <cstring>
 
+#include "base/number_text.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar::files {
@@ -48,13 +48,11 @@ ArrayFile read_cell_file(const fs::path& path, const char* format, double cell_s
 
 /// Returns the frame whose index in the log is the name of an array.
 Frame& find_frame(const std::string& array_name, Log& sequence, const std::string& file_name) {
-    std::size_t index = sequence.frames.size();
-    const char* last = array_name.data() + array_name.size();
-    const auto [end, error] = std::from_chars(array_name.data(), last, index);
-    if (error != std::errc{} || end != last || index >= sequence.frames.size())
+    const auto index = parse_integer<std::size_t>(array_name);
+    if (!index || *index >= sequence.frames.size())
         fail("{}: the array name \"{}\" is not the index of a frame, expected a number below {}", file_name,
              array_name, sequence.frames.size());
-    return sequence.frames[index];
+    return sequence.frames[*index];
 }
 
 using TreeNode = IntensityScatterModel::DecisionTreeNode;
