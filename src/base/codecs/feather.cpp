@@ -90,7 +90,7 @@ std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t
 }
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
-/// column has missing values.
+/// column has missing values, or if the batch lacks the node or a buffer of the column.
 std::size_t rows_without_nulls(const Batch& batch, std::size_t node, std::size_t last_buffer_index) {
     if (node >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
@@ -193,33 +193,24 @@ std::vector<std::string> look_up_texts(const std::vector<std::string>& dictionar
     return texts;
 }
 
-/// Reads the batches at the given positions of the file. Batches do not overlap, so their
-/// sizes must not add up to more than the file size.
-/// @param n_free_bytes  number of file bytes that no batch has used yet
+/// Reads the batches at the given positions of the file. Limits the sums of their sizes
+/// and of their rows, because a damaged file could otherwise need too much memory.
 std::vector<Batch> read_batches(std::string_view file_bytes,
-                                const std::vector<codecs::ArrowFileBlock>& blocks,
-                                std::int64_t& n_free_bytes) {
+                                const std::vector<codecs::ArrowFileBlock>& blocks) {
     std::vector<Batch> batches;
+    std::size_t n_free_bytes = file_bytes.size(), n_free_rows = kMostRows * file_bytes.size();
     for (const codecs::ArrowFileBlock& block : blocks) {
-        batches.push_back(read_batch(file_bytes, block));
-        n_free_bytes -= block.metadata_bytes + block.body_bytes;
-        if (n_free_bytes < 0) fail("the record batches have more bytes than the file");
+        const Batch& batch = batches.emplace_back(read_batch(file_bytes, block));
+        const auto n_bytes = std::size_t(block.metadata_bytes + block.body_bytes);
+        if (n_bytes > n_free_bytes) fail("the record batches have more bytes than the file");
+        n_free_bytes -= n_bytes;
+        const std::int64_t n_rows = batch.layout.length;
+        if (n_rows < 0 || std::uint64_t(n_rows) > n_free_rows)
+            fail("a record batch has {} rows, expected at most {} in a file of this size", n_rows,
+                 n_free_rows);
+        n_free_rows -= std::size_t(n_rows);
     }
     return batches;
-}
-
-/// Returns the number of rows of all batches. The limit prevents a damaged file from
-/// making the reader allocate too much memory.
-std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
-    std::size_t rows = 0;
-    for (const Batch& batch : batches) {
-        const std::int64_t n = batch.layout.length;
-        if (n < 0 || std::uint64_t(n) > max_allowed_rows - rows)
-            fail("a record batch has {} rows, expected at most {} in a file of this size", n,
-                 max_allowed_rows - rows);
-        rows += std::size_t(n);
-    }
-    return rows;
 }
 
 }  // namespace
@@ -227,20 +218,17 @@ std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowe
 /// Finds the columns and batches of a file. Columns are decompressed when they are read.
 Feather::Feather(std::string where, std::string bytes) : name_(std::move(where)), bytes_(std::move(bytes)) {
     try {
-        codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
-        // A batch lists the nodes and buffers of all columns in the order of the columns.
-        std::size_t node = 0, first_buffer = 0;
-        for (ArrowField& field : footer.fields) {
-            const std::size_t n_buffers = field.buffer_count();
-            columns_.push_back({.field = std::move(field), .node = node, .buffer = first_buffer});
-            ++node;
-            first_buffer += n_buffers;
+        const codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
+        // A batch lists one node per column, and the buffers of all columns in their
+        // order.
+        std::size_t first_buffer = 0;
+        for (const ArrowField& field : footer.fields) {
+            columns_.push_back({.field = field, .node = columns_.size(), .buffer = first_buffer});
+            first_buffer += field.buffer_count();
         }
-        std::int64_t n_free_bytes = std::int64_t(bytes_.size());
-        dictionaries_ = read_batches(bytes_, footer.dictionaries, n_free_bytes);
-        batches_ = read_batches(bytes_, footer.batches, n_free_bytes);
-        total_rows(dictionaries_, kMostRows * bytes_.size());  // only checks the limit
-        rows_ = total_rows(batches_, kMostRows * bytes_.size());
+        dictionaries_ = read_batches(bytes_, footer.dictionaries);
+        batches_ = read_batches(bytes_, footer.batches);
+        for (const Batch& batch : batches_) rows_ += std::size_t(batch.layout.length);
     } catch (const DataError& error) {
         throw DataError(name_ + ": " + error.what());
     }
