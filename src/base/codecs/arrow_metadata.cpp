@@ -180,8 +180,8 @@ ArrowCompression parse_codec(const FlatbufferTable& batch_table) {
 /// Parses the footer of an Arrow file: the columns of the table, and the file positions
 /// of the batches with dictionaries and with rows.
 Footer parse_footer(std::string_view footer_bytes) {
-    AlignedFlatbuffer copy(footer_bytes);
-    const FlatbufferTable footer = FlatbufferTable::root_table(copy);
+    AlignedFlatbuffer aligned_copy(footer_bytes);
+    const FlatbufferTable footer = FlatbufferTable::root_table(aligned_copy);
     const FlatbufferTable schema = footer.read_table(kFooterSchema, "schema");
     if (schema.read_scalar<std::int16_t>(kSchemaEndianness, 0) != 0)
         throw DataError("the numbers are big-endian, expected little-endian");
@@ -193,17 +193,18 @@ Footer parse_footer(std::string_view footer_bytes) {
     return parsed;
 }
 
-/// Parses the message before the data of a batch: its number of rows, and for each column
-/// the positions of its buffers in the data. The rows of a dictionary batch are the
-/// values of a dictionary; its message contains the message of a record batch.
+/// Parses the message before the data of a batch: its number of rows, the numbers of
+/// missing values of its columns (nodes), and the positions of their buffers in the data.
+/// The rows of a dictionary batch are the values of a dictionary; its message contains
+/// the message of a record batch.
 RecordBatch parse_batch(std::string_view message_bytes) {
-    AlignedFlatbuffer copy(message_bytes);
-    const FlatbufferTable message = FlatbufferTable::root_table(copy);
-    const auto type = message.read_scalar<std::uint8_t>(kMessageHeaderCode, 0);
-    if (type != kHeaderDictionary && type != kHeaderRecords) fail_arrow("kind of message");
+    AlignedFlatbuffer aligned_copy(message_bytes);
+    const FlatbufferTable message = FlatbufferTable::root_table(aligned_copy);
+    const auto kind = message.read_scalar<std::uint8_t>(kMessageHeaderCode, 0);
+    if (kind != kHeaderDictionary && kind != kHeaderRecords) fail_arrow("kind of message");
     FlatbufferTable records = message.read_table(kMessageHeader, "header");
     RecordBatch batch;
-    if (type == kHeaderDictionary) {
+    if (kind == kHeaderDictionary) {
         batch.dictionary = records.read_scalar<std::int64_t>(kDictionaryBatchId, 0);
         records = records.read_table(kDictionaryBatchData, "dictionary");
     }

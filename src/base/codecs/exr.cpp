@@ -156,7 +156,7 @@ void check_magic(ByteReader& header_reader) {
 }
 
 /// Parses the attributes at the begin of a file: name, type, size and value of each. An
-/// empty name ends the list. Rejects what OpenEXR would read without a check.
+/// empty name ends the list.
 ImageHeader parse_exr_header(std::string_view exr_file_bytes) {
     ByteReader header(exr_file_bytes);
     check_magic(header);
@@ -202,6 +202,7 @@ void check_file_size(const ImageHeader& image_header, std::size_t file_size_byte
 
 /// Decodes the bytes of a file. OpenEXR converts all channels to float.
 ExrImage decode_exr(const std::string& exr_file_bytes) {
+    // Checks the header before OpenEXR parses it again.
     ImageHeader image_header = parse_exr_header(exr_file_bytes);
     check_file_size(image_header, exr_file_bytes.size());
     imf::StdISStream stream;

@@ -148,9 +148,10 @@ std::string McapWriter::encode_statistics() const {
         n_messages += n;
     }
     const std::uint32_t n_attachments = 0;
-    return encode_record(kStatistics, encode(n_messages, n_schemas_, std::uint32_t(n_messages_.size()),
-                                             n_attachments, n_metadata_, n_chunks_,
-                                             n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
+    const std::uint64_t first_ns = n_messages ? first_ns_ : 0;  // both times are 0 without messages
+    return encode_record(kStatistics,
+                         encode(n_messages, n_schemas_, std::uint32_t(n_messages_.size()), n_attachments,
+                                n_metadata_, n_chunks_, first_ns, last_ns_, counts));
 }
 
 /// Writes the last chunk and the end of the file: the summary, which repeats schemas and

@@ -34,8 +34,9 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
-/// Adds an array to an archive as an entry NAME.npy.
-/// @param header of the .npy file; libzip reads it and the values when the archive closes
+/// Adds an array to an archive as an entry NAME.npy. libzip copies the list `parts`, but
+/// reads the header and the values only when the archive closes.
+/// @param header of the .npy file
 void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
     const std::array<zip_buffer_fragment_t, 2> parts{
         {{reinterpret_cast<zip_uint8_t*>(header.data()), header.size()},
@@ -142,13 +143,14 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> zip(make_zip(arrays),
                                                                             zip_source_free);
         codecs::OutputFile file(temporary);
-        // libzip returns a negative number for an error, and 0 at the end of the archive.
+        const auto check = [&](zip_int64_t result) {  // negative: an error
+            if (result < 0) fail("{}", zip_error_strerror(zip_source_error(zip.get())));
+            return std::size_t(result);
+        };
+        check(zip_source_open(zip.get()));
         std::array<char, 1 << 16> piece;
-        zip_int64_t n_read = zip_source_open(zip.get());
-        if (n_read == 0)
-            while ((n_read = zip_source_read(zip.get(), piece.data(), piece.size())) > 0)
-                file.write(piece.data(), std::size_t(n_read));
-        if (n_read < 0) fail("{}", zip_error_strerror(zip_source_error(zip.get())));
+        while (const std::size_t n_read = check(zip_source_read(zip.get(), piece.data(), piece.size())))
+            file.write(piece.data(), n_read);
         file.close();
     });
 }

@@ -42,7 +42,7 @@ std::uint32_t masked_crc32c(std::string_view bytes) {
 }
 
 /// Finds the positions of all records. A record has a length (8 bytes), the CRC of the
-/// length, the data, and the CRC of the data.
+/// length, the data, and the CRC of the data, which read_record() checks.
 TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(file)) {
     if (!does_path_exist(file_)) fail("{}: no such file", file_.string());
     std::ifstream in(file_, std::ios::binary | std::ios::ate);

@@ -37,13 +37,14 @@ std::uint64_t transpose_bits(std::uint64_t x) {
     return x ^ t ^ (t << 28);
 }
 
-/// Undoes a bit shuffle of n elements, a multiple of 8. Bit k of byte b of all elements
-/// is in n / 8 bytes of the block, from (8 b + k) n / 8 on.
+/// Undoes a bit shuffle of n elements, a multiple of 8. The block begins with bit 0 of
+/// byte 0 of all elements, in n / 8 bytes, followed by their bit 1, and so on. So bit k
+/// of byte b of all elements begins at byte (8 b + k) n / 8.
 void undo_bit_shuffle(std::string_view block, std::size_t n, std::size_t element_bytes, char* out) {
     for (std::size_t i = 0; i < n; i += 8)
         for (std::size_t b = 0; b < element_bytes; ++b) {
-            // Byte k has bit k of byte b of eight elements. After the transposition, it
-            // is byte b of element i + k.
+            // Byte k of `bits` has bit k of byte b of eight elements. The transposition
+            // exchanges bits and elements, so it then is byte b of element i + k.
             std::uint64_t bits = 0;
             for (std::size_t k = 8; k-- > 0;)
                 bits = bits << 8 | std::uint8_t(block[(b * 8 + k) * (n / 8) + i / 8]);
@@ -54,7 +55,8 @@ void undo_bit_shuffle(std::string_view block, std::size_t n, std::size_t element
 
 /// Writes the elements of a block in their order. A byte shuffle stores the first byte of
 /// all elements, then the second one, and so on; a bit shuffle does the same with bits.
-/// The bytes after the last complete element are never shuffled.
+/// The bytes after the last complete element are never shuffled. Blosc shuffles bits only
+/// in groups of eight elements.
 void undo_shuffle(std::string_view block, std::size_t element_bytes, unsigned flags, char* out) {
     const std::size_t n = block.size() / element_bytes;
     std::memcpy(out, block.data(), block.size());
@@ -176,8 +178,9 @@ bool stream_zstd(const std::function<std::string_view()>& read_block,
     return status == 0;
 }
 
-/// A chunk has a header of 16 bytes, the offsets of its blocks, and the blocks. A block
-/// consists of one LZ4 stream, or of one stream for each byte of an element.
+/// Decompresses a chunk block by block. The chunk has a header, the offsets of its
+/// blocks, and the blocks. A block consists of one LZ4 stream, or of one stream for each
+/// byte of an element.
 std::string decompress_blosc(std::string_view chunk) {
     codecs::ByteReader reader(chunk);
     const BloscHeader header = read_blosc_header(reader);

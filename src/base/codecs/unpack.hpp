@@ -10,8 +10,7 @@
 
 namespace relidar {
 
-/// Decompress lz4 or zstd frames. `uncompressed_bytes` must have exactly the uncompressed
-/// size.
+/// Decompresses frames. `uncompressed_bytes` must have exactly the uncompressed size.
 /// @throws DataError if the data are damaged or have a different uncompressed size
 void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
 void decompress_zstd(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
@@ -22,11 +21,11 @@ std::string decompress_blosc(std::string_view chunk);
 
 constexpr std::string_view kZstdMagic("\x28\xb5\x2f\xfd", 4);  ///< first bytes of a zstd frame
 /// Decompresses zstd frames of unknown size.
-/// @param read  returns the next compressed bytes; empty at the end
-/// @param write  receives uncompressed bytes
+/// @param read_block  returns the next compressed bytes; empty at the end
+/// @param write_block  receives uncompressed bytes
 /// @return false if the last frame is truncated
 /// @throws DataError if the data are damaged
-bool stream_zstd(const std::function<std::string_view()>& read,
-                 const std::function<void(std::string_view)>& write);
+bool stream_zstd(const std::function<std::string_view()>& read_block,
+                 const std::function<void(std::string_view)>& write_block);
 
 }  // namespace relidar
