@@ -32,23 +32,14 @@ constexpr double kShellWidth_m = 0.5, kMaxShellShare = 0.5;
 constexpr std::size_t kMaxPerBox = 50, kMinPerBox = 5, kMinPoints = 100, kMinViews = 5;
 constexpr double kClearlyMore = 3.0;
 
-/// Fault that a correction reverts: moves the boxes up by half their height, turns them
-/// by 90 degrees, or mirrors y coordinates and yaw angles.
-struct BoxFault {
-    const char* description;
-    bool is_bottom = false, is_turned = false, is_mirrored = false,
-         is_in_vehicle = false;  ///< mirrored in the frame of the vehicle, not in the world
+/// Possible faults of all boxes of a log.
+enum BoxFault : std::size_t {
+    kBottomPosition,     ///< positions are the centres of the bottom sides
+    kTurned,             ///< yaw angles are wrong by 90 degrees
+    kMirroredInWorld,    ///< y coordinates and yaw angles have the opposite sign
+    kMirroredInVehicle,  ///< the same in the frame of the vehicle
+    kFaultCount
 };
-constexpr std::size_t kTurnedFault = 1;
-constexpr std::array<BoxFault, 4> kBoxFaults{
-    {{.description =
-          "the positions seem to be the centres of the bottom sides, expected the centres of the boxes",
-      .is_bottom = true},
-     {.description = "", .is_turned = true},  // described by describe_fault()
-     {.description = "y and yaw seem to have the opposite sign in the world", .is_mirrored = true},
-     {.description = "y and yaw seem to have the opposite sign in the frame of the vehicle",
-      .is_mirrored = true,
-      .is_in_vehicle = true}}};
 
 /// Points that the boxes gain and lose by a correction, over all scans. A view is a box
 /// in a scan that gains at least kMinPerBox points.
@@ -64,7 +55,7 @@ struct PointGain {
         return gained >= kMinPoints && n_views >= kMinViews && double(gained) > kClearlyMore * double(lost);
     }
 };
-using PointGains = std::array<PointGain, kBoxFaults.size()>;  // for each fault
+using PointGains = std::array<PointGain, kFaultCount>;
 
 bool is_elongated(const glm::dvec3& size_m) {
     const auto [shorter, longer] = std::minmax(size_m.x, size_m.y);
@@ -76,47 +67,51 @@ bool contains(const glm::dvec3& half_m, const glm::dvec3& local_m, double margin
            local_m.z >= kGroundHeight_m - half_m.z && local_m.z <= half_m.z;
 }
 
-/// Returns the pose of a box without a fault.
-/// @param world_from_frame frame whose y axis is mirrored
-Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_from_frame,
-                 const BoxFault& fault) {
-    if (fault.is_bottom) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * height_m}};
-    if (fault.is_turned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
-    // A mirrored y axis negates y, and the parts x and z of a quaternion.
+/// Mirrors a pose at the x-z plane of another frame. This negates y, and the parts x and
+/// z of the quaternion.
+Pose mirror_pose(const Pose& world_from_box, const Pose& world_from_frame) {
     Pose box = inverse(world_from_frame) * world_from_box;
     box.translation.y = -box.translation.y;
     box.rotation = glm::dquat(box.rotation.w, -box.rotation.x, box.rotation.y, -box.rotation.z);
     return world_from_frame * box;
 }
 
-/// Adds the points of a scan that a box gains and loses if it is corrected. A correction
-/// that moves a box into a larger object, such as a wall, does not count: there are then
-/// also many points in a shell, the space up to kShellWidth_m around the box.
+/// Returns the pose that a box has at a time if its stored pose has this fault.
+Pose correct_box(const Log& sequence, const BoxTrack& box, double time_s, std::size_t fault) {
+    const Pose world_from_box = box.world_from_box.pose_at(time_s);
+    if (fault == kBottomPosition) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * box.size_m.z}};
+    if (fault == kTurned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
+    if (fault == kMirroredInVehicle)
+        return mirror_pose(world_from_box, sequence.world_from_vehicle.pose_at(time_s));
+    return mirror_pose(world_from_box, {{1, 0, 0, 0}, -sequence.world_offset_m});
+}
+
+/// Points of a scan in the old and the corrected pose of a box.
+struct PointCounts {
+    std::size_t gained = 0, lost = 0;  ///< only in the corrected box, only in the old box
+    std::size_t in_shell = 0;          ///< at most kShellWidth_m outside of the corrected box
+};
+
+/// Counts the points that a box gains and loses if its pose is corrected.
 /// @param points_m points in the frame of the sensor
-/// @param half_m half of the size of the box
-void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
-                   const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
-                   PointGain& gain) {
+/// @param highest_lost_m higher points in the old box do not count as lost
+PointCounts count_points(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
+                         const Pose& corrected_from_sensor, const glm::dvec3& half_m, double highest_lost_m) {
     const double max_distance_m = glm::length(half_m) + kShellWidth_m;  // farther points cannot count
     const glm::dvec3 centre_m = inverse(box_from_sensor).translation,
                      corrected_m = inverse(corrected_from_sensor).translation;
-    std::size_t n_gained = 0, n_lost = 0, n_in_shell = 0;
+    PointCounts counts;
     for (const glm::dvec3& point_m : points_m) {
         if (glm::distance(point_m, centre_m) > max_distance_m &&
             glm::distance(point_m, corrected_m) > max_distance_m)
             continue;
         const glm::dvec3 before_m = box_from_sensor * point_m, after_m = corrected_from_sensor * point_m;
         const bool was_inside = contains(half_m, before_m), is_inside = contains(half_m, after_m);
-        // A box whose position is its bottom side has the ground at height 0. To lose
-        // these points shows nothing.
-        const bool may_be_ground = fault.is_bottom && before_m.z >= -0.5 * kGroundHeight_m;
-        if (is_inside && !was_inside) ++n_gained;
-        if (was_inside && !is_inside && !may_be_ground) ++n_lost;
-        if (!is_inside && contains(half_m, after_m, kShellWidth_m)) ++n_in_shell;
+        if (is_inside && !was_inside) ++counts.gained;
+        if (was_inside && !is_inside && before_m.z < highest_lost_m) ++counts.lost;
+        if (!is_inside && contains(half_m, after_m, kShellWidth_m)) ++counts.in_shell;
     }
-    // Only a mirrored box moves so far that it can hit a wall by chance.
-    const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMaxShellShare * double(n_gained);
-    gain.add_view(is_isolated ? n_gained : 0, n_lost);
+    return counts;
 }
 
 /// Returns evenly chosen returns of a scan, at most about kMaxPoints, in the sensor
@@ -148,26 +143,30 @@ double find_facing_time_s(const Log& sequence, const Frame& frame, const BoxTrac
     return time_s;
 }
 
-/// Adds the points that the boxes of a frame gain and lose if each fault is corrected.
-/// The corrections are tried one at a time.
+/// Adds the points that the boxes of a frame gain and lose by the correction of each
+/// fault. The corrections are tried one at a time.
 void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
     const std::vector<glm::dvec3> points_m = choose_points_m(frame.scan);
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_observed(frame.time_s)) continue;
         const double time_s = find_facing_time_s(sequence, frame, box);
         const Pose world_from_sensor = inverse(sensor_from_world_at(sequence, frame, time_s)),
-                   world_from_box = box.world_from_box.pose_at(time_s);
-        for (std::size_t f = 0; f < kBoxFaults.size(); ++f) {
-            const BoxFault& fault = kBoxFaults[f];
-            const bool is_turned = !fault.is_bottom && !fault.is_mirrored;
+                   box_from_sensor = inverse(box.world_from_box.pose_at(time_s)) * world_from_sensor;
+        for (std::size_t fault = 0; fault < kFaultCount; ++fault) {
             // Turning a box shows nothing unless the box is elongated.
-            if (is_turned && !is_elongated(box.size_m)) continue;
-            // The frame whose y axis is mirrored. The world is that of the dataset.
-            const Pose mirrored_frame = fault.is_in_vehicle ? sequence.world_from_vehicle.pose_at(time_s)
-                                                            : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
-            const Pose corrected = correct_box(world_from_box, box.size_m.z, mirrored_frame, fault);
-            add_box_gains(points_m, inverse(world_from_box) * world_from_sensor,
-                          inverse(corrected) * world_from_sensor, 0.5 * box.size_m, fault, gains[f]);
+            if (fault == kTurned && !is_elongated(box.size_m)) continue;
+            // A box whose position is its bottom side has the ground at height 0. To lose
+            // points of the ground shows nothing.
+            const double highest_lost_m = fault == kBottomPosition ? -0.5 * kGroundHeight_m : INFINITY;
+            const Pose corrected_from_sensor =
+                inverse(correct_box(sequence, box, time_s, fault)) * world_from_sensor;
+            const PointCounts counts = count_points(points_m, box_from_sensor, corrected_from_sensor,
+                                                    0.5 * box.size_m, highest_lost_m);
+            // A mirrored box moves far, so it can hit a larger object, such as a wall, by
+            // chance. The shell then has many points, too.
+            const bool can_hit_wall = fault == kMirroredInWorld || fault == kMirroredInVehicle;
+            const bool is_isolated = double(counts.in_shell) < kMaxShellShare * double(counts.gained);
+            gains[fault].add_view(can_hit_wall && !is_isolated ? 0 : counts.gained, counts.lost);
         }
     }
 }
@@ -240,7 +239,7 @@ void remove_ego_boxes(Log& sequence) {
 
 std::string describe_fault(const Log& sequence) {
     const PointGains gains = compare_boxes(sequence);
-    // Points gained minus points lost, or 0 if too few points or views show the fault.
+    // 0 if too few points or views show the fault
     const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };
@@ -249,19 +248,19 @@ std::string describe_fault(const Log& sequence) {
         if (net_gain(fault) > net_gain(best)) best = fault;
     if (net_gain(best) <= 0) return "";
 
-    std::string description = kBoxFaults[best].description;
-    if (best == kTurnedFault) {
-        // If most boxes are wider than long, their sizes are wrong instead of their
-        // angles.
-        int n_wider_minus_longer = 0;
-        for (const BoxTrack& box : sequence.boxes)
-            if (is_elongated(box.size_m)) n_wider_minus_longer += box.size_m.y > box.size_m.x ? 1 : -1;
-        description = n_wider_minus_longer > 0 ? "length and width seem to be swapped"
-                                               : "the yaw seems to be turned by 90 degrees";
-    }
-    if (kBoxFaults[best].is_mirrored) description += ", as in left-handed coordinates (CARLA)";
-    return fmt::format("{}: boxes that are corrected in this way gain {} points and lose {}", description,
-                       gains[best].gained, gains[best].lost);
+    // If most boxes are wider than long, their sizes are wrong instead of their angles.
+    int n_wider_minus_longer = 0;
+    for (const BoxTrack& box : sequence.boxes)
+        if (is_elongated(box.size_m)) n_wider_minus_longer += box.size_m.y > box.size_m.x ? 1 : -1;
+    const char* turned = n_wider_minus_longer > 0 ? "length and width seem to be swapped"
+                                                  : "the yaw seems to be turned by 90 degrees";
+    const std::array<const char*, kFaultCount> descriptions{
+        "the positions seem to be the centres of the bottom sides, expected the centres of the boxes", turned,
+        "y and yaw seem to have the opposite sign in the world, as in left-handed coordinates (CARLA)",
+        "y and yaw seem to have the opposite sign in the frame of the vehicle, as in left-handed coordinates "
+        "(CARLA)"};
+    return fmt::format("{}: boxes that are corrected in this way gain {} points and lose {}",
+                       descriptions[best], gains[best].gained, gains[best].lost);
 }
 
 }  // namespace relidar::checks
