@@ -69,8 +69,8 @@ TimeGaps find_time_gaps(const Log& sequence) {
     return gaps;
 }
 
-/// Returns the duration of a sweep. Without a known period, returns the time between the
-/// first and the last ray of a scan.
+/// Returns the duration of a sweep: the period of a LiDAR, or else the time between the
+/// first and the last ray of a scan, or else kUsualSweep_s.
 double find_sweep_s(const Log& sequence) {
     for (const Lidar& lidar : sequence.lidars)
         if (lidar.sweep_period_s() > 0.0) return lidar.sweep_period_s();
@@ -187,8 +187,8 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
                    find_frame_number(log.sequence, time_s[fastest]));
 }
 
-/// Reports x or y coordinates that were rounded to single precision. They are then
-/// multiples of the step between neighbouring floats.
+/// Reports x or y coordinates that were rounded to single precision. Each is then a
+/// multiple of the distance between neighbouring floats of its size.
 void test_float_positions(const CheckedLog& log, const FaultReport& report) {
     for (int axis = 0; axis < 2 && log.sequence.has_poses; ++axis) {
         std::set<double> different_m;
@@ -211,27 +211,24 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
 /// their neighbours, and the scan with the fewest returns.
 void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
-        std::vector<std::size_t> n_returns;  // of the scans of this LiDAR
-        std::vector<int> frame_numbers;
-        bool has_all_scans = true;  // otherwise the scans have no neighbours
+        std::vector<const Frame*> frames;    // of this LiDAR
+        std::vector<std::size_t> n_returns;  // [frames]
         for (std::size_t i = 0; i < log.scans.size(); ++i) {
-            const Frame& frame = log.sequence.frames[i];
-            if (frame.lidar != int(l)) continue;
-            const bool is_read = frame.scan.rays.rows > 0;
-            has_all_scans = has_all_scans && is_read;
+            if (log.sequence.frames[i].lidar != int(l)) continue;
+            frames.push_back(&log.sequence.frames[i]);
             n_returns.push_back(log.scans[i].n_returns);
-            frame_numbers.push_back(frame.index);
         }
-        if (!has_all_scans) continue;
-        std::size_t n_incomplete = 0, fewest = 0;  // fewest: index of the smallest of them
-        for (std::size_t k = 0; k < n_returns.size(); ++k) {
-            if (double(n_returns[k]) >= kMinReturnShare * double(usual_returns(n_returns, k))) continue;
-            if (n_incomplete == 0 || n_returns[k] < n_returns[fewest]) fewest = k;
-            ++n_incomplete;
-        }
-        if (n_incomplete > 0)
-            report.add_for(int(l), n_incomplete, n_returns.size(), frame_numbers[fewest], n_returns[fewest],
-                           usual_returns(n_returns, fewest));
+        // A program may have read only some scans, so that they have no neighbours.
+        if (std::ranges::any_of(frames, [](const Frame* f) { return f->scan.rays.rows == 0; })) continue;
+        std::vector<std::size_t> incomplete;  // indices in `frames`
+        for (std::size_t k = 0; k < frames.size(); ++k)
+            if (double(n_returns[k]) < kMinReturnShare * double(usual_returns(n_returns, k)))
+                incomplete.push_back(k);
+        if (incomplete.empty()) continue;
+        const std::size_t worst =
+            *std::ranges::min_element(incomplete, {}, [&](std::size_t k) { return n_returns[k]; });
+        report.add_for(int(l), incomplete.size(), frames.size(), frames[worst]->index, n_returns[worst],
+                       usual_returns(n_returns, worst));
     }
 }
 
@@ -270,9 +267,9 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
             sum.opposite += fit.opposite;
         }
         const bool is_opposite = sum.opposite >= kMinFit * n_scans && sum.nominal <= kMaxMisfit * n_scans;
-        if (n_scans > 0 && is_opposite)
-            report.add_for(int(l), lidar.sensor.clockwise ? "counterclockwise" : "clockwise",
-                           lidar.sensor.clockwise ? "clockwise" : "counterclockwise");
+        const char *nominal = "clockwise", *measured = "counterclockwise";
+        if (!lidar.sensor.clockwise) std::swap(nominal, measured);
+        if (n_scans > 0 && is_opposite) report.add_for(int(l), measured, nominal);
     }
 }
 
