@@ -50,19 +50,19 @@ std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
     return result;
 }
 
-/// Sorts the returns of a log by the grid cell in which they are, and within a cell by
-/// frame. Range corrections of beams do not change the cell, because they are very small.
+/// Returns the returns in each grid cell. Cells with fewer than kMinReturns are empty,
+/// because so few returns determine no plane. Range offsets do not change the cell of a
+/// return, because they are very small.
 std::vector<std::vector<RawReturn>> group_by_cell(const Log& sequence, const std::vector<int>& frames) {
     const std::vector<RawReturn> all =
         concatenate(map_frames(sequence, frames, kMostOffsetReturns,
                                [&](const Frame& frame) { return world_returns(sequence, frame); }));
-    const CellItemLists returns_of_cells(number_cells(all.size(), [&](std::size_t index) {
+    const CellItemLists indices_by_cell(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
-    std::vector<std::vector<RawReturn>> cells(returns_of_cells.size());
+    std::vector<std::vector<RawReturn>> cells(indices_by_cell.size());
     parallel_blocks(cells.size(), [&](std::size_t cell) {
-        const std::span<const std::uint32_t> return_indices = returns_of_cells.items_of(cell);
-        // Fewer returns determine no plane, so such a cell stays empty.
+        const std::span<const std::uint32_t> return_indices = indices_by_cell.items_of(cell);
         if (return_indices.size() < kMinReturns) return;
         for (const std::uint32_t i : return_indices) cells[cell].push_back(all[i]);
     });
@@ -93,18 +93,37 @@ std::optional<CellPlane> fit_cell_plane(const std::vector<RawReturn>& cell_retur
     return CellPlane{reference_m + fit.mean, fit.axes[0]};
 }
 
-/// Least-squares sums of one beam, whose range offset is sum / weight. `weight` is the
-/// sum of c * c and `sum` is the sum of c * d over its returns. c: cosine of incidence.
-/// d: distance of the uncorrected return from a plane.
+/// Sums over the returns of a beam. c: cosine of incidence. d: distance of the
+/// uncorrected return from its plane. A range offset o moves a return by o * c along the
+/// normal of the plane, so the least-squares solution of o * c = d is o = sum / weight.
 struct BeamOffsetSums {
-    double weight = 0.0, sum = 0.0;
+    double weight = 0.0;  ///< sum of c * c
+    double sum = 0.0;     ///< sum of c * d
 };
 
-/// Sums of the residuals in some cells, by beam.
+/// Sums over the returns of some cells.
 struct BeamResiduals {
     std::vector<BeamOffsetSums> fits;  ///< [beams]
-    std::size_t n = 0;
-    double squares = 0.0;
+    std::size_t n = 0;                 ///< number of returns
+    double squares = 0.0;              ///< of the distances of corrected returns from their planes
+
+    /// Adds the returns of a cell, if they form a plane.
+    void add_cell(const std::vector<RawReturn>& cell_returns, const std::vector<double>& beam_offsets_m) {
+        if (cell_returns.empty()) return;
+        const std::optional<CellPlane> plane = fit_cell_plane(cell_returns, beam_offsets_m);
+        if (!plane) return;
+        for (const RawReturn& r : cell_returns) {
+            const double cosine = glm::dot(plane->normal, glm::dvec3(r.direction));
+            const double residual_m =
+                glm::dot(plane->normal, corrected_point(r, beam_offsets_m) - plane->point);
+            if (cosine == 0.0 || std::abs(residual_m) > kMaxResidual_m) continue;
+            const double uncorrected_m = residual_m + beam_offsets_m[r.beam] * cosine;
+            ++n;
+            squares += residual_m * residual_m;
+            fits[r.beam].weight += cosine * cosine;
+            fits[r.beam].sum += cosine * uncorrected_m;
+        }
+    }
     BeamResiduals& operator+=(const BeamResiduals& other) {
         n += other.n;
         squares += other.squares;
@@ -116,11 +135,8 @@ struct BeamResiduals {
     }
 };
 
-/// Subtracts the current range offsets, fits a plane in each cell, and sums the distances
-/// of returns from planes by beam. A range offset o moves a return by o * cosine along
-/// the normal, so least squares over the returns of a beam give
-///   o = sum cosine * distance without correction / sum cosine^2.
-/// The result does not depend on the number of threads.
+/// Sums the returns of all cells, in parallel but in a fixed order. The prior of a beam
+/// is kPriorReturns returns at normal incidence and distance 0.
 BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
                             const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kCellsPerBlock = 2048;
@@ -128,23 +144,7 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
         .fits = std::vector<BeamOffsetSums>(beam_offsets_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
     all += parallel_sum(cells.size(), kCellsPerBlock, [&](std::size_t begin, std::size_t end) {
         BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
-        for (std::size_t cell = begin; cell < end; ++cell) {
-            if (cells[cell].empty()) continue;
-            const std::optional<CellPlane> plane = fit_cell_plane(cells[cell], beam_offsets_m);
-            if (!plane) continue;
-            for (const RawReturn& r : cells[cell]) {
-                const double cosine = glm::dot(plane->normal, glm::dvec3(r.direction));
-                const double residual_m =
-                    glm::dot(plane->normal, corrected_point(r, beam_offsets_m) - plane->point);
-                if (cosine == 0.0 || std::abs(residual_m) > kMaxResidual_m) continue;
-                ++block.n;
-                block.squares += residual_m * residual_m;
-                block.fits[r.beam].weight += cosine * cosine;
-                // The distance of the uncorrected return. Then sum / weight is the total
-                // range offset, which the prior pulls to zero.
-                block.fits[r.beam].sum += cosine * (residual_m + beam_offsets_m[r.beam] * cosine);
-            }
-        }
+        for (std::size_t cell = begin; cell < end; ++cell) block.add_cell(cells[cell], beam_offsets_m);
         return block;
     });
     return all;
@@ -152,10 +152,10 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
 
 }  // namespace
 
-RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frames) {
+RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frame_indices) {
     const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const std::vector<std::vector<RawReturn>> cells = group_by_cell(sequence, frames);
+    const std::vector<std::vector<RawReturn>> cells = group_by_cell(sequence, frame_indices);
     RangeCalibrationResult result;
     if (cells.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
