@@ -34,16 +34,12 @@ void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
 }
 
 /// Replaces unknown azimuth shifts (NAN) by linear interpolation between the nearest
-/// known ones. At both ends of the list, uses the nearest known one. Clears the list if
-/// all are unknown.
+/// known ones. At both ends of the list, uses the nearest known one.
+/// @param azimuth_shifts_rad  at least one is known
 void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     const auto end = azimuth_shifts_rad.end();
     auto known = std::ranges::find_if(azimuth_shifts_rad, is_known);
-    if (known == end) {
-        azimuth_shifts_rad.clear();
-        return;
-    }
     std::fill(azimuth_shifts_rad.begin(), known, *known);
     while (known != end) {
         const auto next_known = std::find_if(known + 1, end, is_known);
@@ -54,6 +50,13 @@ void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     }
 }
 
+/// Returns the azimuth of a direction minus that of another one, positive to the left. It
+/// is atan2(cross product, dot product) of their horizontal parts.
+double azimuth_between_rad(const glm::vec3& from, const glm::vec3& to) {
+    return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
+                      double(from.x) * to.x + double(from.y) * to.y);
+}
+
 }  // namespace
 
 std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor, const RayTable& table) {
@@ -62,14 +65,9 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
         return {};
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
     visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
-        if (!(scan.range_m[ray] > 0.0f)) return;
-        const glm::vec3 &nominal = table.direction[ray], &measured = rays.direction[ray];
-        // measured azimuth minus nominal azimuth, positive to the left
-        // = atan2(cross product, dot product) of the horizontal directions
-        const double difference_rad =
-            std::atan2(double(nominal.x) * measured.y - double(nominal.y) * measured.x,
-                       double(nominal.x) * measured.x + double(nominal.y) * measured.y);
-        shifts_by_firing[firing].push_back(static_cast<float>(difference_rad));
+        if (scan.range_m[ray] > 0.0f)
+            shifts_by_firing[firing].push_back(
+                static_cast<float>(azimuth_between_rad(table.direction[ray], rays.direction[ray])));
     });
     std::vector<float> shift_rad(shifts_by_firing.size(), NAN), deviations_rad;
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
@@ -78,13 +76,13 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
         for (const float shift : shifts_by_firing[firing])
             deviations_rad.push_back(std::abs(shift - shift_rad[firing]));
     }
+    if (deviations_rad.empty()) return {};  // no firing has enough returns
     fill_nan_shifts(shift_rad);
-    if (shift_rad.empty()) return {};
-    // If the lasers of a firing disagree, they do not rotate together.
-    if (compute_median(deviations_rad) > kMaxMismatch_columns * 2.0 * kPi / sensor.columns) return {};
-    if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kRounding_rad; }))
-        return {};
-    return shift_rad;
+    const bool rotate_together =
+        compute_median(deviations_rad) <= kMaxMismatch_columns * 2.0 * kPi / sensor.columns;
+    const bool has_shift =
+        std::ranges::any_of(shift_rad, [](float shift) { return std::abs(shift) >= kRounding_rad; });
+    return rotate_together && has_shift ? shift_rad : std::vector<float>{};
 }
 
 RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor,
