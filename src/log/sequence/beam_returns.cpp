@@ -27,25 +27,22 @@ constexpr std::size_t kMostCompared = 6000000;
 struct ReturnPoint {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
-    CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
+    CellReturn cell_return;
 };
 
-/// Lists the returns of a frame in the world frame. The range offsets of beams are
-/// already corrected. Grid cells and angles of incidence are computed later.
+/// Lists the returns of a frame in the world frame, without the range offsets of beams.
+/// compute_cosines() and collect_cells() set their cosines and cells.
 std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnPoint> result;
     const double max_range_m = sequence.lidar_of(frame).sensor.max_range_m;
-    visit_returns(sequence, frame, max_range_m,
-                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& in_world) {
-                      const CellReturn cell_return{.cell = 0,  // set by collect_cells()
-                                                   .beam = beam,
-                                                   .range_m = surface_return(sequence, frame, ray).range_m,
-                                                   .cosine = 0.0f,  // set by compute_cosines()
-                                                   .intensity = frame.scan.intensity[ray]};
-                      result.push_back({.point_m = in_world.point_m,
-                                        .direction = glm::vec3(in_world.direction),
-                                        .cell_return = cell_return});
-                  });
+    visit_returns(
+        sequence, frame, max_range_m, [&](std::size_t ray, std::uint16_t beam, const WorldReturn& in_world) {
+            result.push_back({.point_m = in_world.point_m,
+                              .direction = glm::vec3(in_world.direction),
+                              .cell_return = {.beam = beam,
+                                              .range_m = surface_return(sequence, frame, ray).range_m,
+                                              .intensity = frame.scan.intensity[ray]}});
+        });
     return result;
 }
 
@@ -82,14 +79,14 @@ std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
 void compute_cosines(std::vector<ReturnPoint>& returns) {
     const ItemCellIndices cells = cells_of_returns(returns, kNormalCell_m);
     const std::vector<glm::vec3> normals = estimate_normals(returns, cells);
+    constexpr float kUnknownCosine = -1.0f;
     parallel_blocks(returns.size(), [&](std::size_t index) {
+        const glm::vec3& normal = normals[cells.of[index]];
+        const bool is_on_plane = normal != glm::vec3(0.0f);
         returns[index].cell_return.cosine =
-            std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
+            is_on_plane ? std::abs(glm::dot(normal, returns[index].direction)) : kUnknownCosine;
     });
-    std::size_t n_kept = 0;
-    for (std::size_t i = 0; i < returns.size(); ++i)
-        if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n_kept++] = returns[i];
-    returns.resize(n_kept);
+    std::erase_if(returns, [](const ReturnPoint& r) { return r.cell_return.cosine == kUnknownCosine; });
 }
 
 }  // namespace
@@ -101,9 +98,9 @@ CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
     compute_cosines(returns);
     const ItemCellIndices cell_numbers = cells_of_returns(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);
-    std::vector<CellReturn> returns_by_cell;  // cells with a single return are left out
+    std::vector<CellReturn> returns_by_cell;
     for (std::uint32_t cell = 0; cell < cell_numbers.n_cells; ++cell) {
-        if (items.items_of(cell).size() < 2) continue;
+        if (items.items_of(cell).size() < 2) continue;  // nothing to compare with
         for (const std::uint32_t i : items.items_of(cell)) {
             returns_by_cell.push_back(returns[i].cell_return);
             returns_by_cell.back().cell = cell;

@@ -48,11 +48,11 @@ auto map_frames(const Log& log, const std::vector<int>& selected, std::size_t ma
 
 /// A return in a grid cell. Intensities of returns in the same cell are compared.
 struct CellReturn {
-    std::uint32_t cell;
+    std::uint32_t cell = 0;
     std::uint32_t beam;
     float range_m;
-    float cosine;     ///< cosine of the angle of incidence
-    float intensity;  ///< measured intensity
+    float cosine = 0.0f;  ///< cosine of the angle of incidence
+    float intensity;      ///< measured intensity
 };
 
 /// LiDAR returns, sorted by grid cell. Cells with a single return are left out. Cell
