@@ -57,17 +57,17 @@ struct FittedTerms {
 template <class Task>
 void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const Task& process_cell_returns) {
     const std::span all(returns_sorted_by_cell);
-    // Moves a border between chunks to the end of its cell, so that no cell is split.
-    const auto find_end_of_cell = [&](std::size_t at) {
+    // Returns the next border between two cells, which is `at` itself if it is a border.
+    const auto find_cell_border = [&](std::size_t at) {
         while (at > 0 && at < all.size() && all[at].cell == all[at - 1].cell) ++at;
         return at;
     };
     parallel_for(static_cast<int>(kChunks), [&](int index) {
         const auto chunk = std::size_t(index);
-        const std::size_t chunk_end = find_end_of_cell(all.size() * (chunk + 1) / kChunks);
-        std::size_t begin = find_end_of_cell(all.size() * chunk / kChunks);
+        const std::size_t chunk_end = find_cell_border(all.size() * (chunk + 1) / kChunks);
+        std::size_t begin = find_cell_border(all.size() * chunk / kChunks);
         while (begin < chunk_end) {
-            const std::size_t end = find_end_of_cell(begin + 1);
+            const std::size_t end = find_cell_border(begin + 1);
             process_cell_returns(all.subspan(begin, end - begin), chunk);
             begin = end;
         }
@@ -94,40 +94,41 @@ void fit_albedos(IntensityFit& model, const CellReturns& returns) {
 /// Indices of the variables of the linear system: intensity factor at each sampled range,
 /// incidence factor, then gain and offset of each beam.
 struct VariableIndices {
-    static constexpr auto kIncidenceChannel = Eigen::Index(kKnots_m.size());
+    static constexpr auto kIncidence = Eigen::Index(kKnots_m.size());
     FittedTerms parts;
     std::size_t n_beams;
 
     /// The index of the offset is the next one.
     Eigen::Index gain_variable(std::size_t beam_index) const {
-        return (parts.shared ? kIncidenceChannel + 1 : 0) + 2 * Eigen::Index(beam_index);
+        return (parts.shared ? kIncidence + 1 : 0) + 2 * Eigen::Index(beam_index);
     }
     Eigen::Index size() const { return gain_variable(parts.beams ? n_beams : 0); }
 };
-/// Nonzero derivatives of the expected intensity of one return: by two range factors,
-/// incidence factor, beam gain and beam offset, in this order.
+/// Nonzero derivatives of the expected intensity of one return.
 struct JacobianRow {
-    std::array<std::pair<Eigen::Index, double>, 5> by;  // index of the variable, derivative
-    std::size_t n = 0;                                  // number of entries of `by`
-    /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
-    /// the surface. `error`: measured minus expected intensity.
-    double by_albedo, error;
+    std::array<std::pair<Eigen::Index, double>, 5> by;  ///< index of the variable, derivative
+    std::size_t n = 0;                                  ///< number of entries of `by`
+    double by_albedo;  ///< not in `by`, because the albedos are eliminated and have no index
+    double error;      ///< measured minus expected intensity
 };
 
-/// Returns the derivatives and the error of one return by the model
-///   intensity = gain * albedo * rho(range) * kappa(incidence) + offset.
-/// rho is linear between the ranges kKnots_m. kappa = 1 - incidence * (1 - cosine).
-JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
-                         const CellReturn& measured_return) {
-    const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // Finds the two knots around `range_m`. `s` is 0 at kKnots_m[knot] and 1 at the next
-    // one: rho = (1 - s) factor[knot] + s factor[knot + 1]. Outside all knots, `s` is
-    // clamped.
-    const double range_m = measured_return.range_m;
+/// Returns the knot before a range and the position between this knot (0) and the next
+/// one (1). Outside all knots, it is the position of the first or the last knot.
+std::pair<std::size_t, double> locate_range(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
         std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
-    const double s = std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0);
+    return {knot, std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0)};
+}
+
+/// Returns the derivatives and the error of one return by the model
+///   intensity = gain * albedo * rho * kappa + offset
+///   rho = (1 - s) factor[knot] + s factor[knot + 1],  kappa = 1 - incidence (1 - cosine)
+/// where knot and s are the position of the range.
+JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
+                         const CellReturn& measured_return) {
+    const BeamGainOffset& beam = model.beams[measured_return.beam];
+    const auto [knot, s] = locate_range(measured_return.range_m);
     const double rho = model.shared.range_factor(measured_return.range_m),
                  kappa = model.shared.incidence_factor(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell];
@@ -141,9 +142,10 @@ JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& varia
         row.by[row.n++] = {variable, derivative};
     };
     if (variable_indices.parts.shared) {
-        append(Eigen::Index(knot), beam.gain * albedo * kappa * (1.0 - s));
-        append(Eigen::Index(knot) + 1, beam.gain * albedo * kappa * s);
-        append(VariableIndices::kIncidenceChannel,
+        const auto first_factor = Eigen::Index(knot);  // variable k is the factor of knot k
+        append(first_factor, beam.gain * albedo * kappa * (1.0 - s));
+        append(first_factor + 1, beam.gain * albedo * kappa * s);
+        append(VariableIndices::kIncidence,
                -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
     }
     if (variable_indices.parts.beams) {
@@ -260,7 +262,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
         pull(kReferenceKnot, 1e3 * prior, 1.0 - model.shared.factor[kReferenceKnot]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(Eigen::Index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
-        pull(VariableIndices::kIncidenceChannel, 1e-3 * prior, -model.shared.incidence);
+        pull(VariableIndices::kIncidence, 1e-3 * prior, -model.shared.incidence);
     }
     for (std::size_t b = 0; indices.parts.beams && b < model.beams.size(); ++b)
         // Pulls each beam to the mean beam with two virtual measurements, whose
@@ -285,7 +287,7 @@ void apply_step(IntensityFit& model, const VariableIndices& variable_indices, co
         for (std::size_t k = 0; k < shared.factor.size(); ++k)
             shared.factor[k] = std::clamp(shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
         shared.incidence =
-            std::clamp(shared.incidence + step[VariableIndices::kIncidenceChannel], 0.0, kMaxIncidence);
+            std::clamp(shared.incidence + step[VariableIndices::kIncidence], 0.0, kMaxIncidence);
     }
     if (!variable_indices.parts.beams) return;
     for (std::size_t b = 0; b < model.beams.size(); ++b) {
