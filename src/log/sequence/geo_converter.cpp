@@ -103,9 +103,11 @@ glm::dquat GeoConverter::dataset_from_enu(const GeodeticPosition& position) cons
 std::string GeoConverter::wkt() const {
     constexpr double kTolerance_m = 1e-3;
     const Georeference& known = impl_->georeference;
-    if (known.rotation != glm::dquat(1.0, 0.0, 0.0, 0.0) ||
-        glm::distance(glm::dvec2(impl_->projected_m), glm::dvec2(known.point_m)) > kTolerance_m)
-        return {};
+    const bool is_turned = known.rotation != glm::dquat(1.0, 0.0, 0.0, 0.0);
+    const bool is_shifted =
+        glm::distance(glm::dvec2(impl_->projected_m), glm::dvec2(known.point_m)) > kTolerance_m;
+    if (is_turned || is_shifted) return {};  // WKT describes only the projection
+    // PROJ describes an operation only if the string calls it a reference system.
     const std::string crs = known.crs + (impl_->is_operation ? " +type=crs" : "");
     const Impl::Handle described(proj_create(impl_->context.get(), crs.c_str()));
     const char* text =

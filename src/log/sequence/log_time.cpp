@@ -22,14 +22,14 @@ void set_log_start(Log& sequence, std::int64_t unix_ns, const std::string& clock
 
 std::int64_t time_shift_of(const Log& sequence, double first_s) {
     const std::int64_t log_start_ns = sequence.start_unix_ns;
-    if (!std::isfinite(first_s))
+    if (first_s == INFINITY)
         for (const Frame& frame : sequence.frames)
             // Rays are fired up to a sweep before the time of their frame. The first
             // packet can begin slightly earlier.
             first_s = std::min(first_s, frame.time_s - 1.01 * sequence.lidar_of(frame).sweep_period_s());
-    if (!std::isfinite(first_s)) return log_start_ns;  // The log has no frames.
-    const double earliest_s = 1e-9 * double(log_start_ns) + first_s;
-    return log_start_ns + kNsPerSecond * std::int64_t(std::ceil(std::max(0.0, -earliest_s)));
+    const double earliest_s = 1e-9 * double(log_start_ns) + first_s;  // since 1970
+    const double missing_s = std::max(0.0, -earliest_s);              // infinite `first_s`: no frames, 0
+    return log_start_ns + kNsPerSecond * std::int64_t(std::ceil(missing_s));
 }
 
 std::string time_shift_note(const Log& sequence, std::int64_t time_shift_ns) {

@@ -39,7 +39,8 @@ std::size_t find_bin(const auto& bin_upper_ends, double value) {
 }
 
 /// Collects the absolute second differences, in metres, of the ranges of three
-/// consecutive firings of a beam, by bin of range and incidence.
+/// consecutive firings of a beam, by bin of range and incidence. On a smooth surface they
+/// are nearly 0 without noise.
 DifferencesByBin collect_differences(const Frame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;

@@ -255,25 +255,14 @@ WorldRay ray_to_world(const Pose& world_from_sensor, const RayTable& rays, std::
             glm::normalize(world_from_sensor.rotation * glm::dvec3(rays.direction[ray_index]))};
 }
 
-}  // namespace
-
-WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
-                        std::size_t ray, bool rolling_shutter) {
-    return ray_to_world(world_from_sensor.pose_at(firing_time_s(time_s, rays, ray, rolling_shutter)), rays,
-                        ray);
-}
-
-/// Returns azimuth and time of the first ray of a sweep, or nothing if it is the default
-/// (facing backward, half a period before time 0) or the head does not rotate evenly.
-/// Each ray gives the azimuth of the head at time 0: its azimuth minus the rotation since
-/// then. The mean of these angles is the direction of the sum of their unit vectors,
-/// because angles themselves jump by 2 pi.
-std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // If the mean vector is shorter, the rays do not come from one rotating head.
+/// Returns the azimuth at which a rotating head is at time 0, or nothing if the rays do
+/// not come from one evenly rotating head. Each ray gives such an azimuth: its own minus
+/// the rotation since then. The mean of these angles is the direction of the sum of their
+/// unit vectors, because angles themselves jump by 2 pi.
+std::optional<double> mean_azimuth_at_zero(const RayTable& rays, double rad_per_s) {
+    // If the mean vector is shorter, the azimuths differ too much.
     constexpr double kMinMeanLength = 0.9;
     constexpr std::size_t kMaxUsedRays = 4096, kRaysPerPart = 256;  // enough for the mean
-    if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
-    const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     // Uses every `step`-th ray.
     const std::size_t step = 1 + rays.size() / kMaxUsedRays, n_used = (rays.size() + step - 1) / step;
     const auto vector_sum = parallel_sum(n_used, kRaysPerPart, [&](std::size_t begin, std::size_t end) {
@@ -285,17 +274,33 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
         return part;
     });
     if (std::abs(vector_sum) < kMinMeanLength * double(n_used)) return {};
-    const double first_s = double(std::ranges::min(rays.time_offset_s));
-    const double azimuth_at_zero_rad = std::arg(vector_sum);
-    // By default, the head faces forward (azimuth 0) at time 0.
-    const bool is_default = std::abs(azimuth_at_zero_rad) < 2.0 * kPi * kStartTolerance &&
-                            std::abs(first_s + 0.5 * sensor.period_s) < kStartTolerance * sensor.period_s;
-    if (is_default) return {};
-    return SweepStart{std::remainder(azimuth_at_zero_rad + rad_per_s * first_s, 2.0 * kPi), first_s};
+    return std::arg(vector_sum);
 }
 
-/// Returns azimuth and time of the first ray of a sweep of any LiDAR, or nothing if they
-/// are the default. If the LiDAR does not spin, only the time matters.
+/// True if a sweep begins half a period before its reference time.
+bool is_default_start(double first_s, double period_s) {
+    return std::abs(first_s + 0.5 * period_s) < kStartTolerance * period_s;
+}
+
+}  // namespace
+
+WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
+                        std::size_t ray, bool rolling_shutter) {
+    return ray_to_world(world_from_sensor.pose_at(firing_time_s(time_s, rays, ray, rolling_shutter)), rays,
+                        ray);
+}
+
+std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
+    if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
+    const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
+    const std::optional<double> azimuth_at_zero_rad = mean_azimuth_at_zero(rays, rad_per_s);
+    if (!azimuth_at_zero_rad) return {};
+    const double first_s = double(std::ranges::min(rays.time_offset_s));
+    const bool faces_forward_at_zero = std::abs(*azimuth_at_zero_rad) < 2.0 * kPi * kStartTolerance;
+    if (faces_forward_at_zero && is_default_start(first_s, sensor.period_s)) return {};
+    return SweepStart{std::remainder(*azimuth_at_zero_rad + rad_per_s * first_s, 2.0 * kPi), first_s};
+}
+
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
     const double period_s = lidar.sweep_period_s();
@@ -303,10 +308,8 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& li
     const auto [first_s, last_s] = std::ranges::minmax(rays.time_offset_s);
     // In a motion-compensated scan, all rays have the same time. So the time at which the
     // sweep starts is unknown.
-    if (first_s == last_s) return {};
-    const bool is_default = std::abs(double(first_s) + 0.5 * period_s) < kStartTolerance * period_s;
-    if (is_default) return {};
-    return SweepStart{.azimuth_rad = 0.0, .time_s = double(first_s)};
+    if (first_s == last_s || is_default_start(double(first_s), period_s)) return {};
+    return SweepStart{.azimuth_rad = 0.0, .time_s = double(first_s)};  // it has no head
 }
 
 void set_sensor(Lidar& lidar, const SensorModel& sensor) {
@@ -333,15 +336,17 @@ RayTable make_lidar_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns the time at which the columns of a scanning window reach an azimuth.
+/// Returns the time at which the columns of a scanning window reach an azimuth. For other
+/// patterns, it is the middle of the sweep.
 double pattern_facing_time_s(const SensorPattern& pattern, double azimuth_rad, const SweepTiming& sweep) {
     const ScanPatternSummary summary = summarise_pattern(pattern);
-    // Middle of the sweep, relative to its reference time.
+    // Middle of the sweep, relative to its reference time. By default, the reference time
+    // is the middle. Otherwise `start` has the time of the first column.
     const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * summary.period_s : 0.0;
     // A rosette and a table of rays have no columns.
     if (!summary.sweep || summary.sweep->columns < 2) return sweep.time_s + middle_s;
     const auto [first_rad, last_rad, columns] = *summary.sweep;
-    // Position of the point between the first (0) and the last column (1).
+    // Position of the azimuth between the first (0) and the last column (1).
     const double share = glm::clamp((azimuth_rad - first_rad) / (last_rad - first_rad), 0.0, 1.0);
     // Each column takes period / columns, so the first and the last one are
     // period * (columns - 1) / columns apart.

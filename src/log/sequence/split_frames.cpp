@@ -24,9 +24,10 @@ constexpr const char* kTestFramesSetting = "dataset.test_frames";
 /// Parses a frame number such as "13" or a range such as "40:45" to [first, end).
 std::pair<int, int> parse_frames(std::string_view text) {
     const std::size_t colon = text.find(':');
+    const bool is_range = colon != std::string_view::npos;
     const std::optional<int> first = parse_stem(std::string(text.substr(0, colon)));
-    std::optional<int> end = first.value_or(0) + 1;
-    if (colon != std::string_view::npos) end = parse_stem(std::string(text.substr(colon + 1)));
+    std::optional<int> end = is_range ? parse_stem(std::string(text.substr(colon + 1))) : first;
+    if (end && !is_range) ++*end;
     if (!first || !end || *first >= *end)
         fail<UsageError>("{}: found \"{}\", expected frame numbers or FIRST:END, for example 13,26,40:45",
                          kTestFramesSetting, quote(text));
@@ -44,7 +45,8 @@ std::set<int> select_nth_frames(int test_every, const std::vector<int>& numbers)
     return held_out;
 }
 
-/// Parses a list of frame indices and ranges, for example "13,26,40:45".
+/// Parses a list of numbers and ranges of test frames, for example "13,26,40:45". Each
+/// must be a frame of the log and occur once, and a frame must remain for training.
 std::set<int> parse_frame_list(const std::string& text, const std::vector<int>& log_frame_numbers) {
     const std::set<int> log_frames(log_frame_numbers.begin(), log_frame_numbers.end());
     std::set<int> held_out;
