@@ -59,8 +59,8 @@ SurfaceClass SurfaceClassLookup::find_class(const glm::dvec3& point_m) const {
 
 namespace {
 
-/// Returns the world grid cell and the class of each labelled return outside of moving
-/// boxes.
+/// Returns the world grid cell and the class of each labelled return of a frame, except
+/// in moving boxes, because the map is only of the background.
 std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack& world_from_sensor,
                                             const std::vector<BoxTrack>& moving_boxes, const Frame& frame) {
     const Scan& scan = frame.scan;
@@ -69,8 +69,8 @@ std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldRay world =
             make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
-        const glm::dvec3 point_m =
-            world.origin_m + double(surface_return(sequence, frame, ray).range_m) * world.direction;
+        const double range_m = surface_return(sequence, frame, ray).range_m;  // without the beam's offset
+        const glm::dvec3 point_m = world.origin_m + range_m * world.direction;
         const double time_s =
             frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
         if (is_in_moving_box(moving_boxes, point_m, time_s, kMoverMargin_m)) continue;
@@ -90,11 +90,9 @@ SurfaceClassMap count_votes(const std::vector<SurfaceClassCell>& votes) {
         ++counts[cells.of[vote]][std::size_t(votes[vote].surface)];
     }
     for (std::size_t cell = 0; cell < map.size(); ++cell) {
-        std::size_t most_voted = 0;
-        for (std::size_t class_number = 1; class_number < kSurfaceClasses; ++class_number)
-            if (counts[cell][class_number] >= counts[cell][most_voted] && counts[cell][class_number] > 0)
-                most_voted = class_number;
-        map[cell].surface = SurfaceClass(most_voted);
+        // The first maximum from behind is the last one.
+        const auto behind_most_voted = std::max_element(counts[cell].rbegin(), counts[cell].rend()).base();
+        map[cell].surface = SurfaceClass(behind_most_voted - counts[cell].begin() - 1);
     }
     return map;
 }

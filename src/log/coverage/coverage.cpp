@@ -87,7 +87,7 @@ void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& 
             block->grid_index = cell_address.block;
         }
         std::uint16_t& word = block->cells[cell_address.word];  // one bit for each of 16 cells
-        word = std::uint16_t(word | 1u << cell_address.bit);
+        word = std::uint16_t(word | (1u << cell_address.bit));
     });
 }
 
@@ -115,8 +115,8 @@ double ObservedVoxelSet::observed_fraction(const glm::dvec3& start_m, const glm:
             block = block_entry == blocks_.end() ? nullptr : &block_entry->second;
         }
         length_m += crossed_m;
-        // A word has one bit for each of 16 cells.
-        if (block && block->cells[cell_address.word] >> cell_address.bit & 1u) within_m += crossed_m;
+        const unsigned word = block ? block->cells[cell_address.word] : 0u;  // bits of 16 cells
+        if ((word >> cell_address.bit) & 1u) within_m += crossed_m;
     });
     return length_m > 0.0 ? within_m / length_m : 0.0;
 }
@@ -133,13 +133,15 @@ std::vector<ObservedVoxelSet::VoxelBlock> ObservedVoxelSet::list_blocks() const 
 namespace {
 
 struct RaySegment {
-    WorldRay ray;
+    WorldRay ray;           ///< valid only if the length is above 0
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
 };
 
 /// Returns the observed length of each ray of a column, highest beam first. A dropped ray
-/// has observed space only if a lower ray has a return: up to the nearer of the next
-/// returns above and below, or up to max_range_m without a return above.
+/// above all returns points to the sky, so it has observed the space up to max_range_m. A
+/// ray between two returns probably hit a surface near the nearer one, which did not
+/// reflect. A ray below all returns may have hit something at any distance, so its length
+/// is 0.
 /// @param ranges_m  [rows] 0 if the ray was dropped
 std::vector<double> observed_lengths_m(const std::vector<double>& ranges_m, double max_range_m) {
     const std::size_t n_rows = ranges_m.size();
@@ -188,7 +190,7 @@ std::size_t choose_column_step(const SpinningSensor& sensor, std::size_t n_rows,
 }
 
 /// Returns the space that one scan has observed: the cells along each ray, up to its
-/// observed length, and between neighbouring rays of a column. See observe_coverage().
+/// observed length, and between neighbouring rays of a column.
 ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
                                double max_range_m) {
     ObservedVoxelSet observed;
