@@ -33,26 +33,27 @@ constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// One training return: the bin of each feature, the intensity class, and the intensity.
+/// One training return. The class is a quantile of all intensities.
 struct ScatterSample {
     std::array<std::uint8_t, kFeatures> bins;
-    std::uint8_t of_class;
+    std::uint8_t intensity_class;
     float value;
 };
 
 /// All training samples. Samples in the same tree node are contiguous in memory.
 struct ScatterSamples {
     std::vector<ScatterSample> all;
-    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
+    /// [features] upper ends of all bins except the last
+    std::array<std::vector<float>, kFeatures> bin_borders = {};
 };
 
 /// Returns the values that divide a list into `n_parts` equal parts, without duplicates.
 std::vector<float> find_quantiles(std::vector<float> values, std::size_t n_parts) {
     parallel_sort(values, std::less<>());
-    std::vector<float> cuts;
-    for (std::size_t k = 1; k < n_parts; ++k) cuts.push_back(values[values.size() * k / n_parts]);
-    cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
-    return cuts;
+    std::vector<float> quantiles;
+    for (std::size_t k = 1; k < n_parts; ++k) quantiles.push_back(values[values.size() * k / n_parts]);
+    quantiles.erase(std::unique(quantiles.begin(), quantiles.end()), quantiles.end());
+    return quantiles;
 }
 
 /// Returns the bin of a value. Bin b has the values above quantile b - 1 and up to
@@ -120,15 +121,16 @@ std::array<std::vector<float>, kFeatures> find_bin_borders(std::span<const Paire
 /// the intensity that hold similar numbers of returns.
 ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& returns) {
     ScatterSamples samples{.all = std::vector<ScatterSample>(returns.size()),
-                           .cuts = find_bin_borders(images, returns)};
+                           .bin_borders = find_bin_borders(images, returns)};
     std::vector<float> intensities;
     for (const ImageRay& place : returns) intensities.push_back(images[place.image].measured[place.ray]);
     const std::vector<float> class_borders = find_quantiles(intensities, kClasses);
     parallel_blocks(returns.size(), [&](std::size_t index) {
         const RayFeatures features = return_features(images, returns[index]);
         ScatterSample& sample = samples.all[index];
-        for (std::size_t f = 0; f < kFeatures; ++f) sample.bins[f] = find_bin(samples.cuts[f], features[f]);
-        sample.of_class = find_bin(class_borders, intensities[index]);
+        for (std::size_t f = 0; f < kFeatures; ++f)
+            sample.bins[f] = find_bin(samples.bin_borders[f], features[f]);
+        sample.intensity_class = find_bin(class_borders, intensities[index]);
         sample.value = intensities[index];
     });
     return samples;
@@ -164,6 +166,7 @@ struct TreeNodeSplit {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
+    std::uint32_t n_first = 0;  ///< number of returns of the first child
 };
 
 // Number of features whose histograms fit into the first-level cache.
@@ -171,7 +174,7 @@ constexpr std::size_t kFeaturesPerPass = 4;
 using BinCounts = std::array<ClassCounts, kBins>;
 
 /// Returns the best split of a tree node by one feature: tries all borders between bins.
-/// The gain is the increase of the log-likelihood (top of this file).
+/// The gain is the increase of sum n_c ln(n_c / n) over the classes c (top of this file).
 /// @param class_counts_by_bin number of returns of each class in each bin of the feature
 /// @param n_bin_borders number of bins except the last
 /// @param k_log_k_table make_entropy_terms()
@@ -193,7 +196,7 @@ TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t
         for (std::size_t c = 0; c < kClasses; ++c) second_child.of[c] -= first_child.of[c];
         const double gain = first_child.log_likelihood(k_log_k_table) +
                             second_child.log_likelihood(k_log_k_table) - node_likelihood;
-        if (gain > best.gain) best = {.gain = gain, .feature = int(feature), .bin = bin};
+        if (gain > best.gain) best = {.gain = gain, .feature = int(feature), .bin = bin, .n_first = n_first};
     }
     return best;
 }
@@ -205,12 +208,12 @@ TreeNodeSplit split_by_features(const ScatterSamples& samples, std::span<const S
     std::array<BinCounts, kFeaturesPerPass> counts{};  // [features, bins, classes]
     for (const ScatterSample& sample : node_samples)
         for (std::size_t f = 0; f < n_features; ++f)
-            ++counts[f][sample.bins[first_feature + f]].of[sample.of_class];
+            ++counts[f][sample.bins[first_feature + f]].of[sample.intensity_class];
     TreeNodeSplit best;
     for (std::size_t f = 0; f < n_features; ++f) {
         const std::size_t feature = first_feature + f;
         const TreeNodeSplit split =
-            split_by_feature(counts[f], feature, samples.cuts[feature].size(), k_log_k_table);
+            split_by_feature(counts[f], feature, samples.bin_borders[feature].size(), k_log_k_table);
         if (split.gain > best.gain) best = split;
     }
     return best;
@@ -248,19 +251,15 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
     // Entry k belongs to node first_node + k. The nodes of a layer share no samples, so
     // they are split in parallel.
     std::vector<TreeNodeSplit> splits(nodes.size() - first_node);
-    std::vector<std::uint32_t> first_child_sizes(splits.size(), 0);
     parallel_for(int(splits.size()), [&](int k) {
         const IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + std::size_t(k)];
         TreeNodeSplit& split = splits[std::size_t(k)];
         split = find_node_split(samples, k_log_k_table, node);
         if (split.feature < 0) return;  // stays a leaf
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
-        const auto is_in_first_child = [&](const ScatterSample& sample) {
+        std::stable_partition(node_samples.begin(), node_samples.end(), [&](const ScatterSample& sample) {
             return sample.bins[std::size_t(split.feature)] <= split.bin;
-        };
-        const auto second_child_begin =
-            std::stable_partition(node_samples.begin(), node_samples.end(), is_in_first_child);
-        first_child_sizes[std::size_t(k)] = std::uint32_t(second_child_begin - node_samples.begin());
+        });
     });
     // Appends the children of one node after the other, so that their order does not
     // depend on threads.
@@ -269,12 +268,12 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
         if (split.feature < 0) continue;
         IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + k];
         node.feature = split.feature;
-        node.at = samples.cuts[std::size_t(split.feature)][split.bin];
+        node.at = samples.bin_borders[std::size_t(split.feature)][split.bin];
         node.child = std::int32_t(nodes.size());
         // push_back() moves the nodes in memory, so `node` is not used after it.
-        const std::uint32_t begin = node.first, count = node.count, n_first = first_child_sizes[k];
-        nodes.push_back({.first = begin, .count = n_first});
-        nodes.push_back({.first = begin + n_first, .count = count - n_first});
+        const std::uint32_t begin = node.first, count = node.count;
+        nodes.push_back({.first = begin, .count = split.n_first});
+        nodes.push_back({.first = begin + split.n_first, .count = count - split.n_first});
     }
 }
 
