@@ -52,4 +52,8 @@ inline std::vector<BeamRays> make_generators(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 
+/// Returns a sensor whose rays pass through the pixels of a grid, as project_to_pixel()
+/// defines them: it has a beam for each row, and column 0 faces backward.
+SpinningSensor make_grid_sensor(const RangeImageGrid& grid);
+
 }  // namespace relidar

@@ -104,7 +104,7 @@ SpinningSensor parse_beams(const std::string& text, const std::string& where, in
     for (const BeamColumn& column : kBeamColumns) column_names.emplace_back(column.name);
     const std::vector<int> column_indices =
         find_columns(header, column_names, fmt::format("{} line {}", where, header_line + 1));
-    if (column_indices[0] < 0)
+    if (column_indices[0] < 0)  // the first of kBeamColumns
         fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", where);
 
     SpinningSensor sensor;

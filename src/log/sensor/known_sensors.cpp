@@ -21,6 +21,8 @@
 #include "base/csv.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "log/sensor/beam_geometry.hpp"
+#include "log/sensor/pattern_kinds.hpp"
 
 namespace relidar {
 
@@ -95,15 +97,10 @@ SensorModel make_model(SpinningSensor sensor, const std::string& text) {
 /// Returns a sensor whose rays are the pixels of KITTI-360 range images in publications.
 /// @param columns  0: as in the publications
 SensorModel make_kitti360(int columns, double rate_hz) {
-    const RangeImageGrid grid = kitti360_grid();
-    SpinningSensor sensor{.name = grid.name,
-                          .beams = {},
-                          .columns = columns > 0 ? columns : grid.columns,
-                          .period_s = 1.0 / rate_hz,
-                          .first_azimuth_rad = kPi,
-                          .max_range_m = grid.max_range_m};
-    for (int row = 0; row < grid.rows; ++row)
-        sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
+    RangeImageGrid grid = kitti360_grid();
+    if (columns > 0) grid.columns = columns;
+    SpinningSensor sensor = make_grid_sensor(grid);
+    sensor.period_s = 1.0 / rate_hz;
     return make_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
@@ -120,35 +117,35 @@ std::string find_beam_table(const std::string& name) {
 /// Returns the source of a beam table from its first line, "# SOURCE".
 std::string read_table_source(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-/// Returns a spinning sensor from its data sheet. The beams come from the table of this
-/// name, or are evenly spaced in one or two fans of the data sheet.
+std::vector<Beam> spread_beams(const std::array<BeamFan, 2>& fans) {
+    std::vector<Beam> beams;
+    for (const auto& [n_beams, top_deg, bottom_deg] : fans)
+        for (int beam = 0; beam < n_beams; ++beam) {
+            const double elevation_deg = top_deg + (bottom_deg - top_deg) * beam / (n_beams - 1);
+            beams.push_back({.elevation_rad = elevation_deg * kDegree});
+        }
+    return beams;
+}
+
+/// Returns a spinning sensor from its data sheet.
 /// @param columns  0: the default
-SensorModel make_spinning(const DataSheet& data_sheet, int columns, double rate_hz) {
-    if (columns == 0) columns = data_sheet.columns;
-    SpinningSensor sensor;
-    std::string beam_source;
-    if (data_sheet.beam_source) {
-        beam_source = data_sheet.beam_source;
-        sensor.columns = columns;
-        sensor.period_s = 1.0 / rate_hz;
-        sensor.first_azimuth_rad = kPi - kPi / columns;  // half a column from the rear
-        for (const auto& [n_beams, top_deg, bottom_deg] : data_sheet.fans)
-            for (int beam = 0; beam < n_beams; ++beam) {
-                const double elevation_deg = top_deg + (bottom_deg - top_deg) * beam / (n_beams - 1);
-                sensor.beams.push_back({.elevation_rad = elevation_deg * kDegree});
-            }
-    } else {
-        const std::string table = find_beam_table(std::string(data_sheet.name));
-        beam_source = read_table_source(table);
-        sensor = parse_beams(table, std::string(data_sheet.name), columns, rate_hz);
-    }
-    sensor.name = data_sheet.name;
-    // The first column of an Ouster is exactly backward, not half a column from there.
-    if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
-    sensor.min_range_m = data_sheet.min_range_m;
-    sensor.max_range_m = data_sheet.max_range_m;
-    sensor.divergence_rad = data_sheet.divergence_rad;
-    return make_model(std::move(sensor), beam_source);
+SensorModel make_spinning(const DataSheet& sheet, int columns, double rate_hz) {
+    if (columns == 0) columns = sheet.columns;
+    const std::string name(sheet.name);
+    const bool is_ouster = name.starts_with("OS");
+    const bool has_table = sheet.beam_source == nullptr;
+    const std::string table = has_table ? find_beam_table(name) : "";
+    SpinningSensor sensor{
+        .name = name,
+        .beams = has_table ? parse_beams(table, name, columns, rate_hz).beams : spread_beams(sheet.fans),
+        .columns = columns,
+        .period_s = 1.0 / rate_hz,
+        // Half a column from the rear; the first column of an Ouster is exactly backward.
+        .first_azimuth_rad = is_ouster ? kPi : kPi - kPi / columns,
+        .min_range_m = sheet.min_range_m,
+        .max_range_m = sheet.max_range_m,
+        .divergence_rad = sheet.divergence_rad};
+    return make_model(std::move(sensor), has_table ? read_table_source(table) : sheet.beam_source);
 }
 
 /// Returns the AT128 as a table of rays. Mirrors scan 120 degrees from left to right in
@@ -165,10 +162,8 @@ SensorModel make_at128() {
         for (int column = 0; column < kColumns; ++column) {
             const double columns_to_middle = 0.5 * (kColumns - 1) - column;  // positive on the left
             const double azimuth_rad = columns_to_middle * kColumnStep_deg * kDegree;
-            rays.direction.emplace_back(aim_beam(beams[row], azimuth_rad).direction);
-            rays.origin.emplace_back(0.0f);
-            rays.time_offset_s.push_back(float(-columns_to_middle / kColumns * kPeriod_s));
-            rays.channel.push_back(std::uint16_t(row));
+            sensor::add_ray(rays, aim_beam(beams[row], azimuth_rad).direction,
+                            -columns_to_middle / kColumns * kPeriod_s, int(row));
         }
     return {"AT128", read_table_source(table), {0.5, 200.0}, std::move(rays)};
 }

@@ -14,10 +14,17 @@
 #include "base/fail.hpp"
 
 namespace relidar {
-
 namespace {
 
 constexpr double kLargestRange_m = 1e12, kLongestPeriod_s = 3600.0;
+
+/// Reads divergence_rad or divergence_mrad; 0 if both are missing.
+double read_divergence_rad(const JsonField& field) {
+    if (field.has_member("divergence_rad") && field.has_member("divergence_mrad"))
+        field.reject("found divergence_rad and divergence_mrad", "expected one of them");
+    if (field.has_member("divergence_rad")) return field.at("divergence_rad").number_in(0.0, 1.0);
+    return 1e-3 * sensor::read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
+}
 
 }  // namespace
 
@@ -106,13 +113,6 @@ double read_number_or(const JsonField& field, const char* key, double default_va
     return field.has_member(key) ? field.at(key).number_in(min, max) : default_value;
 }
 
-double read_divergence_rad(const JsonField& field) {
-    if (field.has_member("divergence_rad") && field.has_member("divergence_mrad"))
-        field.reject("found divergence_rad and divergence_mrad", "expected one of them");
-    if (field.has_member("divergence_rad")) return field.at("divergence_rad").number_in(0.0, 1.0);
-    return 1e-3 * read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
-}
-
 CommonMembers read_common(const JsonField& field, const std::string& default_name, double min_s) {
     const CommonMembers common{
         .name = field.has_member("name") ? field.at("name").text() : default_name,
@@ -136,11 +136,6 @@ void check_members(const JsonField& field, std::vector<std::string> allowed_memb
     field.check_members(allowed_member_names);
 }
 
-double spaced_value(double first_value, double last_value, int index, int count) {
-    return count > 1 ? first_value + (last_value - first_value) * index / (count - 1)
-                     : 0.5 * (first_value + last_value);
-}
-
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel) {
     rays.origin.emplace_back(0.0f);
     rays.direction.emplace_back(direction);
@@ -154,8 +149,8 @@ void check_ray_count(const std::string& sensor_name, double n_rays) {
                          kMaxRays);
 }
 
-void check_finite_sum(const std::string& sensor_name, double sum_of_values, double period_s) {
-    if (!std::isfinite(sum_of_values))
+void check_pattern(const std::string& sensor_name, double period_s, std::initializer_list<double> values) {
+    if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
         fail<UsageError>("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name);
     if (!(period_s > 0.0) || !std::isfinite(period_s))
         fail<UsageError>("sensor '{}': found a period of {} s, expected a positive number", sensor_name,

@@ -4,6 +4,7 @@
 // has functions that read and write this member.
 #pragma once
 
+#include <initializer_list>
 #include <string>
 #include <vector>
 
@@ -55,8 +56,6 @@ double read_angle_rad(const JsonField& field, const std::string& name, double ma
 double read_angle_or_rad(const JsonField& field, const std::string& name, double default_rad,
                          double max_abs_deg);
 double read_number_or(const JsonField& field, const char* key, double default_value, double min, double max);
-/// Reads divergence_rad or divergence_mrad; 0 if both are missing.
-double read_divergence_rad(const JsonField& field);
 
 /// Members of all kinds. A missing max_range_m means infinity.
 struct CommonMembers {
@@ -72,16 +71,13 @@ CommonMembers read_common(const JsonField& field, const std::string& default_nam
 void check_members(const JsonField& field, std::vector<std::string> allowed_member_names,
                    const std::vector<std::string>& allowed_angle_names);
 
-double spaced_value(double first_value, double last_value, int index, int count);
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
 void check_ray_count(const std::string& sensor_name, double n_rays);
-/// Checks that the values of a pattern are finite and that its period is positive.
-/// @param sum_of_values sum of all angles and rates, which is not finite if one of them
-/// is not
+/// Checks that the period of a pattern is positive and that its other values are finite.
 /// @throws UsageError if a check fails
-void check_finite_sum(const std::string& sensor_name, double sum_of_values, double period_s);
+void check_pattern(const std::string& sensor_name, double period_s, std::initializer_list<double> values);
 
 }  // namespace sensor
 }  // namespace relidar

@@ -147,18 +147,18 @@ RayTable make_rays(const SpinningSensor& sensor) {
     return rays;
 }
 
-/// Returns the rays through the pixels of a grid, like a spinning sensor with a beam per
-/// row.
-RayTable make_rays(const RangeImageGrid& grid) {
-    SpinningSensor sensor;
-    sensor.name = grid.name;
-    sensor.columns = grid.columns;
-    // Inverse of project_to_pixel(): column 0 faces backward.
-    sensor.first_azimuth_rad = kPi;
+SpinningSensor make_grid_sensor(const RangeImageGrid& grid) {
+    SpinningSensor sensor{.name = grid.name,
+                          .beams = {},
+                          .columns = grid.columns,
+                          .first_azimuth_rad = kPi,
+                          .max_range_m = grid.max_range_m};
     for (int row = 0; row < grid.rows; ++row)
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
-    return make_rays(sensor);
+    return sensor;
 }
+
+RayTable make_rays(const RangeImageGrid& grid) { return make_rays(make_grid_sensor(grid)); }
 
 double Beam::to_measured_range_m(double surface_range_m) const {
     return surface_range_m > 0.0 ? std::max(surface_range_m + range_offset_m, 0.0) : surface_range_m;

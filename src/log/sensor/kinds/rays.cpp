@@ -24,7 +24,7 @@ nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
 std::size_t count_ray_rows(const JsonField& field) {
     if (field.has_member("rows")) return std::size_t(field.at("rows").integer_in(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");
-    constexpr std::size_t kFirst = 0;
+    constexpr std::size_t kFirst = 0;  // a plain 0 could also be a key
     const auto is_filled_list = [](const JsonField& value) { return value.is_array() && value.size() > 0; };
     // An image is a list of rows, which are lists of vectors.
     const bool is_image =

@@ -16,10 +16,9 @@ using namespace sensor;
 /// @param time_s  time of the middle of the scan
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     check_ray_count(rosette.name, rosette.n_rays);
-    check_finite_sum(
-        rosette.name,
-        rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
-        rosette.period_s);
+    check_pattern(
+        rosette.name, rosette.period_s,
+        {rosette.deflection_rad, rosette.first_hz, rosette.second_hz, rosette.divergence_rad, time_s});
     RayTable rays;
     rays.rows = 1;
     rays.columns = rosette.n_rays;
@@ -29,10 +28,12 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
         const double first_rad = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
         const double second_rad = 2.0 * kPi * std::fmod(rosette.second_hz * (time_s + offset_s), 1.0);
         // Each prism deflects the beam by the same angle, in the direction of its
-        // rotation angle. The sum of both is the angle to the axis and its direction.
+        // rotation angle. The sum of both is a vector: its length is the angle between
+        // the ray and the x axis.
         const double left_rad = rosette.deflection_rad * (std::cos(first_rad) + std::cos(second_rad));
         const double up_rad = rosette.deflection_rad * (std::sin(first_rad) + std::sin(second_rad));
         const double bent_rad = std::hypot(left_rad, up_rad);
+        // The part of the ray perpendicular to the axis has the length sin(bent_rad).
         const double scale = bent_rad > 0.0 ? std::sin(bent_rad) / bent_rad : 1.0;
         add_ray(rays, {std::cos(bent_rad), left_rad * scale, up_rad * scale}, offset_s, 0);
     }
@@ -43,14 +44,15 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
 SensorModel sensor::parse_rosette(const JsonField& field, const std::string& default_name) {
     check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
     const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
-    return {name, "", limits,
-            RosetteSensor{.name = name,
-                          .deflection_rad = read_angle_rad(field, "deflection", 45.0),
-                          .first_hz = field.at("first_hz").number_in(-1e5, 1e5),
-                          .second_hz = field.at("second_hz").number_in(-1e5, 1e5),
-                          .n_rays = int(field.at("rays").integer_in(1, std::int64_t(kMaxRays))),
-                          .period_s = period_s,
-                          .divergence_rad = divergence_rad}};
+    return {.name = name,
+            .limits = limits,
+            .pattern = RosetteSensor{.name = name,
+                                     .deflection_rad = read_angle_rad(field, "deflection", 45.0),
+                                     .first_hz = field.at("first_hz").number_in(-1e5, 1e5),
+                                     .second_hz = field.at("second_hz").number_in(-1e5, 1e5),
+                                     .n_rays = int(field.at("rays").integer_in(1, std::int64_t(kMaxRays))),
+                                     .period_s = period_s,
+                                     .divergence_rad = divergence_rad}};
 }
 
 nlohmann::ordered_json sensor::write(const RosetteSensor& rosette) {

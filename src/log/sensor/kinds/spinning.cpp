@@ -46,7 +46,7 @@ Beam read_beam(const JsonField& field) {
 /// Reads the list of beams, from the highest to the lowest, and the number of columns.
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
     const JsonField beams = field.at("beams");
-    for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
+    sensor.beams = beams.list(read_beam);
     if (sensor.beams.empty() || sensor.beams.size() > kMostBeams)
         beams.reject(fmt::format("found {} beams", sensor.beams.size()),
                      fmt::format("expected 1 to {}", kMostBeams));
@@ -78,7 +78,7 @@ std::optional<std::array<double, 2>> read_azimuths(const JsonField& field) {
     for (double& azimuth : azimuths) azimuth *= is_in_rad ? 1.0 : kPi / 180.0;
     const double largest_rad = std::max(std::abs(azimuths[0]), std::abs(azimuths[1]));
     if (azimuths[0] == azimuths[1] || largest_rad > kMaxAzimuth_rad)
-        pair.reject("found another pair of numbers",
+        pair.reject(fmt::format("found {} to {} radians", azimuths[0], azimuths[1]),
                     "expected two different azimuths of at most 360 degrees, in the order of rotation");
     return azimuths;
 }
@@ -105,7 +105,7 @@ SensorModel sensor::parse_spinning(const JsonField& field, const std::string& de
         sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
     sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", default_first_rad, kMaxAngle_deg);
     sensor.azimuth_rad = read_azimuths(field);
-    return {sensor.name, "", common.limits, std::move(sensor)};
+    return {.name = common.name, .limits = common.limits, .pattern = std::move(sensor)};
 }
 
 /// Writes the members that parse_spinning() reads. Leaves out name and range limits.

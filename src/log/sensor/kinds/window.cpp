@@ -13,14 +13,23 @@
 namespace relidar {
 
 using namespace sensor;
+namespace {
+
+/// Returns one of `count` evenly spaced values; the mean of both ends if it is the only
+/// one.
+double spaced_value(double first_value, double last_value, int index, int count) {
+    return count > 1 ? first_value + (last_value - first_value) * index / (count - 1)
+                     : 0.5 * (first_value + last_value);
+}
+
+}  // namespace
 
 /// Returns the rays of one scan, evenly spaced in angle from the top left.
 RayTable make_rays(const WindowScanSensor& window) {
     check_ray_count(window.name, double(window.rows) * double(window.columns));
-    check_finite_sum(
-        window.name,
-        window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
-        window.period_s);
+    check_pattern(
+        window.name, window.period_s,
+        {window.left_rad, window.right_rad, window.top_rad, window.bottom_rad, window.divergence_rad});
     if (window.rows > 65535)
         fail<UsageError>("sensor '{}': found {} rows, expected at most 65535", window.name, window.rows);
     RayTable rays;
@@ -58,7 +67,7 @@ SensorModel sensor::parse_window(const JsonField& field, const std::string& defa
     if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
         field.reject(fmt::format("found {} rows x {} columns", window.rows, window.columns),
                      fmt::format("expected at most {} rays", kMaxRays));
-    return {name, "", limits, window};
+    return {.name = name, .limits = limits, .pattern = window};
 }
 
 nlohmann::ordered_json sensor::write(const WindowScanSensor& window) {
