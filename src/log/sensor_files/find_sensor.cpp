@@ -19,22 +19,20 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-constexpr int kTableColumns = 1800;
-constexpr double kTableRate_hz = 10.0;
+constexpr sensor_files::SpinMode kTableMode{.columns = 1800, .rate_hz = 10.0};
 
+/// Azimuths of the first and the last ray of a turn, radians.
+using Azimuths = std::array<double, 2>;
+
+/// Parts of "OS1-64:1024x10:60..-60".
 struct SensorSpecifier {
     std::string name;
-    int columns = 0;       ///< 0: not specified
-    double rate_hz = 0.0;  ///< 0: not specified
+    std::optional<sensor_files::SpinMode> mode = {};
+    std::optional<Azimuths> azimuth_rad = {};
 };
 
-/// Removes the field of view of a spinning sensor from the end of a name, for example
-/// ":60..-60" from "OS1-64:1024x10:60..-60".
-/// @return azimuths of the first and the last ray, radians; nothing if the name has none
-std::optional<std::array<double, 2>> cut_azimuths(std::string& name) {
-    const std::size_t colon = name.rfind(':');
-    if (colon == std::string::npos) return {};
-    const std::string_view suffix = std::string_view(name).substr(colon + 1);
+/// Parses a field of view such as "60..-60". Returns nothing for other texts.
+std::optional<Azimuths> parse_azimuths(std::string_view suffix, const std::string& specifier_text) {
     const std::size_t dots = suffix.find("..");
     if (dots == std::string::npos) return {};
     const auto first_deg = parse_number(suffix.substr(0, dots)),
@@ -45,23 +43,18 @@ std::optional<std::array<double, 2>> cut_azimuths(std::string& name) {
         fail<UsageError>(
             "sensor '{}': found azimuths from {} to {} degrees, expected two different numbers from -360 to "
             "360",
-            name, *first_deg, *last_deg);
-    name.resize(colon);
-    return std::array{*first_deg * kPi / 180.0, *last_deg * kPi / 180.0};
+            specifier_text, *first_deg, *last_deg);
+    return Azimuths{*first_deg * kPi / 180.0, *last_deg * kPi / 180.0};
 }
 
-/// Parses "OS1-64:1024x20": name, columns and rate in Hz. Columns and rate are optional.
-/// @throws UsageError if the columns or the rate are out of range
-SensorSpecifier parse_specifier(const std::string& specifier_text) {
-    const std::size_t colon = specifier_text.rfind(':');
-    if (colon == std::string::npos || colon == 0) return {specifier_text};
-    const std::string_view suffix = std::string_view(specifier_text).substr(colon + 1);
+/// Parses columns and rate such as "1024x20", or only columns. Returns nothing for other
+/// texts.
+std::optional<sensor_files::SpinMode> parse_mode(std::string_view suffix, const std::string& specifier_text) {
     const std::size_t x = std::min(suffix.find('x'), suffix.size());
     const auto columns = parse_number(suffix.substr(0, x));
-    std::optional<double> rate_hz = kTableRate_hz;
+    std::optional<double> rate_hz = kTableMode.rate_hz;
     if (x < suffix.size()) rate_hz = parse_number(suffix.substr(x + 1));
-    // Without numbers, the colon is part of a file path.
-    if (!columns || !rate_hz) return {specifier_text};
+    if (!columns || !rate_hz) return {};
     const bool is_column_count =
         *columns >= 1.0 && *columns <= kMaxColumns && *columns == std::floor(*columns);
     const bool is_rate = *rate_hz > 0.0 && *rate_hz <= kMaxRate_hz;
@@ -70,24 +63,36 @@ SensorSpecifier parse_specifier(const std::string& specifier_text) {
             "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and up to "
             "{} Hz",
             specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz);
-    return {specifier_text.substr(0, colon), int(*columns), *rate_hz};
+    return sensor_files::SpinMode{int(*columns), *rate_hz};
 }
 
-SensorModel parse_beam_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {
-    const int columns = sensor_specifier.columns > 0 ? sensor_specifier.columns : kTableColumns;
-    SpinningSensor sensor =
-        parse_beams(csv_text, sensor_specifier.name, columns,
-                    sensor_specifier.rate_hz > 0.0 ? sensor_specifier.rate_hz : kTableRate_hz);
-    sensor.name = fs::path(sensor_specifier.name).stem().string();
-    return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
+/// Separates the name of a sensor or a file from the optional mode and field of view.
+/// Other colons are part of a file path.
+/// @throws UsageError if a number is out of range
+SensorSpecifier parse_specifier(const std::string& text) {
+    SensorSpecifier specifier{text};
+    const auto cut_suffix = [&](auto& value, const auto& parse) {
+        const std::size_t colon = specifier.name.rfind(':');
+        if (colon == std::string::npos || colon == 0) return;
+        value = parse(std::string_view(specifier.name).substr(colon + 1), text);
+        if (value) specifier.name.resize(colon);
+    };
+    cut_suffix(specifier.azimuth_rad, parse_azimuths);
+    cut_suffix(specifier.mode, parse_mode);
+    return specifier;
 }
 
 /// Reads a file whose format is not JSON or npz: a table of beams or of rays.
 SensorModel parse_csv_sensor(const std::string& csv_text, const SensorSpecifier& specifier) {
+    const std::string stem = fs::path(specifier.name).stem().string();
     // Only a table of rays has this column.
     const std::string header = csv_text.substr(0, csv_text.find('\n'));
-    if (header.find("azimuth_deg") == std::string::npos) return parse_beam_sensor(csv_text, specifier);
-    return sensor_files::parse_ray_csv(csv_text, fs::path(specifier.name).stem().string(), specifier.name);
+    if (header.find("azimuth_deg") != std::string::npos)
+        return sensor_files::parse_ray_csv(csv_text, stem, specifier.name);
+    const auto [columns, rate_hz] = specifier.mode.value_or(kTableMode);
+    SpinningSensor sensor = parse_beams(csv_text, specifier.name, columns, rate_hz);
+    sensor.name = stem;
+    return {.name = stem, .limits = sensor.range_limits(), .pattern = std::move(sensor)};
 }
 
 /// Reads a sensor from a file. The extension determines the format.
@@ -98,23 +103,19 @@ SensorModel read_sensor_file(const SensorSpecifier& specifier, double default_ma
     SensorModel sensor;
     if (path.extension() == ".npz") sensor = sensor_files::read_ray_npz(specifier.name, stem);
     else if (path.extension() == ".json")
-        sensor = sensor_files::parse_json_sensor(read_text_file(path), stem, specifier.name,
-                                                 specifier.columns, specifier.rate_hz);
+        sensor = sensor_files::parse_json_sensor(read_text_file(path), stem, specifier.name, specifier.mode);
     else sensor = parse_csv_sensor(read_text_file(path), specifier);
-    if (specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
+    if (specifier.mode && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         fail<UsageError>(
             "sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no number of "
             "columns; use only the file name",
-            specifier.name, specifier.columns);
+            specifier.name, specifier.mode->columns);
     sensor_files::set_missing_range(sensor, default_max_range_m, specifier.name);
     return sensor;
 }
 
 }  // namespace
 
-/// Sets the maximum range of a sensor whose file has none. The parser has set it to
-/// infinity in this case.
-/// @throws DataError if the maximum range is not above the minimum range
 void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
@@ -127,29 +128,28 @@ void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, co
 }
 
 SensorModel parse_sensor(const std::string& text, const std::string& name, const std::string& where) {
-    return sensor_files::parse_json_sensor(text, name, where, 0, 0.0);
+    return sensor_files::parse_json_sensor(text, name, where, {});
 }
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,
                         double default_max_range_m) {
-    std::string full_name = name_or_file;
-    const std::optional<std::array<double, 2>> azimuth_rad = cut_azimuths(full_name);
-    const SensorSpecifier name = parse_specifier(full_name);
+    const SensorSpecifier specifier = parse_specifier(name_or_file);
     const auto with_azimuths = [&](SensorModel sensor) {
         auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
-        if (azimuth_rad && !spinning)
+        if (specifier.azimuth_rad && !spinning)
             fail<UsageError>(
                 "sensor '{}': found a field of view, expected none, because the sensor does not spin",
                 name_or_file);
-        if (azimuth_rad) spinning->azimuth_rad = azimuth_rad;
+        if (specifier.azimuth_rad) spinning->azimuth_rad = specifier.azimuth_rad;
         return sensor;
     };
     // Built-in names take precedence over files.
-    if (const auto built_in_sensor = find_built_in(name.name, name.columns, name.rate_hz))
+    const auto [columns, rate_hz] = specifier.mode.value_or(sensor_files::SpinMode{});
+    if (const auto built_in_sensor = find_built_in(specifier.name, columns, rate_hz))
         return with_azimuths(*built_in_sensor);
-    const std::string extension = fs::path(name.name).extension().string();
-    if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(name.name))
-        return with_azimuths(read_sensor_file(name, default_max_range_m));
+    const std::string extension = fs::path(specifier.name).extension().string();
+    if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(specifier.name))
+        return with_azimuths(read_sensor_file(specifier, default_max_range_m));
     std::vector<std::string> known_names = other_known_names;
     for (const std::string& sensor : list_sensors()) known_names.push_back(sensor);
     fail<UsageError>(

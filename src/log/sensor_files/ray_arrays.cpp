@@ -35,7 +35,7 @@ struct ArrayLimits {
 };
 
 /// Fails if an array has another number of values, or a value outside the limits. An
-/// optional array can be empty.
+/// empty array is valid, because arrays are optional.
 void check_array_values(const std::vector<double>& values, const ArrayLimits& limits,
                         const std::string& where) {
     if (!values.empty() && values.size() != limits.n_values)
@@ -93,9 +93,6 @@ enum RayCsvField {
 const std::vector<std::string> kColumnNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                             "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                             "min_range_m", "max_range_m"};
-// limits of the sensor: the same value in every line
-constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
-
 using RayCsvRow = std::array<double, kFieldCount>;
 
 /// Parses the numbers of one ray. Values of missing columns are 0, except the maximum
@@ -170,7 +167,7 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
         rays.time_offset_s.push_back(arrays.time_s.empty() ? 0.0f : float(arrays.time_s[i]));
         rays.channel.push_back(arrays.channel.empty() ? std::uint16_t(0) : std::uint16_t(arrays.channel[i]));
     }
-    return {name, "", arrays.limits, std::move(rays)};
+    return {.name = name, .limits = arrays.limits, .pattern = std::move(rays)};
 }
 
 SensorModel read_ray_npz(const std::string& path, const std::string& name) {
@@ -226,7 +223,8 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, 
         const std::string line = fmt::format("{} line {}", where, l + 1);
         const RayCsvRow row = parse_ray_line(lines[l], column_of_field, header.size(), line);
         if (rays.time_s.empty()) first_row = row;
-        for (const RayCsvField field : kOfSensor)
+        // The sensor has one pair of limits.
+        for (const RayCsvField field : {kMinRange, kMaxRange})
             if (row[field] != first_row[field])
                 fail(
                     "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
@@ -234,7 +232,7 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, 
                     line, kColumnNames[field], row[field], first_row[field]);
         append_ray_row(rays, row);
     }
-    // A single row. make_ray_sensor() reports too many rays.
+    // A single row. make_ray_sensor() reports more than kMaxRays rays.
     rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first_row[kMinRange], first_row[kMaxRange]};
     return make_ray_sensor(rays, name, where);

@@ -42,14 +42,20 @@ std::vector<double> choose_divergence(std::vector<double> ray_divergence_rad,
 SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where);
 /// Reads a ray table from an npz file (a zip archive of NumPy arrays).
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
+
+/// Columns and rate of a spinning sensor.
+struct SpinMode {
+    int columns = 0;
+    double rate_hz = 0.0;
+};
 /// Parses a pattern, a ray table, or the metadata of an Ouster.
-/// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the values in Ouster
-/// metadata
+/// @param ouster_mode  replaces the mode in the metadata of an Ouster
 /// @throws DataError naming the key that is wrong
 SensorModel parse_json_sensor(const std::string& json_text, const std::string& name, const std::string& where,
-                              int columns_or_zero, double rate_hz_or_zero);
+                              const std::optional<SpinMode>& ouster_mode);
 
-/// Sets the maximum range of a sensor file that has none.
+/// Sets the maximum range of a sensor whose file has none. The parser has set it to
+/// infinity in this case.
 /// @throws DataError if the maximum range is not above the minimum range
 void set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where);
 

@@ -43,14 +43,9 @@ RangeLimits ouster_limits(const JsonField& metadata) {
     return find_built_in(sensor_name)->limits;
 }
 
-struct OusterMode {
-    int columns;
-    double rate_hz;
-};
-
 /// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
 /// "1024x10" means 1024 columns at 10 Hz.
-OusterMode ouster_mode(const JsonField& metadata) {
+SpinMode parse_mode(const JsonField& metadata) {
     const std::string text = find_text(metadata, "lidar_mode", "config_params");
     const std::size_t x = std::min(text.find('x'), text.size());
     const auto columns = parse_number(text.substr(0, x)),
@@ -96,27 +91,27 @@ std::vector<Beam> parse_ouster_beams(const JsonField& metadata) {
 }
 
 /// Makes a spinning sensor from the metadata of an Ouster: beam angles, mode, product.
-/// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the mode
-SensorModel parse_ouster(const JsonField& metadata, const std::string& name, int columns_or_zero,
-                         double rate_hz_or_zero) {
-    SpinningSensor sensor;
-    sensor.name = name;
-    sensor.beams = parse_ouster_beams(metadata);
-    OusterMode mode{.columns = columns_or_zero, .rate_hz = rate_hz_or_zero};
-    if (columns_or_zero == 0) mode = ouster_mode(metadata);
-    sensor.columns = mode.columns;
-    sensor.period_s = 1.0 / mode.rate_hz;
-    sensor.first_azimuth_rad = kPi;  // The first column of an Ouster faces backward.
+/// @param requested_mode  replaces the mode of the metadata
+SensorModel parse_ouster(const JsonField& metadata, const std::string& name,
+                         const std::optional<SpinMode>& requested_mode) {
+    std::vector<Beam> beams = parse_ouster_beams(metadata);
+    const auto [columns, rate_hz] = requested_mode ? *requested_mode : parse_mode(metadata);
     const RangeLimits limits = ouster_limits(metadata);
-    sensor.min_range_m = limits.min_m;
-    sensor.max_range_m = limits.max_m;
-    return {name, "", limits, std::move(sensor)};
+    return {.name = name,
+            .limits = limits,
+            .pattern = SpinningSensor{.name = name,
+                                      .beams = std::move(beams),
+                                      .columns = columns,
+                                      .period_s = 1.0 / rate_hz,
+                                      .first_azimuth_rad = kPi,  // The first column faces backward.
+                                      .min_range_m = limits.min_m,
+                                      .max_range_m = limits.max_m}};
 }
 
 }  // namespace
 
 SensorModel parse_json_sensor(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& where, int columns_or_zero, double rate_hz_or_zero) {
+                              const std::string& where, const std::optional<SpinMode>& ouster_mode) {
     const Json json = parse_json(json_text, where);
     const JsonField root(json, where, "");
     // A table of rays may be the root object itself, without the key of its kind.
@@ -129,7 +124,7 @@ SensorModel parse_json_sensor(const std::string& json_text, const std::string& s
         return sensor;
     }
     if (root.find("beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster(root, sensor_name, columns_or_zero, rate_hz_or_zero);
+        return parse_ouster(root, sensor_name, ouster_mode);
     std::string kinds;
     for (const PatternKind& kind : all_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     fail(
