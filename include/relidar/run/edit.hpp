@@ -139,9 +139,10 @@ SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const 
 /// first copy of track "0" gets the name "0-copy-1".
 SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start);
 
-/// Adds an actor from another scene at the end of the instance list. If its track name is
-/// not free, "0" becomes "0-insert-1". Its spherical harmonics above the new scene's
-/// degree are ignored, its intensities are those of the sensor that recorded it.
+/// Adds an actor from another scene at the end of the instance list. If the scene already
+/// has its track, for example "0", the new track is called "0-insert-1". Intensities stay
+/// those of the sensor that recorded the actor. Rendering ignores spherical harmonics
+/// above the degree of the new scene.
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start);
 

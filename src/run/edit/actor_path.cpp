@@ -59,11 +59,12 @@ FieldColumnIndices parse_header(const std::vector<std::string_view>& header, con
     require(kTime);
 
     const std::array local_fields{kX, kY, kZ}, geodetic_fields{kLatitude, kLongitude, kHeight};
-    const bool is_geodetic = std::ranges::any_of(geodetic_fields, has);
-    for (const int field : local_fields)
-        if (is_geodetic && has(field))
-            fail("{}: found the columns '{}' and 'latitude_deg', expected only one kind of place", where,
-                 kColumnNames[std::size_t(field)]);
+    const auto local = std::ranges::find_if(local_fields, has),
+               geodetic = std::ranges::find_if(geodetic_fields, has);
+    const bool is_geodetic = geodetic != geodetic_fields.end();
+    if (is_geodetic && local != local_fields.end())
+        fail("{}: found the columns '{}' and '{}', expected only one kind of place", where,
+             kColumnNames[*local], kColumnNames[*geodetic]);
     for (const int field : is_geodetic ? geodetic_fields : local_fields) require(field);
 
     if (!has(kYaw) && !has(kYawRad)) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);

@@ -22,7 +22,7 @@ constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a traject
 
 /// Returns the index of the instance that moves along a track.
 /// @throws UsageError that suggests what to do if no instance has this track
-std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& track_id) {
+std::size_t find_instance(const SceneWithLogView& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
     for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
         const std::string& id = scene_and_log.scene.instances[i].track;
@@ -45,17 +45,12 @@ std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& 
                      fmt::join(actor_ids, ", "));
 }
 
-/// Returns the box of an actor for editing. Throws if the scene has no such actor, or
-/// if the log has no box for it.
+SceneWithLogView view_of(const SceneWithLog& scene_and_log) {
+    return {scene_and_log.scene, scene_and_log.sequence};
+}
+
 BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
-    find_instance(scene_and_log, track_id);
-    std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
-    const auto box = std::ranges::find(boxes, track_id, &BoxTrack::id);
-    if (box != boxes.end()) return *box;
-    fail(
-        "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
-        "id; expected the log that was used for training",
-        track_id);
+    return const_cast<BoxTrack&>(find_actor_box(view_of(scene_and_log), track_id));
 }
 
 /// Removes models that no instance uses. Keeps model 0, which is the background.
@@ -175,20 +170,20 @@ void replace_surfels(Scene& scene, std::uint32_t model_index, const Surfels& new
 /// it, and this actor gets a completed copy
 void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
     Scene& scene = scene_and_log.scene;
-    const SurfelModel& shared_model = scene.models[instance.model];
-    const std::optional<ObservedBoxSurface>& observed = shared_model.surface;
-    const bool can_mirror = observed && !observed->is_completed && observed->mirrorable_fraction() != 0.0;
-    const bool is_in_memory = std::size_t(shared_model.first) + shared_model.count <= scene.surfels.size();
+    const SurfelModel model = scene.models[instance.model];
+    const bool can_mirror =
+        model.surface && !model.surface->is_completed && model.surface->mirrorable_fraction() != 0.0;
+    const bool is_in_memory = std::size_t(model.first) + model.count <= scene.surfels.size();
     if (!can_mirror || !is_vehicle(mutable_box(scene_and_log, instance.track)) || !is_in_memory) return;
 
-    const auto earlier_copy = is_shared ? find_mirrored_model(scene, shared_model) : std::nullopt;
+    const auto earlier_copy = is_shared ? find_mirrored_model(scene, model) : std::nullopt;
     if (earlier_copy) {
         instance.model = *earlier_copy;
         return;
     }
     // Adds mirrored surfels and marks their side in `surface` as completed.
-    ObservedBoxSurface surface = *observed;
-    Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);
+    ObservedBoxSurface surface = *model.surface;
+    Surfels completed = scene.surfels.slice(model.first, model.count);
     const std::size_t n_mirrored = mirror_unobserved(completed, surface);
     if (n_mirrored == 0) return;
     if (is_shared) instance.model = append_model(scene, scene, instance.model);
@@ -221,22 +216,23 @@ void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const
     edited.sequence.boxes.push_back(std::move(box));
 }
 
-/// Returns the ids of the actors whose tracks the edits have changed. An actor that was
-/// moved there and back gets exactly its old track, without the rounding errors.
-std::set<std::string> find_moved_actors(SceneWithLog& edited, const std::vector<BoxTrack>& boxes_before) {
-    std::set<std::string> moved;
-    for (const ModelInstance& instance : edited.scene.instances) {
-        const auto box = std::ranges::find(edited.sequence.boxes, instance.track, &BoxTrack::id);
-        if (instance.track.empty() || box == edited.sequence.boxes.end()) continue;
-        const auto before = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
-        if (before == boxes_before.end() || !is_same_track(box->world_from_box, before->world_from_box))
-            moved.insert(instance.track);
-        else box->world_from_box = before->world_from_box;
-    }
-    return moved;
+}  // namespace
+
+const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log, const std::string& track_id) {
+    find_instance(scene_and_log, track_id);  // throws if the scene has no such actor
+    if (const BoxTrack* box = find_box(scene_and_log.sequence, track_id)) return *box;
+    fail(
+        "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
+        "id; expected the log that was used for training",
+        track_id);
 }
 
-}  // namespace
+std::vector<double> list_sweep_times_s(const Log& log) {
+    std::vector<double> times_s;
+    for (const Frame& frame : log.frames)
+        if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
+    return times_s;
+}
 
 PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
@@ -253,7 +249,7 @@ PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
 }
 
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) {
-    find_instance(scene_and_log, track);
+    find_instance(view_of(scene_and_log), track);
     keep_actors(scene_and_log, [&](const std::string& name) { return name != track; });
     return scene_and_log;
 }
@@ -295,8 +291,15 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
 }
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
+    std::set<std::string> moved;  // ids of tracks
+    for (BoxTrack& box : scene_and_log.sequence.boxes) {
+        const auto before = std::ranges::find(boxes_before, box.id, &BoxTrack::id);
+        if (before == boxes_before.end() || !is_same_track(box.world_from_box, before->world_from_box))
+            moved.insert(box.id);
+        // Without the rounding errors of an actor that was moved there and back.
+        else box.world_from_box = before->world_from_box;
+    }
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
-    const std::set<std::string> moved = find_moved_actors(scene_and_log, boxes_before);
     for (ModelInstance& instance : instances) {
         if (!moved.contains(instance.track)) continue;
         // Actors that were not moved keep a shared model; moved actors then get a copy.
@@ -342,18 +345,20 @@ SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const 
 SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start) {
     BoxTrack box = mutable_box(scene_and_log, track);
     box.id = make_track_id(scene_and_log, track + "-copy");
-    const std::uint32_t model = scene_and_log.scene.instances[find_instance(scene_and_log, track)].model;
+    const std::size_t instance = find_instance(view_of(scene_and_log), track);
+    const std::uint32_t model = scene_and_log.scene.instances[instance].model;
     add_instance(scene_and_log, model, std::move(box), start);
     return scene_and_log;
 }
 
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start) {
-    SceneWithLog source = source_scene;  // a copy, because mutable_box() does not accept const
-    BoxTrack box = mutable_box(source, track);
-    if (find_box(scene_and_log.sequence, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
-    const std::uint32_t source_model = source.scene.instances[find_instance(source, track)].model;
-    const std::uint32_t model = append_model(scene_and_log.scene, source.scene, source_model);
+    BoxTrack box = find_actor_box(view_of(source_scene), track);
+    const bool is_id_used = find_box(scene_and_log.sequence, box.id) != nullptr;
+    if (is_id_used) box.id = make_track_id(scene_and_log, track + "-insert");
+    const std::size_t instance = find_instance(view_of(source_scene), track);
+    const std::uint32_t source_model = source_scene.scene.instances[instance].model;
+    const std::uint32_t model = append_model(scene_and_log.scene, source_scene.scene, source_model);
     add_instance(scene_and_log, model, std::move(box), start);
     return scene_and_log;
 }

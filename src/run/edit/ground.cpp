@@ -9,7 +9,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <map>
 #include <vector>
@@ -252,21 +251,15 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
     return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(box_size_m), glm::dvec2(kMinHalfWidth_m))};
 }
 
-const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log_view, const std::string& track_id) {
-    // Calls move_track() only because it throws an error if the track does not belong to
-    // an actor. The moved track is not used.
-    (void)move_track(SceneWithLog{strip_surfels(scene_and_log_view.scene), scene_and_log_view.sequence},
-                     track_id, {});
-    return *find_box(scene_and_log_view.sequence, track_id);
-}
+struct BoxPose {
+    const BoxTrack* box;
+    Pose world_from_box;
+};
 
-/// Returns the ground plane below the nearest box that covers a position at any time, or
-/// nothing. Uses the pose of the box, because its actor hides the road from the sensor.
-/// @param get_clearance_m  returns the height of the bottom of a box above the ground
-std::optional<GroundPlane> ground_below_box(const glm::dvec2& position_m, const Log& sequence,
-                                            const std::function<double(const BoxTrack&)>& get_clearance_m) {
-    const BoxTrack* nearest_box = nullptr;
-    Pose nearest_pose;
+/// Returns the box that covers a position in the x-y plane at any time of the log, and
+/// its pose there. Of several poses, returns the one whose centre is nearest.
+std::optional<BoxPose> find_covering_box(const glm::dvec2& position_m, const Log& sequence) {
+    std::optional<BoxPose> nearest;
     double nearest_m = std::numeric_limits<double>::infinity();
     for (const BoxTrack& box : sequence.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
@@ -274,15 +267,10 @@ std::optional<GroundPlane> ground_below_box(const glm::dvec2& position_m, const 
             const Footprint footprint{pose.translation, heading_rad(pose), 0.5 * glm::dvec2(box.size_m)};
             if (distance_m >= nearest_m || !footprint.contains_point(glm::dvec3(position_m, 0.0), 0.0))
                 continue;
-            nearest_box = &box;
-            nearest_pose = pose;
+            nearest = {&box, pose};
             nearest_m = distance_m;
         }
-    if (!nearest_box) return {};
-    const glm::dvec3 up = nearest_pose.rotation * glm::dvec3(0.0, 0.0, 1.0);
-    if (up.z < kMinPlaneNormalZ) return {};
-    const double centre_height_m = 0.5 * nearest_box->size_m.z + get_clearance_m(*nearest_box);
-    return GroundPlane{nearest_pose.translation - centre_height_m * up, up};
+    return nearest;
 }
 
 /// Returns the height of a box's bottom above the ground in metres: the median over about
@@ -344,10 +332,10 @@ std::pair<std::vector<PathPoint>, std::vector<std::size_t>> subdivide_path(
 /// Interpolates the ground linearly where it was not observed between two observed
 /// points, so that the path has no step where the ground appears again.
 void join_gaps(std::vector<PathGround>& ground, const std::vector<PathPoint>& points) {
-    std::optional<std::size_t> before;  // last observed point before `after`
+    std::optional<std::size_t> before;  // last observed point before `after`, if any
     for (std::size_t after = 0; after < ground.size(); ++after) {
         if (!ground[after].is_observed) continue;
-        for (std::size_t k = before.value_or(after) + 1; k < after; ++k) {
+        for (std::size_t k = before ? *before + 1 : after; k < after; ++k) {
             const GroundPlane &first = *ground[*before].plane, &last = *ground[after].plane;
             const double share = double(k - *before) / double(after - *before);
             const double z = glm::mix(first.height_at(points[*before].position_m),
@@ -419,6 +407,20 @@ private:
         return positions;
     }
 
+    /// Returns the plane on which the actor at a position stands, because it hides the
+    /// road from the sensor. Returns nothing if no box covers the position at any time.
+    std::optional<GroundPlane> ground_below_box(const glm::dvec2& position_m) const {
+        const std::optional<BoxPose> covering = find_covering_box(position_m, target_.sequence);
+        if (!covering) return {};
+        const auto& [box, world_from_box] = *covering;
+        const glm::dvec3 up = world_from_box.rotation * glm::dvec3(0.0, 0.0, 1.0);
+        if (up.z < kMinPlaneNormalZ) return {};
+        const auto [clearance_m, is_new] = clearance_m_.try_emplace(box->id, 0.0);
+        if (is_new) clearance_m->second = median_clearance_m(target_, *box).value_or(0.0);
+        const double centre_height_m = 0.5 * box->size_m.z + clearance_m->second;
+        return GroundPlane{world_from_box.translation - centre_height_m * up, up};
+    }
+
     /// Returns the ground below a footprint: a plane that is fitted to surfels, or the
     /// ground below a box that covers the position. Both must be near the expected plane.
     std::optional<GroundPlane> find_near(const Footprint& footprint,
@@ -427,11 +429,7 @@ private:
         using Expected = std::optional<HorizontalSurfels::ExpectedGround>;
         const Expected near = expected ? Expected({*expected, most_m}) : Expected();
         if (const auto plane = surfels_.fit_below(footprint, near)) return plane;
-        const auto below = ground_below_box(footprint.centre_m, target_.sequence, [&](const BoxTrack& box) {
-            const auto [known, is_new] = clearance_m_.try_emplace(box.id, 0.0);
-            if (is_new) known->second = median_clearance_m(target_, box).value_or(0.0);
-            return known->second;
-        });
+        const auto below = ground_below_box(footprint.centre_m);
         const auto height_m = [&](const GroundPlane& plane) { return plane.height_at(footprint.centre_m); };
         return below && expected && std::abs(height_m(*below) - height_m(*expected)) > most_m ? std::nullopt
                                                                                               : below;
@@ -457,10 +455,10 @@ std::vector<PathPoint> list_path_points(const PoseTrack& dataset_path, const glm
     return points;
 }
 
-/// Returns the motion of an actor whose box follows the height and the slope of the
-/// ground along a path. Heights in the path are ignored.
+/// Returns the motion of an actor along a path: replaces the heights of the path by those
+/// of the ground, and tilts the box to the slope of the ground.
 /// @param path  positions and headings in the dataset's world
-/// @param clearance_m  height of the box above the ground; default: as in its scene
+/// @param clearance_m  height of the bottom above the ground; default: as in its scene
 NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack& path,
                           std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
                           const std::string& actor_track) {
@@ -477,16 +475,17 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
             actor_track, start_m.x + offset_m.x, start_m.y + offset_m.y,
             finder.surfels().describe_nearest(start_m));
     if (!clearance_m) clearance_m = median_clearance_m(actor_scene, box);
-    // distance of the box centre from the ground plane
+    // Distance of the box centre from the ground plane, along its normal.
     const double centre_height_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     NewActorMotion motion;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::dvec2& position_m = points[i].position_m;
         const GroundPlane& plane = *ground[i].plane;
-        // The height is along the normal, so the vertical distance is longer.
+        // The vertical distance is longer than the distance along the normal.
         const double z_m = plane.height_at(position_m) + centre_height_m / plane.normal.z;
         motion.dataset_path.append(path.time_s[i], {rotate_to_plane(plane, points[i].yaw_rad),
                                                     glm::dvec3(position_m, z_m) + offset_m});
+        // The first point is observed, so an unobserved point has a predecessor.
         if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
     }
     motion.dataset_from_box = motion.dataset_path.pose.front();
@@ -533,13 +532,10 @@ NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const Groun
         placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
     const glm::dquat rotation = make_rotation(yaw_rad, 0.0, 0.0);
     const glm::dvec3 start_m(placement.dataset_m, 0.0), ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
-    PoseTrack path;  // straight, with a position at the time of each sweep; place_path() sets z
-    for (const Frame& frame : sequence.frames) {
-        // LiDARs that sweep together have the same time.
-        if (!path.time_s.empty() && !(frame.time_s > path.time_s.back())) continue;
-        const double driven_s = path.time_s.empty() ? 0.0 : frame.time_s - path.time_s.front();
-        path.append(frame.time_s, {rotation, start_m + placement.speed_mps * driven_s * ahead});
-    }
+    const std::vector<double> times_s = list_sweep_times_s(sequence);
+    PoseTrack path;  // a straight line; place_path() sets z
+    for (const double time_s : times_s)
+        path.append(time_s, {rotation, start_m + placement.speed_mps * (time_s - times_s.front()) * ahead});
     if (!is_moving || path.time_s.empty()) path = {{0.0}, {{rotation, start_m}}};
     NewActorMotion start = place_path(target_scene, path, placement.clearance_m, actor_scene, actor_track);
     start.speed_mps = placement.speed_mps;

@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
+#include "run/edit/tracks.hpp"
 
 namespace relidar {
 namespace {
@@ -16,13 +18,6 @@ constexpr int kNoLidar = -1;  // for notes that are not about a LiDAR
 // Labels are a few centimetres larger or smaller than their objects.
 constexpr double kMinOverlap_m = 0.1;
 
-std::vector<double> frame_times_s(const Log& log) {
-    std::vector<double> times_s;
-    for (const Frame& frame : log.frames)
-        if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
-    return times_s;
-}
-
 /// Returns the depth by which two boxes overlap, in metres: the smallest overlap of their
 /// projections onto the six axes of both boxes (separating axes). Negative if the boxes
 /// are apart along one of these axes.
@@ -31,6 +26,7 @@ double overlap_m(const Pose& first, const glm::dvec3& first_size_m, const Pose& 
     const glm::dmat3 a = glm::mat3_cast(first.rotation), b = glm::mat3_cast(second.rotation);
     double least_m = INFINITY;
     for (const glm::dvec3& axis : {a[0], a[1], a[2], b[0], b[1], b[2]}) {
+        // axis * a is the axis in the frame of the first box.
         const double half_lengths_m =
             0.5 * (glm::dot(first_size_m, glm::abs(axis * a)) + glm::dot(second_size_m, glm::abs(axis * b)));
         const double distance_m = std::abs(glm::dot(axis, second.translation - first.translation));
@@ -43,7 +39,7 @@ double overlap_m(const Pose& first, const glm::dvec3& first_size_m, const Pose& 
 /// a frame. Frames without observed ground below the box do not count.
 void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& box) {
     PoseTrack path;
-    for (const double time_s : frame_times_s(edited.sequence))
+    for (const double time_s : list_sweep_times_s(edited.sequence))
         if (box.is_observed(time_s)) path.append(time_s, box.world_from_box.pose_at(time_s));
     // heights_above_ground() expects poses in the world frame of the dataset.
     const std::vector<std::optional<double>> gaps_m =
@@ -65,7 +61,7 @@ void add_gap_note(Notes& notes, const SceneWithLogView& edited, const BoxTrack& 
 void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const BoxTrack& other) {
     std::optional<double> first_s, last_s;
     double largest_m = 0.0;
-    for (const double time_s : frame_times_s(log)) {
+    for (const double time_s : list_sweep_times_s(log)) {
         if (!box.is_observed(time_s) || !other.is_observed(time_s)) continue;
         const double depth_m = overlap_m(box.world_from_box.pose_at(time_s), box.size_m,
                                          other.world_from_box.pose_at(time_s), other.size_m);
@@ -86,22 +82,20 @@ void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const B
 Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks) {
     Notes notes;
     // A standing object is present in all frames, not only in those with labels.
+    const std::vector<BoxTrack> standing = list_standing(edited.scene, edited.sequence, {});
+    const std::vector<double> times_s = list_sweep_times_s(edited.sequence);
     std::vector<BoxTrack> boxes = edited.sequence.boxes;
-    for (const BoxTrack& standing : list_standing(edited.scene, edited.sequence, {})) {
-        PoseTrack& track = std::ranges::find(boxes, standing.id, &BoxTrack::id)->world_from_box;
-        track = {};
-        for (const double time_s : frame_times_s(edited.sequence))
-            track.append(time_s, standing.world_from_box.pose.front());
-    }
-    for (auto track = tracks.begin(); track != tracks.end(); ++track) {
-        const BoxTrack* box = find_box(edited.sequence, *track);
+    for (BoxTrack& box : boxes)
+        if (const auto match = std::ranges::find(standing, box.id, &BoxTrack::id); match != standing.end())
+            box.world_from_box = {times_s, std::vector(times_s.size(), match->world_from_box.pose.front())};
+    std::set<std::string> checked;  // ids; a pair of placed actors is checked with the first of them
+    for (const std::string& track : tracks) {
+        const BoxTrack* box = find_box(edited.sequence, track);
         if (!box) continue;
         add_gap_note(notes, edited, *box);
-        for (const BoxTrack& other : boxes) {
-            // A pair of placed actors was checked with the first of them.
-            const bool is_checked = std::find(tracks.begin(), track, other.id) != track;
-            if (!is_checked && other.id != *track) add_overlap_note(notes, edited.sequence, *box, other);
-        }
+        checked.insert(track);
+        for (const BoxTrack& other : boxes)
+            if (!checked.contains(other.id)) add_overlap_note(notes, edited.sequence, *box, other);
     }
     return notes;
 }

@@ -1,9 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/run/edit.hpp>
 
 namespace relidar {
+
+/// Returns the box of an actor.
+/// @throws UsageError if no instance has this track
+/// @throws DataError if the log has no box for it
+const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log, const std::string& track_id);
+
+/// Returns the times of the sweeps. LiDARs that sweep together have the same time.
+std::vector<double> list_sweep_times_s(const Log& log);
 
 /// Adds interpolated poses to a track, so that steps are at most `max_step_s` long.
 /// Reason: a box is also present up to half a time step before its first and after its
