@@ -19,31 +19,23 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
                                       std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
                                       const glm::dvec3& size_m, std::size_t n_surfels) {
     ActorModelResolution detail{.nearest_m = glm::length(box_from_sensor.translation), .surfels = n_surfels};
-    // The bounding sphere of the box rejects most rays quickly. It is a little larger,
-    // because this test is in single precision.
-    const glm::vec3 centre_m(inverse(box_from_sensor).translation);  // of the box, in the sensor frame
-    const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
+    const glm::dvec3 centre_m = inverse(box_from_sensor).translation;  // of the box, in the sensor frame
+    // Most rays miss the bounding sphere of the box, which is a fast test. The sphere is
+    // a little larger, because directions are in single precision.
+    const double radius_m = 0.5 * glm::length(size_m) * 1.001 + 0.01;
     for (std::size_t i = 0; i < ray_directions.size(); ++i) {
-        // The ray is nearest to the centre after along_m. The square of its distance from
-        // the centre is there |to_centre|^2 - along_m^2 (Pythagoras).
-        const glm::vec3 to_centre = centre_m - ray_origins[i];
-        const float along_m = glm::dot(to_centre, ray_directions[i]),
-                    start_distance2 = glm::dot(to_centre, to_centre);
-        const bool starts_in_sphere = start_distance2 <= radius_m * radius_m;
-        const bool enters_sphere =
-            along_m > 0.0f && start_distance2 - along_m * along_m <= radius_m * radius_m;
-        if (!starts_in_sphere && !enters_sphere) continue;
-        const auto crossing =
-            cross_box(box_from_sensor * glm::dvec3(ray_origins[i]),
-                      box_from_sensor.rotation * glm::dvec3(ray_directions[i]), -0.5 * size_m, 0.5 * size_m);
+        const glm::dvec3 origin_m(ray_origins[i]), direction(ray_directions[i]);
+        if (!passes_sphere(origin_m, direction, centre_m, radius_m)) continue;
+        const auto crossing = cross_box(box_from_sensor * origin_m, box_from_sensor.rotation * direction,
+                                        -0.5 * size_m, 0.5 * size_m);
         const bool is_ahead = crossing && crossing->leave >= 0.0;  // false: the box is behind the ray
         if (is_ahead) ++detail.rays;
     }
     return detail;
 }
 
-/// Finds the frame in which the actor is nearest to the LiDAR, and counts the rays of
-/// this sweep that hit its box. Counts 0 rays if no frame has both.
+/// Compares the model with the rays of the sweep in which the actor is nearest to the
+/// LiDAR. Counts 0 rays at an infinite distance if no frame has both.
 /// @throws UsageError if the scene has no such actor
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
@@ -51,24 +43,23 @@ ActorModelResolution model_resolution(const SceneWithLog& edited, const std::str
     const BoxTrack* box = find_box(log, track);
     if (instance == edited.scene.instances.end() || !box)
         fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
-    ActorModelResolution detail{.nearest_m = std::numeric_limits<double>::infinity(),
-                                .surfels = edited.scene.models[instance->model].count};
+    const std::size_t n_surfels = edited.scene.models[instance->model].count;
     const PoseTrack world_from_sensor = log.lidar_track(lidar);
+    const Frame* nearest = nullptr;
     Pose box_from_sensor;  // in the nearest frame
     for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar || !box->is_observed(frame.time_s)) continue;
         const Pose pose =
             inverse(box->world_from_box.pose_at(frame.time_s)) * world_from_sensor.pose_at(frame.time_s);
-        const double distance_m = glm::length(pose.translation);
-        if (distance_m >= detail.nearest_m) continue;
+        if (nearest && glm::length(pose.translation) >= glm::length(box_from_sensor.translation)) continue;
         box_from_sensor = pose;
-        detail.nearest_m = distance_m;
-        detail.time_s = frame.time_s;
+        nearest = &frame;
     }
-    if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
-    const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar)], detail.time_s);
-    detail.rays =
-        model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
+    if (!nearest) return {.nearest_m = std::numeric_limits<double>::infinity(), .surfels = n_surfels};
+    const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar)], nearest->time_s);
+    ActorModelResolution detail =
+        model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, n_surfels);
+    detail.time_s = nearest->time_s;
     return detail;
 }
 
@@ -78,7 +69,7 @@ std::string describe_unseen(const Scene& scene, const std::string& track_id) {
     const std::optional<ObservedBoxSurface>& surface = scene.models[actor->model].surface;
     std::vector<std::string> mirrored, sentences;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->mirrorable_fraction(BoxSide(s));
+        const double share = surface->mirrorable_fraction(BoxSide(s));  // not observed, but its mirror image
         if (surface->is_completed && share >= double(kUnseenSide))
             mirrored.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, name_of(BoxSide(s))));
     }
