@@ -116,15 +116,16 @@ Scene with_blocks(const Scene& scene, const std::vector<std::size_t>& block_indi
 /// surfel.
 Scene with_all_blocks(const Scene& scene);
 
-/// Saves or loads a ray-drop network as a safetensors file.
-/// @throws DataError naming file and array, also for numbers that are not finite
+/// Saves a ray-drop network as a safetensors file.
 void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& network);
+/// @throws DataError naming file and array, also for numbers that are not finite
 RayDropNetwork load_drop_network(const std::filesystem::path& path);
 
-/// Converts the models and instances to JSON, and back into a scene that has its surfels.
+/// Returns the models and instances of a scene as JSON.
+std::string format_layout(const Scene& scene);
+/// Reads the models and instances of a scene that already has its surfels.
 /// @param where name of the text in error messages
 /// @throws DataError naming a field that is missing or does not match the surfels
-std::string format_layout(const Scene& scene);
 void parse_layout(const std::string& text, const std::string& where, Scene& scene);
 
 /// Returns true if a path looks like a run folder: it contains a scene.json or a model

@@ -155,6 +155,7 @@ void rename_file(const fs::path& source, const fs::path& target) {
 void move_files(const fs::path& staging, const fs::path& folder, const std::function<void()>& remove_old) {
     const bool is_same_config = does_path_exist(folder / kConfigFile) &&
                                 read_file(folder / kConfigFile) == read_file(staging / kConfigFile);
+    // remove_old() belongs to a new training, which does not resume the old one.
     const bool keeps_config = is_same_config && !remove_old;
     // From here on, the folder does not look complete.
     if (!keeps_config) fs::remove(folder / kConfigFile);
@@ -195,6 +196,7 @@ void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_f
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     // The new files are complete before old files are removed.
     const TemporaryFolder staged(run.folder);
+    // remove_earlier_files() may also remove the block files of the folder.
     const bool keep_block_files = !remove_earlier_files;
     stage_run(run, staged.path, keep_block_files);
     move_files(staged.path, run.folder, remove_earlier_files);
@@ -243,20 +245,20 @@ Run load_run(const fs::path& folder) {
     run.folder = folder;
     const fs::path scene_path = folder / kSceneFile;
     const Config settings = load_settings(folder / kConfigFile);
-    files::SceneJsonContents scene = files::parse_scene(read_text_file(scene_path), scene_path.string());
-    run.sequence = std::move(scene.sequence);
+    files::SceneJsonContents log = files::parse_scene(read_text_file(scene_path), scene_path.string());
+    run.sequence = std::move(log.sequence);
     run.config = with_max_range(settings, run.sequence);
-    run.split = std::move(scene.split);
-    run.edits = std::move(scene.edits);
-    run.held_out_placed = scene.held_out_placed;
-    run.refined_poses = std::move(scene.refined_poses);
+    run.split = std::move(log.split);
+    run.edits = std::move(log.edits);
+    run.held_out_placed = log.held_out_placed;
+    run.refined_poses = std::move(log.refined_poses);
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
             fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
                  run.scene.blocks.size());
     load_optional_files(run);
-    check_run_files(run, scene.n_surfels);
+    check_run_files(run, log.n_surfels);
     return run;
 }
 

@@ -35,13 +35,14 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
 void save_azimuths(const std::filesystem::path& path, const Log& sequence);
 void load_azimuths(const std::filesystem::path& path, Log& sequence);
 
-/// coverage.safetensors: `place` [blocks,3] i4 is the position of each block of 8 x 8 x 8
-/// voxels, in blocks. `cells` [blocks,32] u2 has one bit per voxel.
+/// Writes coverage.safetensors, unless the coverage is empty. `place` [blocks,3] i4 is
+/// the position of each block of 8 x 8 x 8 voxels, in blocks. `cells` [blocks,32] u2 has
+/// one bit per voxel.
 void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage);
 ObservedVoxelSet load_coverage(const std::filesystem::path& path);
 
-/// classes.safetensors: `place` [cells,3] i4 is the position in units of cells, `class`
-/// [cells,1] u2 the class.
+/// Writes classes.safetensors, unless the map is empty. `place` [cells,3] i4 is the
+/// position in units of cells, `class` [cells,1] u2 the class.
 void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& class_map);
 SurfaceClassMap load_class_map(const std::filesystem::path& path);
 
