@@ -29,7 +29,7 @@ struct RangeErrorCounts {
     std::array<std::array<double, kErrorBins>, kRangeEdges_m.size() - 1> rays{};
 };
 
-/// Scores of the points of a moving box in one frame, or in all frames of an result.
+/// Scores of the points of a moving box in one frame, or in all frames of an evaluation.
 ///   points, points_real   number of simulated and of real points in the box
 ///   range_medae_m         median of the absolute range errors
 ///   range_bias_m          median of the range errors, simulated minus real
@@ -50,7 +50,7 @@ struct ScoredFrame {
     std::optional<SweepStart> start = {};  ///< azimuth and time of the sweep's start; empty if default
     /// Differs from the number of pixels if points are binned into an image.
     std::size_t n_rays = 0;
-    /// Only the middle frame of an result keeps its scan, the others only the
+    /// Only the middle frame of an evaluation keeps its scan, the others only the
     /// rendering time.
     RenderedScan rendered;
     RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
@@ -96,11 +96,14 @@ struct Evaluation {
 };
 
 /// Returns the index of the next sweep of the same LiDAR, if the sensor stands still
-/// between the frame and this sweep.
+/// between the frame and this sweep. If this sweep has a scan, evaluate_frames() adds
+/// edges_repeat/*: the metrics of edges/* for this scan instead of the rendered scan.
+/// They show how well a sensor repeats scans.
 std::optional<int> find_repeat(const Log& log, int frame_index);
 
-/// Copies scans of a log into the frames of a run that was trained on it, and into their
-/// find_repeat(). The poses of the run do not change.
+/// Copies scans of a log into frames of a run that was trained on it. Also copies the
+/// scan after a frame if the sensor stands still, because it is scored as a repetition.
+/// The poses of the run do not change.
 /// @param frame_indices  indices into Run::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log);
@@ -113,11 +116,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log&
                         const Pose& offset = {});
 
 /// Renders frames and computes their metrics. Memory use does not grow with their number.
-/// If find_repeat() of a frame has a scan, adds edges_repeat/*: the metrics of edges/*
-/// for this scan instead of the rendered scan. They show how well a sensor repeats scans.
 /// @param frame_indices  indices of the frames in `sequence`
-/// @param progress  called before each frame and after the last one; if it throws, the
-/// result stops
+/// @param progress  called before each frame and after the last one
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
                            const std::vector<int>& frame_indices, const Progress& progress = {},

@@ -146,13 +146,11 @@ std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& 
 /// with their boxes, and are left out if the box has left the scene.
 enum class BoxPointMotion { stay, follow };
 
-/// Moves the returns of the nearest earlier and later training frames of the same LiDAR
-/// into another sweep:
-///   p_sensor(t) = sensor_from_world(t) p_world
-///   t = facing_time_s(p_sensor)
+/// Predicts the points of a sweep from the nearest earlier and later training frames of
+/// the same LiDAR. A point p_world is measured when the sensor faces it:
+///   p_sensor = sensor_from_world(t) p_world,  t = facing_time_s(p_sensor)
 /// The result is a list of rays that start at the sensor origin.
-/// @param index  index of the sweep in sequence.frames; its scan is not
-/// read
+/// @param index  index of the sweep in log.frames; its scan is not read
 /// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
 Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frames, BoxPointMotion motion);
@@ -196,9 +194,9 @@ public:
     std::array<double, 5> layer_distances(const std::vector<float>& first_image,
                                           const std::vector<float>& second_image, int rows,
                                           int columns) const;
-    /// Returns the distance of two images with a single channel, which is repeated three
-    /// times, summed over all layers. Values are mapped by x -> 2 x - 1, without
-    /// clamping, like `normalize` in the published code. Published tables for LiDAR use
+    /// Returns the distance of two images with a single channel, summed over all layers.
+    /// The channel becomes the three colours by x -> 2 x - 1, like `normalize` in the
+    /// published code. This maps 0..1 to -1..1, and does not clamp larger values, such as
     /// ranges in metres.
     /// @param a, b [rows*columns]
     double compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,

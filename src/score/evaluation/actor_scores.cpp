@@ -187,10 +187,8 @@ std::vector<std::size_t> find_tails(const std::vector<SweptBoxVolume>& volumes, 
     return tails;
 }
 
-/// Counts the points of an image, and those in the comet tail of a moving box: places
-/// that the box covers only at other times of the log. The time of a point is when the
-/// LiDAR's head faces it. Points in the lowest 0.3 m of a box belong to the ground, so
-/// they are in no tail. One point can be in the tails of several boxes.
+/// Counts the points of an image, and those in the comet tails of moving boxes. The time
+/// of a point is when the LiDAR's head faces it.
 /// @param point_ranges_m [n] range of the point on each ray of the image
 /// @param swept_volumes  space that each moving box covers during the log
 CometTailPointCounts count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
@@ -314,7 +312,6 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
             if (weight > 0.0) actor.metrics[name] = sum / weight;
         }
     }
-    // The actors with the most large errors come first.
     const auto share_of_large_errors = [](const ActorScore& actor) {
         const auto metric = actor.metrics.find("range_above_30cm");
         return metric == actor.metrics.end() ? -1.0 : metric->second;

@@ -37,7 +37,8 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
                               const RangeImage& real, const Log& sequence, const SweepTiming& sweep);
 
 /// Joins the scores of each actor in several frames: adds the numbers of points, and
-/// averages other metrics, weighted by the real points.
+/// averages other metrics, weighted by the real points. The actors with the most large
+/// errors come first.
 /// @param scores_per_frame [frames][actors]
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
 

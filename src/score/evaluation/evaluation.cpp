@@ -49,9 +49,9 @@ std::vector<bool> flags_to_pixels(const std::vector<bool>& returned, const Confi
 
 struct RenderedFrame {
     ScoredFrame frame;  ///< its metrics are those that need no image
-    /// [n] return in a labelled box of a moving object
+    /// [pixels] return in a labelled box of a moving object
     std::vector<bool> moving;
-    /// [n] return in a moving box without label; empty without such boxes
+    /// [pixels] return in a moving box without label; empty without such boxes
     std::vector<bool> discovered;
 };
 
@@ -198,7 +198,7 @@ struct FrameBatch {
     const Log& log;
     const Config& config;
     const Progress& progress;
-    const ScoredFrameCallback& see;
+    const ScoredFrameCallback& on_frame;
 };
 
 /// Frees the images of a frame. Keeps the rendering time.
@@ -209,7 +209,8 @@ void release_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
+/// Renders all frames and computes their metrics. The images of at most kScoredAtOnce
+/// frames are in memory.
 /// @param render_one_frame  renders a frame, or predicts it for a baseline
 std::vector<ScoredFrame> score_frames(
     const FrameBatch& all, const char* progress_text,
@@ -222,15 +223,16 @@ std::vector<ScoredFrame> score_frames(
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
             if (all.progress) all.progress(progress_text, double(i) / double(n));
             const int position = all.positions[i];
-            batch.push_back(render_one_frame(position, all.log.frames.at(std::size_t(position))));
-            batch.back().frame.metrics.merge(
-                score_repeat(all.config, all.log, position, batch.back().frame.real));
+            ScoredFrame& frame =
+                batch.emplace_back(render_one_frame(position, all.log.frames.at(std::size_t(position))))
+                    .frame;
+            frame.metrics.merge(score_repeat(all.config, all.log, position, frame.real));
         }
         for (ScoredFrame& frame : score_rendered(std::move(batch), all.config, all.log, lpips.get())) {
             add_actor_scores(frame, all.log, all.config);
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
-            if (all.see) all.see(frame);
-            // Only the middle one of the scored frames keeps its images.
+            if (all.on_frame) all.on_frame(frame);
+            // Only the middle frame keeps its images, as an example.
             if (scored.size() != n / 2) release_images(frame);
             scored.push_back(std::move(frame));
         }
@@ -268,7 +270,7 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
             fail("{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
                  run.config.dataset.path, frame.index, recorded->time_s, frame.time_s, run.folder.string());
         frame.scan = recorded->scan;
-        frame.start = recorded->start;
+        frame.start = recorded->start;  // computed from the scan when the log is loaded
     };
     for (const int position : frame_indices) {
         copy_scan(position);
@@ -289,6 +291,7 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const L
     // For reports: the drop probability of the surfels, before the network corrects it.
     if (on_frame && renderer.has_network_for(make_sensor(config, sequence)))
         renderer.add_channels("surfel_drop_prob");
+    // For the metrics classes/*.
     const auto has_classes = [&](int position) {
         return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
     };

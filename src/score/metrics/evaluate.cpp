@@ -35,7 +35,7 @@ void add_image_metrics(MetricValues& row, const std::string& prefix, const Range
                        const Lpips* lpips) {
     const PixelMask rendered_mask = undropped_mask(rendered, drop_threshold);
     const PixelMask real_mask = undropped_mask(real, kRealDropThreshold);
-    const auto has_edge = [&](int n_pixels) { return real.rows >= n_pixels && real.columns >= n_pixels; };
+    const int edge = std::min(real.rows, real.columns);
     const auto add_metrics_of = [&](std::vector<float> RangeImage::*values, double maximum,
                                     const std::string& name, const char* unit) {
         const PixelValues rendered_values = clamp_masked(rendered.*values, rendered_mask, maximum);
@@ -43,11 +43,12 @@ void add_image_metrics(MetricValues& row, const std::string& prefix, const Range
         const double squared_error = add_errors(row, name, unit, rendered_values, real_values);
         row[name + "psnr_db"] =
             10.0 * std::log10(maximum * maximum / std::max(squared_error, kMinSquaredError));
+        // As the published code does, SSIM uses the dynamic range of the real image.
         const auto [low, high] = std::ranges::minmax(real_values);
-        if (has_edge(kSsimWindow) && high > low)
+        if (edge >= kSsimWindow && high > low)
             row[name + "ssim"] =
                 compute_ssim(rendered_values, real_values, real.rows, real.columns, high - low);
-        if (lpips && has_edge(kLpipsEdge))
+        if (lpips && edge >= kLpipsEdge)
             row[name + "lpips"] =
                 lpips->compute_distance(rendered_values, real_values, real.rows, real.columns);
     };

@@ -175,7 +175,6 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
 
 double Lpips::compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
                                int columns) const {
-    // The network expects three colours from -1 to 1. The images are grey, from 0 to 1.
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());

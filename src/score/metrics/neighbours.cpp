@@ -163,6 +163,26 @@ std::optional<glm::dvec3> follow_box(const WorldReturn& point, const std::vector
            (inverse(box.world_from_box.pose_at(point.time_s)) * point.point_m);
 }
 
+/// Adds the returns of a frame to `points`, where another sweep of the same LiDAR would
+/// measure them.
+/// @param moving  boxes with which points move
+void append_returns(Scan& points, const Log& log, const Frame& frame, const Frame& sweep,
+                    const std::vector<const BoxTrack*>& moving) {
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        const float measured_m = frame.scan.range_m[ray];
+        if (!(measured_m > 0.0f)) continue;
+        WorldReturn point = locate_return(log, frame, ray);
+        // locate_return() has removed the range offset of the beam. Scores compare
+        // measured ranges, so this adds it again.
+        point.point_m += double(measured_m - surface_return(log, frame, ray).range_m) * point.direction;
+        // The LiDAR faces about the same direction at the same time after the start of
+        // each sweep. A box is at its position of this time.
+        const double then_s = sweep.time_s + (point.time_s - frame.time_s);
+        if (const std::optional<glm::dvec3> world_m = follow_box(point, moving, then_s))
+            append_point(points, world_to_sensor(log, *world_m, sweep), frame.scan.intensity[ray]);
+    }
+}
+
 }  // namespace
 
 Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frames, BoxPointMotion motion) {
@@ -171,29 +191,15 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
     for (const BoxTrack& box : log.boxes)
         if (motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : find_neighbours(log, index, train_frames)) {
-        const Frame& frame = log.frames.at(std::size_t(neighbour));
-        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            WorldReturn point = locate_return(log, frame, ray);
-            // Moves the point along its ray to the measured range, which includes the
-            // range offset of the beam.
-            point.point_m +=
-                double(frame.scan.range_m[ray] - surface_return(log, frame, ray).range_m) * point.direction;
-            // Estimated time when `sweep` measures the point, with the same offset from
-            // its frame.
-            const double then_s = sweep.time_s + (point.time_s - frame.time_s);
-            const std::optional<glm::dvec3> world_m = follow_box(point, moving, then_s);
-            if (world_m)
-                append_point(points, world_to_sensor(log, *world_m, sweep), frame.scan.intensity[ray]);
-        }
-    }
+    for (const int neighbour : find_neighbours(log, index, train_frames))
+        append_returns(points, log, log.frames.at(std::size_t(neighbour)), sweep, moving);
     points.rays.rows = 1;
     points.rays.columns = int(points.range_m.size());
     return points;
 }
 
 Scan assign_points(const RayTable& rays, const Scan& points) {
+    // find_nearest() compares this number of columns, which must differ.
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         fail(
             "cannot project points into an image of {} rows and {} columns, expected the rays of a spinning "

@@ -60,7 +60,8 @@ std::size_t count_large_errors(const RangeImage& rendered, const RangeImage& rea
     return n_large;
 }
 
-/// Adds the scores of one region. The masks are those of the full images.
+/// Adds the scores of one region.
+/// @param rendered_returns,real_returns  returns of the full images
 void add_region_scores(MetricValues& row, const PixelRegion& region, const RangeImage& rendered,
                        const PixelMask& rendered_returns, const RangeImage& real,
                        const PixelMask& real_returns, const MetricOptions& options) {

@@ -36,10 +36,11 @@ struct SsimWindowSums {
 double window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
     constexpr double n = kWindowPixels * kWindowPixels;
     constexpr double bessel_factor = n / (n - 1.0);
-    const double mean_a = window_sums.sum[0] / n, mean_b = window_sums.sum[1] / n;
-    const double variance_a = bessel_factor * (window_sums.sum[2] / n - mean_a * mean_a);
-    const double variance_b = bessel_factor * (window_sums.sum[3] / n - mean_b * mean_b);
-    const double covariance = bessel_factor * (window_sums.sum[4] / n - mean_a * mean_b);
+    const auto& [sum_a, sum_b, sum_aa, sum_bb, sum_ab] = window_sums.sum;
+    const double mean_a = sum_a / n, mean_b = sum_b / n;
+    const double variance_a = bessel_factor * (sum_aa / n - mean_a * mean_a);
+    const double variance_b = bessel_factor * (sum_bb / n - mean_b * mean_b);
+    const double covariance = bessel_factor * (sum_ab / n - mean_a * mean_b);
     return (2.0 * mean_a * mean_b + c1) * (2.0 * covariance + c2) /
            ((mean_a * mean_a + mean_b * mean_b + c1) * (variance_a + variance_b + c2));
 }
