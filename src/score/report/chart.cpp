@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <ranges>
 
 #include "base/fail.hpp"
 
@@ -118,26 +119,27 @@ ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double
 }
 
 /// Returns the indices of the points to draw: the minimum and the maximum of each
-/// interval of the x axis. Spikes therefore remain visible. Values that are not finite
-/// become gaps.
+/// interval of the x axis. Spikes therefore remain visible. An interval with a value that
+/// cannot be drawn becomes a gap.
 std::vector<std::size_t> thin_out(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kMaxIntervals);
     std::vector<std::size_t> point_indices;
+    const auto is_point = [&](std::size_t i) { return is_drawable(curve, i); };
+    const auto y_of = [&](std::size_t i) { return curve.y[i]; };
     for (std::size_t first = 0; first < n; first += width) {
-        std::size_t low = first, high = first;  // points with the minimum and the maximum
-        for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            if (!is_drawable(curve, i)) low = high = i;
-            else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
-            else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
-        }
+        const auto interval = std::views::iota(first, std::min(n, first + width));
+        const auto gap = std::ranges::find_if_not(interval, is_point);
+        const bool has_gap = gap != interval.end();
+        const std::size_t low = has_gap ? *gap : *std::ranges::min_element(interval, {}, y_of),
+                          high = has_gap ? *gap : *std::ranges::max_element(interval, {}, y_of);
         point_indices.push_back(std::min(low, high));
         if (low != high) point_indices.push_back(std::max(low, high));
     }
     return point_indices;
 }
 
-/// Returns the running mean of a curve at a few hundred points. The window is 1/40 of the
-/// curve wide.
+/// Returns the running mean of a curve with more than kMaxSmoothPoints points, at up to
+/// kMaxIntervals points. The window is 1/40 of the curve wide.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kMaxIntervals);
     ReportCurve result{curve.name, {}, {}};
@@ -183,34 +185,39 @@ std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const 
     return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
 }
 
+std::string draw_line(const char* style, double x1, double x2, double y1, double y2) {
+    return fmt::format("<line class=\"{}\" x1=\"{:.1f}\" x2=\"{:.1f}\" y1=\"{:.1f}\" y2=\"{:.1f}\"/>", style,
+                       x1, x2, y1, y2);
+}
+
+/// @param anchor  part of the label that is at x: "middle" or "end"
+std::string draw_label(double x, double y, const char* anchor, double value) {
+    return fmt::format("<text class=\"axis\" x=\"{:.1f}\" y=\"{:.1f}\" text-anchor=\"{}\">{}</text>\n", x, y,
+                       anchor, format_tick(value));
+}
+
 /// Returns the axes as SVG: grid lines with labels for y, and tick marks with labels for
 /// x.
 std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
+    const double left = x_axis.at_low, right = x_axis.at_high, bottom = y_axis.at_low;
     std::string svg;
-    for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : linear_ticks(y_axis, 5))
-        svg += fmt::format(
-            "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/><text "
-            "class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-            x_axis.at_low, x_axis.at_high, y_axis.to_svg(tick), x_axis.at_low - 8, y_axis.to_svg(tick) + 4,
-            format_tick(tick));
-    const bool is_wide = x_axis.at_high - x_axis.at_low > 600;  // has space for ten labels
-    for (double tick : linear_ticks(x_axis, is_wide ? 10 : 5))
-        svg += fmt::format(
-            "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/><text "
-            "class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-            x_axis.to_svg(tick), y_axis.at_low, y_axis.at_low + 4, y_axis.at_low + 18, format_tick(tick));
-    return svg +
-           fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
-                       x_axis.at_low, x_axis.at_high, y_axis.at_low);
+    for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : linear_ticks(y_axis, 5)) {
+        const double y = y_axis.to_svg(tick);
+        // The y of a label is its base line, which is half the height of a digit lower.
+        svg += draw_line("grid", left, right, y, y) + draw_label(left - 8, y + 4, "end", tick);
+    }
+    const bool is_wide = right - left > 600;  // has space for ten labels
+    for (double tick : linear_ticks(x_axis, is_wide ? 10 : 5)) {
+        const double x = x_axis.to_svg(tick);
+        svg += draw_line("tick", x, x, bottom, bottom + 4) + draw_label(x, bottom + 18, "middle", tick);
+    }
+    return svg + draw_line("tick", left, right, bottom, bottom) + "\n";
 }
 
 }  // namespace
 
-// Long curves are drawn with their running mean.
 bool has_running_mean(const ReportCurve& curve) { return curve.y.size() > kMaxSmoothPoints; }
 
-/// Draws curves with common axes as one SVG image.
-/// @throws DataError if a curve has another number of x than of y values
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
     ValueInterval x_extent, y_extent;
     for (const ReportCurve* curve : curves) {

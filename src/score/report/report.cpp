@@ -217,16 +217,16 @@ std::string curves_html(const Report& report) {
     return "<div class=\"charts\">\n" + body + "</div>\n" + (has_means ? note_html(note) : "");
 }
 
-/// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
+/// Returns table cells with the time of a kernel, its percentage of `total_ms`, and a
 /// bar. The length of the bar is relative to `longest_ms`. No bar is drawn if that is 0.
-std::string timing_row_html(const std::string& kernel_name, double ms, double total_ms, double longest_ms) {
+std::string timing_cells_html(const std::string& kernel_name, double ms, double total_ms, double longest_ms) {
     const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
         is_valid_time && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
     const std::string bar = is_valid_time && longest_ms > 0.0
                                 ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest_ms)
                                 : "";
-    return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n",
+    return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td>",
                        escape_html(kernel_name), ms, share, bar);
 }
 
@@ -249,8 +249,10 @@ std::string timing_html(const MetricValues& kernel_times_ms) {
     const auto total = find_value(kernel_times_ms, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
-    for (const auto& [name, ms] : rows) body += "<tr>" + timing_row_html(name, ms, total_ms, longest);
-    body += "<tr class=\"total\">" + timing_row_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
+    for (const auto& [name, ms] : rows)
+        body += "<tr>" + timing_cells_html(name, ms, total_ms, longest) + "</tr>\n";
+    const std::string sums = timing_cells_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
+    body += "<tr class=\"total\">" + sums + "</tr>\n";
     return make_table_html(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th "
         "style=\"width:12%\">share</th><th>of the longest</th>",

@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes texts, numbers, images and 3D views of the report as HTML. Packs each point of a
-// view into 8 bytes, little-endian: x, y, z in centimetres (int16), intensity in steps of
-// 1/255, and the range error. The range error is in steps of 4 mm, up to 1 m; the value
-// 255 means an unknown error. points/report.js reads the points.
+// Writes texts, numbers, images and 3D views of the report as HTML.
 #include "score/report/report_parts.hpp"
 
 #include <algorithm>
@@ -28,8 +25,9 @@ constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kMaxDrawnRange_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
-/// Packs points into 8 bytes each: x, y, z in centimetres (int16), intensity, and range
-/// error in steps of kErrorStep_m. 255 means an unknown error.
+/// Packs points into 8 bytes each, little-endian, which points/report.js reads: x, y, z
+/// in centimetres (int16), intensity in steps of 1/255, and range error in steps of
+/// kErrorStep_m, at most 254. 255 means an unknown error.
 std::vector<std::uint8_t> pack_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
