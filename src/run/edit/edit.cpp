@@ -92,15 +92,16 @@ std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& 
 }
 
 /// Returns a track that moves straight ahead at constant speed, with one pose for each
-/// frame of the log.
+/// sweep of the log.
 PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
-    for (const Frame& frame : sequence.frames) {
-        const double driven_m = start.speed_mps * (frame.time_s - sequence.frames.front().time_s);
+    const std::vector<double> times_s = list_sweep_times_s(sequence);
+    for (const double time_s : times_s) {
+        const double driven_m = start.speed_mps * (time_s - times_s.front());
         Pose pose = start.dataset_from_box;
         // world of the log = world of the dataset - world_offset_m
         pose.translation += pose.rotation * glm::dvec3(driven_m, 0.0, 0.0) - sequence.world_offset_m;
-        track.append(frame.time_s, pose);
+        track.append(time_s, pose);
     }
     return track;
 }

@@ -244,6 +244,16 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
     EXPECT_EQ(tracks(copy_track(two, "van-copy-1", start)).back(), "van-copy-1-copy-1");
 }
 
+TEST(Edit, CopiesHaveOnePosePerSweepOfSeveralLidars) {
+    SceneWithLog d = example();
+    d.sequence.lidars.resize(2);
+    d.sequence.frames.clear();
+    for (int i = 0; i < 10; ++i)
+        for (const int lidar : {0, 1}) d.sequence.frames.push_back({i, 0.1 * i, {}, lidar});
+    EXPECT_EQ(box(copy_track(d, "van", {}), "van-copy-1").world_from_box.time_s,
+              box(d, "van").world_from_box.time_s);
+}
+
 TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
     SceneWithLog other = example();
     other.scene.surfels.mean[3].x = 777.0f;
