@@ -4,12 +4,15 @@
 #include "simulate/scan_files/recording_format.hpp"
 
 #include <initializer_list>
+#include <type_traits>
 
 #include <fmt/format.h>
 #include <protozero/pbf_writer.hpp>
 
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 
 namespace relidar::scan_files {
 namespace {
@@ -32,7 +35,7 @@ struct ProtobufField {
     int number;
     const char* name;
     ProtobufFieldType type;
-    const char* type_name = "";  ///< name of the message or enumeration type; empty for other types
+    const char* type_name = nullptr;  ///< name of the message or enumeration type, null for other types
     bool repeated = false;
 };
 struct ProtobufMessageType {
@@ -127,87 +130,130 @@ const std::initializer_list<ProtobufMessageType> kTimeTypes = {
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
 };
 
-constexpr int kLabelOptional = 1, kLabelRepeated = 3;  // labels of fields in descriptor.proto
+/// Types of google/protobuf/descriptor.proto, which readers know.
+const std::initializer_list<ProtobufMessageType> kDescriptorTypes = {
+    {"FileDescriptorSet", {{1, "file", kMessage}}},
+    {"FileDescriptorProto",
+     {{1, "name", kString},
+      {2, "package", kString},
+      {3, "dependency", kString},
+      {4, "message_type", kMessage},
+      {5, "enum_type", kMessage},
+      {12, "syntax", kString}}},
+    {"DescriptorProto", {{1, "name", kString}, {2, "field", kMessage}}},
+    {"FieldDescriptorProto",
+     {{1, "name", kString},
+      {3, "number", kInt32},
+      {4, "label", kEnum},
+      {5, "type", kEnum},
+      {6, "type_name", kString}}},
+    {"EnumDescriptorProto", {{1, "name", kString}, {2, "value", kMessage}}},
+    {"EnumValueDescriptorProto", {{1, "name", kString}, {2, "number", kInt32}}},
+};
 
-/// Returns the bytes that `write` writes.
-template <class Write>
-std::string encode(const Write& write) {
+/// Returns the definition of a field of a message type in the tables above.
+const ProtobufField& find_field(std::string_view type, std::string_view name) {
+    for (const auto& types : {kMessageTypes, kFixTypes, kTimeTypes, kDescriptorTypes})
+        for (const ProtobufMessageType& message : types)
+            if (type == message.name) return *std::ranges::find(message.fields, name, &ProtobufField::name);
+    fail("unknown message type {}", type);
+}
+
+struct FieldValue {
+    std::string_view name;
+    std::string bytes = {};  ///< a text, bytes or an encoded message
+    double number = 0.0;     ///< exact for all integers below 2^53
+
+    FieldValue(std::string_view field, std::string value) : name(field), bytes(std::move(value)) {}
+    template <class Number>
+    requires std::is_arithmetic_v<Number> || std::is_enum_v<Number> FieldValue(std::string_view field,
+                                                                               Number value)
+        : name(field), number(double(value)) {}
+};
+
+/// Encodes a message of a type in the tables above.
+std::string encode_message(std::string_view type, const std::vector<FieldValue>& values) {
     std::string bytes;
     pbf_writer writer(bytes);
-    write(writer);
+    for (const FieldValue& value : values) {
+        const ProtobufField& field = find_field(type, value.name);
+        switch (field.type) {
+            case kString:
+            case kMessage:
+            case kBytes: writer.add_bytes(field.number, value.bytes); break;
+            case kDouble: writer.add_double(field.number, value.number); break;
+            case kFixed32: writer.add_fixed32(field.number, std::uint32_t(value.number)); break;
+            default: writer.add_int64(field.number, std::int64_t(value.number));
+        }
+    }
     return bytes;
 }
 
-/// Returns a DescriptorProto, which tells readers the fields of a message type: name (1)
-/// and fields (2). The numbers are field numbers of descriptor.proto.
-std::string describe_message(const ProtobufMessageType& message) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_string(1, message.name);
-        for (const ProtobufField& field : message.fields)
-            writer.add_message(2, encode([&](pbf_writer& of_field) {
-                                   of_field.add_string(1, field.name);
-                                   of_field.add_int32(3, field.number);
-                                   of_field.add_enum(4, field.repeated ? kLabelRepeated : kLabelOptional);
-                                   of_field.add_enum(5, field.type);
-                                   if (*field.type_name) of_field.add_string(6, field.type_name);
-                               }));
-    });
+/// Returns a DescriptorProto, which tells readers the fields of a message type.
+std::string describe_message(const ProtobufMessageType& type) {
+    constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
+    std::vector<FieldValue> message{{"name", type.name}};
+    for (const ProtobufField& field : type.fields) {
+        std::vector<FieldValue> description{{"name", field.name},
+                                            {"number", field.number},
+                                            {"label", field.repeated ? kRepeated : kOptional},
+                                            {"type", field.type}};
+        if (field.type_name) description.emplace_back("type_name", field.type_name);
+        message.emplace_back("field", encode_message("FieldDescriptorProto", description));
+    }
+    return encode_message("DescriptorProto", message);
 }
 
-/// Returns an EnumDescriptorProto. The numbers are field numbers of descriptor.proto.
+/// Returns an EnumDescriptorProto.
 std::string describe_enum(const ProtobufEnumType& type) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_string(1, type.name);
-        int value = 0;  // the values of an enum count from 0
-        for (const char* name : type.values) {
-            writer.add_message(2, encode([&](pbf_writer& of_value) {
-                                   of_value.add_string(1, name);
-                                   of_value.add_int32(2, value);
-                               }));
-            ++value;
-        }
-    });
+    std::vector<FieldValue> message{{"name", type.name}};
+    int number = 0;
+    for (const char* name : type.values)
+        message.emplace_back(
+            "value", encode_message("EnumValueDescriptorProto", {{"name", name}, {"number", number++}}));
+    return encode_message("EnumDescriptorProto", message);
 }
 
-/// Returns a FileDescriptorProto. The numbers are field numbers of descriptor.proto.
+/// Returns a FileDescriptorProto.
 /// @param imported file that defines further types, empty if none
-std::string describe_file(const char* file, const char* package, const char* imported,
+std::string describe_file(const char* name, const char* package, const std::string& imported,
                           std::initializer_list<ProtobufMessageType> messages,
                           std::initializer_list<ProtobufEnumType> enums) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_string(1, file);
-        writer.add_string(2, package);
-        if (*imported) writer.add_string(3, imported);
-        for (const ProtobufMessageType& message : messages) writer.add_message(4, describe_message(message));
-        for (const ProtobufEnumType& type : enums) writer.add_message(5, describe_enum(type));
-        writer.add_string(12, "proto3");
-    });
+    std::vector<FieldValue> file{{"name", name}, {"package", package}};
+    if (!imported.empty()) file.emplace_back("dependency", imported);
+    for (const ProtobufMessageType& type : messages)
+        file.emplace_back("message_type", describe_message(type));
+    for (const ProtobufEnumType& type : enums) file.emplace_back("enum_type", describe_enum(type));
+    file.emplace_back("syntax", "proto3");
+    return encode_message("FileDescriptorProto", file);
+}
+
+/// Returns the definition of message types, which a recording stores for its readers: the
+/// files that declare these types and their times.
+std::string define_types(std::initializer_list<ProtobufMessageType> messages,
+                         std::initializer_list<ProtobufEnumType> enums) {
+    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
+    return encode_message("FileDescriptorSet",
+                          {{"file", describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {})},
+                           {"file", describe_file(kFile, "foxglove", kTimesFile, messages, enums)}});
 }
 
 std::string encode_time(std::uint64_t time_ns) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
-        writer.add_int32(2, std::int32_t(time_ns % 1'000'000'000));
-    });
+    return encode_message("Timestamp",
+                          {{"seconds", time_ns / kNsPerSecond}, {"nanos", time_ns % kNsPerSecond}});
 }
 
-std::string encode_doubles(std::initializer_list<double> values) {
-    return encode([&](pbf_writer& writer) {
-        protozero::pbf_tag_type number = 0;
-        for (const double value : values) writer.add_double(++number, value);
-    });
+std::string encode_vector(const glm::dvec3& v) {
+    return encode_message("Vector3", {{"x", v.x}, {"y", v.y}, {"z", v.z}});
 }
 
-std::string encode_vector(const glm::dvec3& vector) { return encode_doubles({vector.x, vector.y, vector.z}); }
-std::string encode_rotation(const glm::dquat& quaternion) {
-    return encode_doubles({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
+std::string encode_rotation(const glm::dquat& q) {
+    return encode_message("Quaternion", {{"x", q.x}, {"y", q.y}, {"z", q.z}, {"w", q.w}});
 }
 
 std::string encode_pose(const Pose& pose) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_message(1, encode_vector(pose.translation));
-        writer.add_message(2, encode_rotation(pose.rotation));
-    });
+    return encode_message("Pose", {{"position", encode_vector(pose.translation)},
+                                   {"orientation", encode_rotation(pose.rotation)}});
 }
 
 enum FoxgloveNumericType { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
@@ -251,47 +297,40 @@ std::string pack_points(const LidarPoints& cloud) {
 }
 
 /// Returns a foxglove.PointCloud message. Its pose is the identity, because the points
-/// are already in the frame `frame_id`. The numbers are the field numbers in
-/// kMessageTypes, here and in the functions below.
+/// are already in the frame `frame_id`.
 std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame_id) {
-    const LidarPoints& cloud = recorded.points;
-    return encode([&](pbf_writer& writer) {
-        writer.add_message(1, encode_time(recorded.stamp_ns));
-        writer.add_string(2, frame_id);
-        writer.add_message(3, encode_pose({}));
-        const std::vector<FoxglovePointField> fields = point_fields(cloud);
-        const std::size_t n_optional = fields.size() - std::size(kPointFields);  // of 4 bytes each
-        writer.add_fixed32(4, kBytesPerPoint + 4 * std::uint32_t(n_optional));
-        for (const FoxglovePointField& field : fields)
-            writer.add_message(5, encode([&](pbf_writer& element) {
-                                   element.add_string(1, field.name);
-                                   element.add_fixed32(2, field.offset);
-                                   element.add_enum(3, field.type);
-                               }));
-        writer.add_bytes(6, pack_points(cloud));
-    });
+    const std::vector<FoxglovePointField> fields = point_fields(recorded.points);
+    const std::size_t n_optional = fields.size() - std::size(kPointFields);  // of 4 bytes each
+    std::vector<FieldValue> message{{"timestamp", encode_time(recorded.stamp_ns)},
+                                    {"frame_id", frame_id},
+                                    {"pose", encode_pose({})},
+                                    {"point_stride", kBytesPerPoint + 4 * n_optional}};
+    for (const auto& [name, offset, type] : fields)
+        message.emplace_back("fields", encode_message("PackedElementField",
+                                                      {{"name", name}, {"offset", offset}, {"type", type}}));
+    message.emplace_back("data", pack_points(recorded.points));
+    return encode_message("PointCloud", message);
 }
 
 /// Returns a foxglove.FrameTransforms message with one transform.
 std::string encode_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
                              const Pose& parent_from_child) {
-    const std::string transform = encode([&](pbf_writer& writer) {
-        writer.add_message(1, encode_time(time_ns));
-        writer.add_string(2, parent);
-        writer.add_string(3, child);
-        writer.add_message(4, encode_vector(parent_from_child.translation));
-        writer.add_message(5, encode_rotation(parent_from_child.rotation));
-    });
-    return encode([&](pbf_writer& transforms) { transforms.add_message(1, transform); });
+    const std::string transform =
+        encode_message("FrameTransform", {{"timestamp", encode_time(time_ns)},
+                                          {"parent_frame_id", parent},
+                                          {"child_frame_id", child},
+                                          {"translation", encode_vector(parent_from_child.translation)},
+                                          {"rotation", encode_rotation(parent_from_child.rotation)}});
+    return encode_message("FrameTransforms", {{"transforms", transform}});
 }
 
+/// Returns the box of an actor, which is translucent so that the points inside it stay
+/// visible.
 std::string encode_box(const RecordedActor& actor) {
-    return encode([&](pbf_writer& writer) {
-        writer.add_message(1, encode_pose(actor.faced.world_from_box));
-        writer.add_message(2, encode_vector(actor.size_m));
-        // translucent so that the points inside the box stay visible
-        writer.add_message(3, encode_doubles({1.0, 0.6, 0.1, 0.3}));
-    });
+    const std::string color = encode_message("Color", {{"r", 1.0}, {"g", 0.6}, {"b", 0.1}, {"a", 0.3}});
+    return encode_message("CubePrimitive", {{"pose", encode_pose(actor.faced.world_from_object)},
+                                            {"size", encode_vector(actor.box->size_m)},
+                                            {"color", color}});
 }
 
 std::string format_vector(const glm::dvec3& vector) {
@@ -301,10 +340,10 @@ std::string format_vector(const glm::dvec3& vector) {
 /// Returns a foxglove.SceneEntity with the box of an actor at the time when the sensor
 /// faces it, so that the box fits its points. Velocities are in the world frame.
 std::string encode_actor(const RecordedActor& actor) {
-    const BoxState& state = actor.faced;
-    const glm::dquat& world_from_box = state.world_from_box.rotation;
+    const ObjectState& state = actor.faced;
+    const glm::dquat& world_from_box = state.world_from_object.rotation;
     std::vector<std::pair<const char*, std::string>> metadata = {
-        {"category", actor.category},
+        {"category", label_of(*actor.box)},
         {"velocity_mps", format_vector(world_from_box * state.velocity.linear_mps)},
         {"angular_velocity_radps", format_vector(world_from_box * state.velocity.angular_radps)},
         {"is_static", actor.is_static ? "true" : "false"},
@@ -312,99 +351,64 @@ std::string encode_actor(const RecordedActor& actor) {
     if (actor.note != LabelNote::none) metadata.emplace_back("note", name_of(actor.note));
     if (actor.visible_share)
         metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
-    return encode([&](pbf_writer& entity) {
-        entity.add_message(1, encode_time(state.time_ns));
-        entity.add_string(2, kWorldFrame);
-        entity.add_string(3, actor.name);
-        for (const auto& entry : metadata)
-            entity.add_message(6, encode([&](pbf_writer& pair) {
-                                   pair.add_string(1, entry.first);
-                                   pair.add_string(2, entry.second);
-                               }));
-        entity.add_message(8, encode_box(actor));
-    });
+    std::vector<FieldValue> entity{
+        {"timestamp", encode_time(state.time_ns)}, {"frame_id", kWorldFrame}, {"id", actor.box->id}};
+    for (const auto& [key, value] : metadata)
+        entity.emplace_back("metadata", encode_message("KeyValuePair", {{"key", key}, {"value", value}}));
+    entity.emplace_back("cubes", encode_box(actor));
+    return encode_message("SceneEntity", entity);
 }
 
 /// Returns a foxglove.SceneUpdate with the boxes of the actors. First deletes all earlier
 /// boxes, so that no boxes of absent actors remain.
-std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+std::string encode_scene_update(const RecordedSweep& sweep) {
     constexpr int kDeleteAll = 1;  // value ALL of SceneEntityDeletionType
-    return encode([&](pbf_writer& writer) {
-        writer.add_message(1, encode([&](pbf_writer& deletion) {
-                               deletion.add_message(1, encode_time(stamp_ns));
-                               deletion.add_enum(2, kDeleteAll);
-                           }));
-        for (const RecordedActor& actor : actors) writer.add_message(2, encode_actor(actor));
-    });
+    std::vector<FieldValue> update{
+        {"deletions", encode_message("SceneEntityDeletion",
+                                     {{"timestamp", encode_time(sweep.first_ns)}, {"type", kDeleteAll}})}};
+    for (const RecordedActor& actor : sweep.actors) update.emplace_back("entities", encode_actor(actor));
+    return encode_message("SceneUpdate", update);
 }
 
-std::vector<RecordedMessage> vehicle_transforms(const RecordedSweep& moment) {
-    std::vector<RecordedMessage> messages;
-    for (const RecordedPose& pose : moment.poses)
-        messages.push_back({pose.time_ns, encode_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
-                                                           pose.world_from_vehicle)});
-    return messages;
-}
-
-/// Returns one message with the poses of all sensors on the vehicle, and of the map. Each
-/// scan repeats this message, so that playback can start anywhere. Concatenated protobuf
-/// messages are one message with all list entries.
-std::vector<RecordedMessage> sensor_transforms(const RecordedRig& rig, const RecordedSweep& moment) {
-    std::string bytes;
-    for (const auto& [parent, child, parent_from_child] : rig.static_transforms())
-        bytes += encode_transform(moment.first_ns, parent, child, parent_from_child);
-    return {{moment.first_ns, bytes}};
+std::string encode_vehicle_transform(const ObjectState& vehicle) {
+    return encode_transform(vehicle.time_ns, kWorldFrame, kVehicleFrame, vehicle.world_from_object);
 }
 
 /// Returns a foxglove.LocationFix with the position of base_link on the earth.
-std::vector<RecordedMessage> location_fixes(const RecordedSweep& moment) {
-    if (!moment.fix) return {};
-    const auto& [time_ns, position] = *moment.fix;
-    return {{time_ns, encode([&](pbf_writer& writer) {
-                 writer.add_double(1, position.latitude_deg);
-                 writer.add_double(2, position.longitude_deg);
-                 writer.add_double(3, position.height_m);
-                 writer.add_message(6, encode_time(time_ns));
-                 writer.add_string(7, kVehicleFrame);
-             })}};
-}
-
-/// Returns the definition of message types, which a recording stores for its readers: a
-/// FileDescriptorSet with the files that declare these types and their times.
-std::string define_types(std::initializer_list<ProtobufMessageType> messages,
-                         std::initializer_list<ProtobufEnumType> enums) {
-    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
-    return encode([&](pbf_writer& writer) {
-        writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
-        writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, messages, enums));
-    });
+std::string encode_fix(const RecordedFix& fix) {
+    return encode_message("LocationFix", {{"latitude", fix.position.latitude_deg},
+                                          {"longitude", fix.position.longitude_deg},
+                                          {"altitude", fix.position.height_m},
+                                          {"timestamp", encode_time(fix.time_ns)},
+                                          {"frame_id", kVehicleFrame}});
 }
 
 }  // namespace
 
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
-    std::vector<RecordedTopic> topics;
-    const auto add_topic = [&](const std::string& name, const char* type, const std::string& definition,
-                               auto encode_messages) {
-        topics.push_back({name, type, definition, /*metadata=*/{}, std::move(encode_messages)});
+    const auto static_transforms = [transforms = rig.static_transforms()](const RecordedSweep& sweep) {
+        // Concatenated protobuf messages are one message with all list entries.
+        std::string bytes;
+        for (const auto& [parent, child, parent_from_child] : transforms)
+            bytes += encode_transform(sweep.first_ns, parent, child, parent_from_child);
+        return bytes;
     };
     const std::string definition = define_types(kMessageTypes, kEnumTypes);  // of all types except /fix
-    const auto static_transforms = [rig](const RecordedSweep& moment) {
-        return sensor_transforms(rig, moment);
-    };
-    const auto scene_updates = [](const RecordedSweep& moment) {
-        const std::string update = encode_scene_update(moment.first_ns, moment.actors);
-        return std::vector<RecordedMessage>{{moment.last_ns, update}};
-    };
-    add_topic("/tf_static", "foxglove.FrameTransforms", definition, static_transforms);
-    add_topic("/tf", "foxglove.FrameTransforms", definition, vehicle_transforms);
-    add_topic("/actors", "foxglove.SceneUpdate", definition, scene_updates);
-    if (rig.earth) add_topic("/fix", "foxglove.LocationFix", define_types(kFixTypes, {}), location_fixes);
+    std::vector<RecordedTopic> topics{{"/tf_static", "foxglove.FrameTransforms", definition,
+                                       encode_sweep(&RecordedSweep::first_ns, static_transforms)},
+                                      {"/tf", "foxglove.FrameTransforms", definition,
+                                       encode_each(&RecordedSweep::poses, encode_vehicle_transform)},
+                                      {"/actors", "foxglove.SceneUpdate", definition,
+                                       encode_sweep(&RecordedSweep::last_ns, encode_scene_update)}};
+    if (rig.earth)
+        topics.push_back({"/fix", "foxglove.LocationFix", define_types(kFixTypes, {}),
+                          encode_each(&RecordedSweep::fixes, encode_fix)});
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
-        const auto cloud = [s, frame = rig.cloud_frame(s)](const RecordedSweep& moment) {
-            return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};
+        const auto cloud = [s, frame = rig.cloud_frame(s)](const RecordedSweep& sweep) {
+            return encode_cloud(sweep.clouds[s], frame);
         };
-        add_topic(rig.sensors[s].topic, "foxglove.PointCloud", definition, cloud);
+        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition,
+                          encode_sweep(&RecordedSweep::last_ns, cloud)});
     }
     return topics;
 }

@@ -2,17 +2,16 @@
 #include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
 
-#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "simulate/scan_files/placed_scan.hpp"
-#include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar::scan_files {
 namespace {
 
 // ROS stores seconds as a signed 32-bit integer.
 constexpr std::int64_t kMaxStamp_ns = 2'147'483'647'000'000'000;
-// Transforms end this much later than the last ray, because times of points are rounded.
+// The interval of a sweep ends this much later than its last ray. Readers can then find
+// the transform at the time of each point, although these times are rounded to floats.
 constexpr double kStampRounding_s = 2e-8;
 // Readers interpolate between poses. If a sensor is 2 m from the vehicle's origin and
 // turns with 1 rad/s, the error is 0.03 mm.
@@ -34,7 +33,8 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
 /// points.
 void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
-        const auto known = std::ranges::find(merged, actor.name, &RecordedActor::name);
+        const auto known = std::ranges::find_if(
+            merged, [&](const RecordedActor& other) { return other.box->id == actor.box->id; });
         if (known == merged.end()) {
             merged.push_back(std::move(actor));
             continue;
@@ -47,8 +47,8 @@ void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor>
     }
 }
 
-/// Floats have errors of some nanoseconds. The stamp of a ray at -0.05 s must not be 1 ns
-/// too small.
+/// Rounds a time to 10 ns, because floats have errors of some nanoseconds. The stamp of a
+/// ray at -0.05 s would otherwise be 1 ns too small.
 double round_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
 
 }  // namespace
@@ -114,7 +114,7 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
         fail("cannot write a recording: found a scan at {} s, expected times that do not decrease",
              scans[0].time_s);
     last_scan_s_ = scans[0].time_s;
-    RecordedSweep moment{to_stamp_ns(all.first_s), to_stamp_ns(all.last_s), {}, {}, {}};
+    RecordedSweep sweep{.first_ns = to_stamp_ns(all.first_s), .last_ns = to_stamp_ns(all.last_s)};
     // Times of the vehicle's poses, including the stamps of all clouds.
     std::vector<double> pose_times_s;
     add_pose_times(pose_times_s, scans[0].track, all.first_s, all.last_s);
@@ -122,31 +122,36 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
         const SweepInterval of_sensor = sweep_interval(scans.subspan(s, 1));
         pose_times_s.push_back(of_sensor.first_s);
         pose_times_s.push_back(of_sensor.last_s);
-        moment.clouds.push_back(make_cloud(scans[s], sensors_[s], of_sensor.first_s));
-        merge_actors(moment.actors, recorded_actors(scans[s], all.first_s));
+        sweep.clouds.push_back(make_cloud(scans[s], sensors_[s], of_sensor.first_s));
+        merge_actors(sweep.actors, recorded_actors(scans[s], all.first_s));
     }
-    moment.poses = vehicle_poses(scans[0], std::move(pose_times_s));
-    if (earth_ && !moment.poses.empty()) {
-        const RecordedPose& first = moment.poses.front();
-        moment.fix = {first.time_ns, earth_->to_geodetic(first.world_from_vehicle.translation)};
+    sweep.poses = vehicle_poses(scans[0], std::move(pose_times_s));
+    if (earth_ && !sweep.poses.empty()) {
+        const ObjectState& first = sweep.poses.front();
+        sweep.fixes.push_back({first.time_ns, earth_->to_geodetic(first.world_from_object.translation)});
     }
-    return moment;
+    return sweep;
 }
 
-/// Returns the poses of the vehicle at the given times.
+ObjectState SweepRecorder::state_at(const std::function<Pose(double)>& world_from_object,
+                                    double time_s) const {
+    return {to_stamp_ns(time_s), world_from_object(time_s), object_velocity(world_from_object, time_s)};
+}
+
+/// Returns the poses of the vehicle at the given times, except times that are not later
+/// than the last pose of an earlier call: sweeps can overlap in time.
 /// @param scan scan of the first sensor
-std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan, std::vector<double> at_s) {
+std::vector<ObjectState> SweepRecorder::vehicle_poses(const RenderedScan& scan, std::vector<double> at_s) {
     std::ranges::sort(at_s);
-    const Pose sensor_from_vehicle = inverse(recorded_rig().sensors.front().vehicle_from_sensor);
+    const Pose sensor_from_vehicle = inverse(sensors_.front().vehicle_from_lidar * sensors_.front().offset);
     const auto world_from_vehicle = [&](double t_s) {
         return sensor_pose_at(scan, t_s) * sensor_from_vehicle;
     };
-    std::vector<RecordedPose> poses;
+    std::vector<ObjectState> poses;
     for (const double t_s : at_s) {
         const std::uint64_t time_ns = to_stamp_ns(t_s);
-        // Skips times that were already written, because sweeps can overlap in time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
-        poses.push_back({time_ns, world_from_vehicle(t_s), object_velocity(world_from_vehicle, t_s)});
+        poses.push_back(state_at(world_from_vehicle, t_s));
         last_pose_ns_ = time_ns;
     }
     return poses;
@@ -159,35 +164,21 @@ RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutp
     RecordedCloud cloud{
         to_stamp_ns(first_s),
         place_points(scan, format.config, world_from_output(format, sensor_pose_at(scan, first_s)))};
-    // Makes the times, which are relative to the scan, relative to the stamp.
+    // Makes the times, which are relative to the scan, relative to the stamp. The first
+    // would be some nanoseconds below 0, because the stamp is rounded.
     for (float& time_s : cloud.points.time_offset_s)
         time_s = static_cast<float>(std::max(0.0, double(time_s) - (first_s - scan.time_s)));
     return cloud;
 }
 
-/// Returns the actors in a scan, each with its box at two times: when the sensor faces
-/// it, and at the stamp of the sweep.
-/// @param time_s time of the stamp
-std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan, double time_s) const {
+/// Returns the actors in a scan.
+/// @param stamp_s  time of the stamp of the sweep
+std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan, double stamp_s) const {
     std::vector<RecordedActor> actors;
     // All sensors have the same list of actors, so the options of the first are enough.
-    for (const ActorInScan& actor : find_actors(scan, sensors_.front())) {
-        const auto state_at = [&](double t_s) {
-            return BoxState{to_stamp_ns(t_s), actor.world_from_box(t_s),
-                            object_velocity(actor.world_from_box, t_s)};
-        };
-        const BoxTrack& box = *actor.box;
-        actors.push_back({.name = box.id,
-                          .category = label_of(box),
-                          .size_m = box.size_m,
-                          .is_parked = !box.is_moving(),
-                          .is_static = actor.is_static,
-                          .note = actor.note,
-                          .faced = state_at(actor.faced_s),
-                          .at_stamp = state_at(time_s),
-                          .n_points = actor.n_points,
-                          .visible_share = actor.visible_share});
-    }
+    for (const ActorInScan& actor : find_actors(scan, sensors_.front()))
+        actors.push_back(
+            {actor, state_at(actor.world_from_box, actor.faced_s), state_at(actor.world_from_box, stamp_s)});
     return actors;
 }
 

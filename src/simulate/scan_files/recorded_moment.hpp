@@ -11,10 +11,7 @@
 #include <relidar/log/georeference.hpp>
 #include <relidar/read/points.hpp>
 #include <relidar/simulate/scan_files.hpp>
-
-namespace relidar {
-enum class LabelNote;
-}  // namespace relidar
+#include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar::scan_files {
 
@@ -42,13 +39,10 @@ struct RecordedRig {
     std::vector<StaticTransform> static_transforms() const;
 };
 
-/// The components are along the axes of the object.
-struct Velocity {
-    glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
-};
-struct RecordedPose {
+/// State of the vehicle, or of the box of an actor.
+struct ObjectState {
     std::uint64_t time_ns;
-    Pose world_from_vehicle;
+    Pose world_from_object;
     Velocity velocity;
 };
 /// Position of the vehicle on the earth.
@@ -56,22 +50,10 @@ struct RecordedFix {
     std::uint64_t time_ns;
     GeodeticPosition position;
 };
-struct BoxState {
-    std::uint64_t time_ns;
-    Pose world_from_box;
-    Velocity velocity;
-};
-struct RecordedActor {
-    std::string name, category;
-    glm::dvec3 size_m;  ///< length, width and height
-    bool is_parked = false;
-    bool is_static = false;  ///< true if the object is part of the background
-    LabelNote note{};
+struct RecordedActor : ActorInScan {
     /// The box of a moving actor matches its points only when the sensor points at it.
-    BoxState faced;
-    BoxState at_stamp;                    ///< state at RecordedSweep::first_ns
-    std::size_t n_points;                 ///< as ActorBox::n_points
-    std::optional<double> visible_share;  ///< empty if it was not computed
+    ObjectState faced;
+    ObjectState at_stamp;  ///< state at RecordedSweep::first_ns
 };
 
 struct SweepInterval {
@@ -93,13 +75,12 @@ struct RecordedCloud {
 
 struct RecordedSweep {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    /// ascending, and later than the poses of earlier scans
-    std::vector<RecordedPose> poses;
+    /// of the vehicle; ascending, and later than the poses of earlier scans
+    std::vector<ObjectState> poses = {};
     /// [sensors] motion-compensated points are in the sensor's frame at the stamp
-    std::vector<RecordedCloud> clouds;
-    /// each actor once, at the time first_ns
-    std::vector<RecordedActor> actors;
-    std::optional<RecordedFix> fix = {};
+    std::vector<RecordedCloud> clouds = {};
+    std::vector<RecordedActor> actors = {};  ///< each actor once
+    std::vector<RecordedFix> fixes = {};     ///< one, at the first pose, if RecordedRig::earth is known
 };
 
 class SweepRecorder {
@@ -119,7 +100,8 @@ private:
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t to_stamp_ns(double time_s) const;
-    std::vector<RecordedPose> vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
+    ObjectState state_at(const std::function<Pose(double)>& world_from_object, double time_s) const;
+    std::vector<ObjectState> vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
     RecordedCloud make_cloud(const RenderedScan& scan, const ScanOutputOptions& format, double first_s) const;
     std::vector<RecordedActor> recorded_actors(const RenderedScan& scan, double cloud_time_s) const;
 };

@@ -13,13 +13,34 @@ struct RecordedMessage {
     std::uint64_t logged_ns;
     std::string bytes;
 };
+using MessageEncoder = std::function<std::vector<RecordedMessage>(const RecordedSweep&)>;
+
+/// Encodes a message for each state in a list of the sweep, logged at the state's time.
+template <class State>
+MessageEncoder encode_each(std::vector<State> RecordedSweep::*states, std::string (*encode)(const State&)) {
+    return [states, encode](const RecordedSweep& sweep) {
+        std::vector<RecordedMessage> messages;
+        for (const State& state : sweep.*states) messages.push_back({state.time_ns, encode(state)});
+        return messages;
+    };
+}
+/// Encodes a message for each sweep.
+/// @param log_time  first_ns for constant transforms, so that players can start in the
+/// middle of the file; last_ns for messages that need the transforms of the sweep
+template <class Encode>
+MessageEncoder encode_sweep(std::uint64_t RecordedSweep::*log_time, Encode encode) {
+    return [log_time, encode](const RecordedSweep& sweep) {
+        return std::vector<RecordedMessage>{{sweep.*log_time, encode(sweep)}};
+    };
+}
+
 /// A topic of a recording: a named stream of messages of one type.
 struct RecordedTopic {
     std::string name;
     std::string type;        ///< message type
     std::string definition;  ///< definition of the message type and of all message types that it contains
-    std::map<std::string, std::string> metadata;
-    std::function<std::vector<RecordedMessage>(const RecordedSweep&)> messages;
+    MessageEncoder messages;
+    std::map<std::string, std::string> metadata = {};
 };
 
 struct RecordingFormat {
@@ -36,7 +57,7 @@ struct RecordingFormat {
 std::span<const RecordingFormat> recording_formats();
 
 /// Messages with the same time are in the order of the topics.
-std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& moment);
+std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& sweep);
 
 /// Returns the topics of a recording of this rig, and how to encode their messages.
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
@@ -81,8 +102,7 @@ std::vector<RecordedTopic> ros_actor_topics();
 /// followed by those of all types that it contains.
 std::string ros_definition(const std::string& type);
 /// @param is_latched true if subscribers that join later receive the last message
-RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
-                             std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
+RecordedTopic make_ros_topic(const std::string& name, const std::string& type, MessageEncoder messages,
                              bool is_latched = false);
 
 }  // namespace relidar::scan_files

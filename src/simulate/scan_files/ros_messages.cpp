@@ -5,6 +5,7 @@
 #include <cctype>
 #include <sstream>
 
+#include <relidar/scene/labels.hpp>
 #include "base/text_hash.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 
@@ -171,23 +172,21 @@ const std::map<std::string, std::string>& message_texts() {
     return types;
 }
 
-using Actors = std::vector<RecordedActor>;
-
-/// Returns a Detection3DArray message with one detection per actor. Each detection has
-/// the time at which the sensor points at the box.
-std::string encode_detections(std::uint64_t stamp_ns, const Actors& actors) {
+/// Returns a Detection3DArray message with one detection per actor: header, class with
+/// its pose, bounding box, id. Each has the time at which the sensor points at the box.
+std::string encode_detections(const RecordedSweep& sweep) {
     codecs::CdrWriter cdr;
-    add_header(cdr, stamp_ns, kWorldFrame);
-    cdr.add_number(std::uint32_t(actors.size()));
-    for (const RecordedActor& actor : actors) {
+    add_header(cdr, sweep.first_ns, kWorldFrame);
+    cdr.add_number(std::uint32_t(sweep.actors.size()));
+    for (const RecordedActor& actor : sweep.actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
         // one class with a score of 1, because the class is known exactly
-        cdr.add_number(std::uint32_t(1)).append_string(actor.category).add_number(1.0);
-        add_pose(cdr, actor.faced.world_from_box);
+        cdr.add_number(std::uint32_t(1)).append_string(label_of(*actor.box)).add_number(1.0);
+        add_pose(cdr, actor.faced.world_from_object);
         add_covariance(cdr);
-        add_pose(cdr, actor.faced.world_from_box);
-        add_vector(cdr, actor.size_m);
-        cdr.append_string(actor.name);
+        add_pose(cdr, actor.faced.world_from_object);
+        add_vector(cdr, actor.box->size_m);
+        cdr.append_string(actor.box->id);
     }
     return cdr.take_message();
 }
@@ -231,26 +230,26 @@ void add_uuid(codecs::CdrWriter& cdr, const std::string& name) {
 
 /// Returns a TrackedObjects message with the boxes of all actors. The objects have no
 /// time stamps, so their poses are at the time of the message.
-std::string encode_tracked(std::uint64_t stamp_ns, const Actors& actors) {
+std::string encode_tracked(const RecordedSweep& sweep) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     codecs::CdrWriter cdr;
-    add_header(cdr, stamp_ns, kWorldFrame);
-    cdr.add_number(std::uint32_t(actors.size()));
-    for (const RecordedActor& actor : actors) {
-        add_uuid(cdr, actor.name);
+    add_header(cdr, sweep.first_ns, kWorldFrame);
+    cdr.add_number(std::uint32_t(sweep.actors.size()));
+    for (const RecordedActor& actor : sweep.actors) {
+        add_uuid(cdr, actor.box->id);
         // Existence probability, then one class with its label and probability. Both
         // probabilities are 1.
         cdr.add_number(1.0f)
             .add_number(std::uint32_t(1))
-            .add_number(autoware_label(actor.category))
+            .add_number(autoware_label(label_of(*actor.box)))
             .add_number(1.0f);
-        add_pose(cdr, actor.at_stamp.world_from_box);
+        add_pose(cdr, actor.at_stamp.world_from_object);
         add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);
         add_velocity(cdr, {});  // zero acceleration, because the acceleration is unknown
-        cdr.add_number(kOrientationAvailable).add_number(std::uint8_t(actor.is_parked));
+        cdr.add_number(kOrientationAvailable).add_number(std::uint8_t(!actor.box->is_moving()));
         cdr.add_number(kBoundingBox).add_number(std::uint32_t(0));  // an empty footprint
-        add_vector(cdr, actor.size_m);
+        add_vector(cdr, actor.box->size_m);
     }
     return cdr.take_message();
 }
@@ -261,10 +260,10 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
     const std::string& topic = rig.sensors[sensor].topic;
     const std::string frame = rig.cloud_frame(sensor);
     const auto make_topic = [&](const std::string& name, const RosPointType& type) {
-        return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
-            return std::vector<RecordedMessage>{
-                {moment.last_ns, encode_cloud2(moment.clouds[sensor], frame, type)}};
-        });
+        return make_ros_topic(name, "sensor_msgs/msg/PointCloud2",
+                              encode_sweep(&RecordedSweep::last_ns, [=, &type](const RecordedSweep& sweep) {
+                                  return encode_cloud2(sweep.clouds[sensor], frame, type);
+                              }));
     };
     std::vector<RecordedTopic> topics{make_topic(topic, kPlainType)};
     // Leaves out this topic in the world frame, because such points have no azimuth and
@@ -274,13 +273,10 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
 }
 
 std::string ros_definition(const std::string& message_type) {
-    constexpr std::string_view kMessageFolder = "/msg/";
-    const std::size_t middle = message_type.find(kMessageFolder);
-    const bool is_short = middle == std::string::npos;
     // Definitions name types package/Type instead of package/msg/Type.
-    std::vector<std::string> types{is_short ? message_type
-                                            : message_type.substr(0, middle) +
-                                                  message_type.substr(middle + kMessageFolder.size() - 1)};
+    const std::size_t slash = message_type.find('/');
+    std::vector<std::string> types{message_type.substr(0, slash) +
+                                   message_type.substr(message_type.rfind('/'))};
     std::string definition;
     // `types` grows while the loop finds further message types in the fields.
     for (std::size_t i = 0; i < types.size(); ++i) {
@@ -300,15 +296,10 @@ std::string ros_definition(const std::string& message_type) {
 }
 
 std::vector<RecordedTopic> ros_actor_topics() {
-    // The messages are logged after the points, but describe the time of the first ray.
-    const auto topic = [](const char* name, const char* type,
-                          std::string (*encode)(std::uint64_t, const Actors&)) {
-        return make_ros_topic(name, type, [encode](const RecordedSweep& moment) {
-            return std::vector<RecordedMessage>{{moment.last_ns, encode(moment.first_ns, moment.actors)}};
-        });
-    };
-    return {topic("/actors", "vision_msgs/msg/Detection3DArray", encode_detections),
-            topic("/actors_autoware", "autoware_perception_msgs/msg/TrackedObjects", encode_tracked)};
+    return {make_ros_topic("/actors", "vision_msgs/msg/Detection3DArray",
+                           encode_sweep(&RecordedSweep::last_ns, encode_detections)),
+            make_ros_topic("/actors_autoware", "autoware_perception_msgs/msg/TrackedObjects",
+                           encode_sweep(&RecordedSweep::last_ns, encode_tracked))};
 }
 
 }  // namespace relidar::scan_files

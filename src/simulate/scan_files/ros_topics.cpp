@@ -9,17 +9,17 @@ namespace relidar::scan_files {
 namespace {
 
 /// Returns the quality of service of a topic (how long messages are kept) as YAML of
-/// rosbag2, with the numbers of the rmw library. All durations are infinite.
+/// rosbag2. The numbers are those of the rmw library: history 1 keeps the last `depth`
+/// messages, reliability 1 repeats lost messages, durability 1 (transient local) sends
+/// kept messages to later subscribers, 2 (volatile) does not. Durations are infinite.
 /// @param is_latched true if subscribers that join later receive the last message
 std::string format_qos(bool is_latched) {
-    constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
-    constexpr const char* kEndlessDuration = "\n    sec: 9223372036\n    nsec: 854775807\n";
+    constexpr const char* kForever = "\n    sec: 9223372036\n    nsec: 854775807\n";
     return fmt::format(
-        "- history: {}\n  depth: {}\n  reliability: {}\n  durability: {}\n  deadline:{}  lifespan:{}  "
-        "liveliness: {}\n"
-        "  liveliness_lease_duration:{}  avoid_ros_namespace_conventions: false",
-        kKeepLast, is_latched ? 1 : 10, kReliable, is_latched ? kTransientLocal : kVolatile, kEndlessDuration,
-        kEndlessDuration, kAutomatic, kEndlessDuration);
+        "- history: 1\n  depth: {}\n  reliability: 1\n  durability: {}\n  deadline:{forever}  "
+        "lifespan:{forever}"
+        "  liveliness: 1\n  liveliness_lease_duration:{forever}  avoid_ros_namespace_conventions: false",
+        is_latched ? 1 : 10, is_latched ? 1 : 2, fmt::arg("forever", kForever));
 }
 
 void add_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent,
@@ -29,91 +29,83 @@ void add_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::st
     add_pose(cdr, parent_from_child);
 }
 
-/// Returns a topic with one message for each pose of the vehicle.
-/// @param write writes the message of a pose
-RecordedTopic pose_topic(const char* name, const char* type,
-                         void (*write)(codecs::CdrWriter&, const RecordedPose&)) {
-    return make_ros_topic(name, type, [write](const RecordedSweep& moment) {
-        std::vector<RecordedMessage> messages;
-        for (const RecordedPose& pose : moment.poses) {
-            codecs::CdrWriter cdr;
-            write(cdr, pose);
-            messages.push_back({pose.time_ns, cdr.take_message()});
-        }
-        return messages;
-    });
+std::string encode_clock(const ObjectState& vehicle) {
+    codecs::CdrWriter cdr;
+    add_time(cdr, vehicle.time_ns);
+    return cdr.take_message();
 }
 
-void write_clock(codecs::CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }
-
-void write_vehicle_transform(codecs::CdrWriter& cdr, const RecordedPose& pose) {
+std::string encode_tf(const ObjectState& vehicle) {
+    codecs::CdrWriter cdr;
     cdr.add_number(std::uint32_t(1));  // number of transforms in the message
-    add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
+    add_transform(cdr, vehicle.time_ns, kWorldFrame, kVehicleFrame, vehicle.world_from_object);
+    return cdr.take_message();
 }
 
-void write_odometry(codecs::CdrWriter& cdr, const RecordedPose& pose) {
-    add_header(cdr, pose.time_ns, kWorldFrame);
+std::string encode_odometry(const ObjectState& vehicle) {
+    codecs::CdrWriter cdr;
+    add_header(cdr, vehicle.time_ns, kWorldFrame);
     cdr.append_string(kVehicleFrame);
-    add_pose(cdr, pose.world_from_vehicle);
+    add_pose(cdr, vehicle.world_from_object);
     add_covariance(cdr);
-    add_velocity(cdr, pose.velocity);
+    add_velocity(cdr, vehicle.velocity);
+    return cdr.take_message();
 }
 
-/// Returns the topic of the constant transforms, from the vehicle to its sensors. Each
-/// scan repeats the message for players that start in the middle of the file.
+/// Returns the topic of the constant transforms, from the vehicle to its sensors.
 RecordedTopic static_tf_topic(const RecordedRig& rig) {
-    const auto make_message = [rig](const RecordedSweep& moment) {
+    const auto encode = [transforms = rig.static_transforms()](const RecordedSweep& sweep) {
         codecs::CdrWriter cdr;
-        const std::vector<StaticTransform> transforms = rig.static_transforms();
         cdr.add_number(std::uint32_t(transforms.size()));
         for (const auto& [parent, child, parent_from_child] : transforms)
-            add_transform(cdr, moment.first_ns, parent, child, parent_from_child);
-        return std::vector<RecordedMessage>{{moment.first_ns, cdr.take_message()}};
+            add_transform(cdr, sweep.first_ns, parent, child, parent_from_child);
+        return cdr.take_message();
     };
     constexpr bool kIsLatched = true;
-    return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", make_message, kIsLatched);
+    return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage",
+                          encode_sweep(&RecordedSweep::first_ns, encode), kIsLatched);
 }
 
-/// Returns the topic of the vehicle's position on the earth, a message for each scan.
-RecordedTopic fix_topic() {
+/// Returns a NavSatFix message. Unknown covariances are 0.
+std::string encode_nav_fix(const RecordedFix& fix) {
     // Constants of sensor_msgs/NavSatStatus and NavSatFix.
     constexpr std::int8_t kHasFix = 0;
     constexpr std::uint16_t kGps = 1;
     constexpr std::uint8_t kUnknownCovariance = 0;
     constexpr int kPositionCovariances = 9;
-    return make_ros_topic("/fix", "sensor_msgs/msg/NavSatFix", [](const RecordedSweep& moment) {
-        if (!moment.fix) return std::vector<RecordedMessage>{};
-        codecs::CdrWriter cdr;
-        add_header(cdr, moment.fix->time_ns, kVehicleFrame);
-        cdr.add_number(kHasFix).add_number(kGps);
-        const GeodeticPosition& p = moment.fix->position;
-        cdr.add_number(p.latitude_deg).add_number(p.longitude_deg).add_number(p.height_m);
-        for (int i = 0; i < kPositionCovariances; ++i) cdr.add_number(0.0);
-        cdr.add_number(kUnknownCovariance);
-        return std::vector<RecordedMessage>{{moment.fix->time_ns, cdr.take_message()}};
-    });
+    const GeodeticPosition& p = fix.position;
+    codecs::CdrWriter cdr;
+    add_header(cdr, fix.time_ns, kVehicleFrame);
+    cdr.add_number(kHasFix).add_number(kGps);
+    cdr.add_number(p.latitude_deg).add_number(p.longitude_deg).add_number(p.height_m);
+    for (int i = 0; i < kPositionCovariances; ++i) cdr.add_number(0.0);
+    cdr.add_number(kUnknownCovariance);
+    return cdr.take_message();
 }
 
 }  // namespace
 
-RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
-                             std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
+RecordedTopic make_ros_topic(const std::string& name, const std::string& type, MessageEncoder messages,
                              bool is_latched) {
     return {name,
             type,
             ros_definition(type),
-            {{"offered_qos_profiles", format_qos(is_latched)}},
-            std::move(make_messages)};
+            std::move(messages),
+            {{"offered_qos_profiles", format_qos(is_latched)}}};
 }
 
 /// Returns the topics of a ROS 2 bag. Messages with the same time are written in this
-/// order: the clock, then transforms.
+/// order, so that players know the time and the transforms of the messages that follow.
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
-    std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", write_clock),
-                                      static_tf_topic(rig),
-                                      pose_topic("/tf", "tf2_msgs/msg/TFMessage", write_vehicle_transform),
-                                      pose_topic("/odom", "nav_msgs/msg/Odometry", write_odometry)};
-    if (rig.earth) topics.push_back(fix_topic());
+    std::vector<RecordedTopic> topics{
+        make_ros_topic("/clock", "rosgraph_msgs/msg/Clock", encode_each(&RecordedSweep::poses, encode_clock)),
+        static_tf_topic(rig),
+        make_ros_topic("/tf", "tf2_msgs/msg/TFMessage", encode_each(&RecordedSweep::poses, encode_tf)),
+        make_ros_topic("/odom", "nav_msgs/msg/Odometry",
+                       encode_each(&RecordedSweep::poses, encode_odometry))};
+    if (rig.earth)
+        topics.push_back(make_ros_topic("/fix", "sensor_msgs/msg/NavSatFix",
+                                        encode_each(&RecordedSweep::fixes, encode_nav_fix)));
     for (RecordedTopic& topic : ros_actor_topics()) topics.push_back(std::move(topic));
     for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
         for (RecordedTopic& topic : ros_cloud_topics(rig, sensor)) topics.push_back(std::move(topic));
@@ -145,10 +137,10 @@ and sensors, and the boxes of actors. --deskew moves points to the time of the f
     return formats;
 }
 
-std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& moment) {
+std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& sweep) {
     std::vector<ScanMessage> messages;
     for (std::size_t topic = 0; topic < topics.size(); ++topic)
-        for (auto& [time_ns, bytes] : topics[topic].messages(moment))
+        for (auto& [time_ns, bytes] : topics[topic].messages(sweep))
             messages.push_back({topic, time_ns, std::move(bytes)});
     std::ranges::stable_sort(messages, {}, &ScanMessage::time_ns);
     return messages;

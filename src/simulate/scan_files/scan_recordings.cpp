@@ -51,8 +51,10 @@ public:
         fs::remove(temporary_, failed);
     }
 
-    void write(const RecordedSweep& moment) {
-        for (const ScanMessage& message : sorted_messages(topics_, moment)) {
+    const fs::path& path() const { return path_; }
+
+    void write(const RecordedSweep& sweep) {
+        for (const ScanMessage& message : sorted_messages(topics_, sweep)) {
             // Log times in the file must not decrease, although sweeps can overlap. A
             // message that is too early gets the log time of the previous message.
             last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
@@ -101,7 +103,7 @@ bool is_topic_name(const std::string& topic) {
 }
 
 /// Checks the topic names and frame ids of all sensors.
-/// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
+/// @throws UsageError if a name is not valid in ROS, or if a frame id is used twice
 void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     if (rig.has_map_frame()) used_frame_ids.insert(scan_files::kMapFrame);
@@ -179,21 +181,19 @@ bool is_recording(const std::string& format) {
 struct ScanRecordingsWriter::Impl {
     scan_files::SweepRecorder recorder;
     fs::path folder;
-    std::vector<std::string> names;
-    std::vector<std::unique_ptr<scan_files::RecordingFileWriter>> files;
-    std::unique_ptr<scan_files::PacketFileWriter> packets;
+    std::vector<std::unique_ptr<scan_files::RecordingFileWriter>> files = {};
+    std::unique_ptr<scan_files::PacketFileWriter> packets = {};
 };
 
 ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutputOptions> sensors) {
-    scan_files::remove_scans(folder);
-    impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), folder, {}, {}, {}});
+    scan_files::remove_scans(folder);  // checks that they are files of relidar
+    impl_ = std::make_shared<Impl>(Impl{.recorder = scan_files::SweepRecorder(sensors), .folder = folder});
     const std::vector<std::string>& formats = sensors.front().formats;
     const scan_files::RecordedRig rig = impl_->recorder.recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
         if (std::ranges::find(formats, format.name) == formats.end()) continue;
         check_names(rig);
         check_unique_topics(format.topics(rig));
-        impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
             folder / format.file, format, rig, recording_metadata(sensors)));
     }
@@ -204,8 +204,8 @@ ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutp
 void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
     if (impl_->packets) impl_->packets->write(scans);
     if (impl_->files.empty()) return;
-    const scan_files::RecordedSweep moment = impl_->recorder.record(scans);
-    for (const auto& file : impl_->files) file->write(moment);
+    const scan_files::RecordedSweep sweep = impl_->recorder.record(scans);
+    for (const auto& file : impl_->files) file->write(sweep);
 }
 
 void ScanRecordingsWriter::finish() {
@@ -216,7 +216,8 @@ void ScanRecordingsWriter::finish() {
 }
 
 std::vector<std::string> ScanRecordingsWriter::list_file_names() const {
-    std::vector<std::string> names = impl_->names;
+    std::vector<std::string> names;
+    for (const auto& file : impl_->files) names.push_back(file->path().filename().string());
     if (impl_->packets)
         for (const std::string& name : impl_->packets->file_names()) names.push_back(name);
     return names;

@@ -2,60 +2,64 @@
 #include "simulate/scan_files/seen_actors.hpp"
 
 #include <relidar/scene/labels.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 
 namespace relidar::scan_files {
 namespace {
 
 constexpr double kVelocityStep_s = 0.005;
 
-class SampledScanRays {
-public:
-    explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
-        constexpr std::size_t kMaxSampledRays = 4096;
-        // Uses every `step`-th ray. The step is odd, because an even step may divide the
-        // number of columns. Every row would then contribute the same columns.
-        const std::size_t n = scan.image.direction.size(), step = (n / kMaxSampledRays) | 1;
-        for (std::size_t i = 0; i < n; i += step)
-            rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
-    }
-    /// Returns the firing time of the ray that passes closest to a moving point.
-    /// @param get_position_m position at a time, in the world frame of the dataset
-    template <class PositionFunction>
-    double time_towards(const PositionFunction& get_position_m) const {
-        // Number of fixed-point iterations. Each computes the direction from the sensor
-        // to the point at `time_s`, and sets `time_s` to the firing time of the ray
-        // closest to this direction.
-        constexpr int kTimeIterations = 3;
-        double time_s = scan_.time_s;
-        for (int round = 0; round < kTimeIterations && !rays_.empty(); ++round) {
-            const glm::vec3 towards(
-                glm::normalize(inverse(sensor_pose_at(scan_, time_s)) * get_position_m(time_s)));
-            const auto cosine = [&](const SampledRay& ray) { return glm::dot(ray.direction, towards); };
-            time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
-        }
-        return time_s;
-    }
-
-private:
-    struct SampledRay {
-        glm::vec3 direction;
-        float time_offset_s;
-    };
-    const RenderedScan& scan_;
-    std::vector<SampledRay> rays_;
+struct SampledRay {
+    glm::vec3 direction;
+    float time_offset_s;
 };
+
+std::vector<SampledRay> sample_rays(const RenderedScan& scan) {
+    constexpr std::size_t kMaxSampledRays = 4096;
+    // Uses every `step`-th ray. The step is odd, because an even step may divide the
+    // number of columns. Every row would then contribute the same columns.
+    const std::size_t n = scan.image.direction.size(), step = (n / kMaxSampledRays) | 1;
+    std::vector<SampledRay> rays;
+    for (std::size_t i = 0; i < n; i += step)
+        rays.push_back({scan.image.direction[i], scan.time_offset_s[i]});
+    return rays;
+}
+
+/// Returns the firing time of the ray that passes closest to a moving object. Each
+/// iteration computes the direction from the sensor to the object at `time_s`, and sets
+/// `time_s` to the firing time of the ray closest to this direction.
+double time_towards(const RenderedScan& scan, const std::vector<SampledRay>& rays,
+                    const std::function<Pose(double)>& world_from_object) {
+    constexpr int kIterations = 3;
+    double time_s = scan.time_s;
+    for (int round = 0; round < kIterations && !rays.empty(); ++round) {
+        const Pose sensor_from_world = inverse(sensor_pose_at(scan, time_s));
+        const glm::vec3 towards(glm::normalize(sensor_from_world * world_from_object(time_s).translation));
+        const auto cosine = [&](const SampledRay& ray) { return glm::dot(ray.direction, towards); };
+        time_s = scan.time_s + double(std::ranges::max_element(rays, {}, cosine)->time_offset_s);
+    }
+    return time_s;
+}
+
+/// Returns the rays of a scan whose first return is on an instance (0: the background).
+std::vector<std::size_t> rays_on(const RenderedScan& scan, const ScanOutputOptions& format,
+                                 std::ptrdiff_t instance) {
+    const std::vector<float>& range_m = point_ranges(scan, format.config);
+    std::vector<std::size_t> rays;
+    for (std::size_t i = 0; i < range_m.size(); ++i)
+        if (scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
+            rays.push_back(i);
+    return rays;
+}
 
 /// Returns the firing times of the first returns of a scan on an actor.
 std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
                                   const std::string& track) {
     const auto name = std::ranges::find(format.instance_names, track);
     if (name == format.instance_names.end()) return {};
-    const auto instance = name - format.instance_names.begin();
-    const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::vector<float> times_s;
-    for (std::size_t i = 0; i < range_m.size(); ++i)
-        if (scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
-            times_s.push_back(scan.time_offset_s[i]);
+    for (const std::size_t ray : rays_on(scan, format, name - format.instance_names.begin()))
+        times_s.push_back(scan.time_offset_s[ray]);
     return times_s;
 }
 
@@ -64,15 +68,15 @@ struct BackgroundPoint {
     float time_offset_s;
 };
 
-/// Returns the first returns of a scan that lie on the background.
+/// Returns the first returns of a scan on the background.
 std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const ScanOutputOptions& format) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);
-    FiringPoseInterpolator firing(scan, {{1, 0, 0, 0}, -format.world_offset_m});
+    const Pose world_from_dataset{{1, 0, 0, 0}, -format.world_offset_m};
+    FiringPoseInterpolator world_from_firing(scan, world_from_dataset);
     std::vector<BackgroundPoint> points;
-    for (std::size_t i = 0; i < range_m.size(); ++i) {
-        if (scan.instance[i] != 0 || !is_ray_returned(scan.image.drop_prob[i], range_m[i])) continue;
-        const glm::vec3 in_sensor_m = scan.image.origin[i] + range_m[i] * scan.image.direction[i];
-        points.push_back({firing.pose_of(i) * glm::dvec3(in_sensor_m), scan.time_offset_s[i]});
+    for (const std::size_t ray : rays_on(scan, format, 0)) {
+        const glm::vec3 in_sensor_m = scan.image.origin[ray] + range_m[ray] * scan.image.direction[ray];
+        points.push_back({world_from_firing.pose_of(ray) * glm::dvec3(in_sensor_m), scan.time_offset_s[ray]});
     }
     return points;
 }
@@ -122,9 +126,9 @@ bool overlap_boxes(const Pose& a, const glm::dvec3& size_a_m, const Pose& b, con
     return true;
 }
 
-/// Returns the time at which a box fits its points. The start and the end of a sweep hit
-/// different parts of a box behind the sensor. Such a box gets the median time of its
-/// returns, to match the larger part.
+/// Returns the time at which a box fits its points. If a sweep starts and ends at a box,
+/// the box moves between its first and its last returns. It then gets the median time of
+/// its returns, to match the larger part.
 /// @param faced_s  time at which the sensor points at the centre of the box
 /// @param times_s  firing times of the returns on the box, relative to the scan
 double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> times_s) {
@@ -150,14 +154,14 @@ Pose sensor_pose_at(const RenderedScan& scan, double time_s) {
 Velocity object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s) {
     const Twist twist = compute_twist(get_world_from_object(time_s - kVelocityStep_s),
                                       get_world_from_object(time_s + kVelocityStep_s));
-    const glm::dquat thing_from_world = glm::conjugate(get_world_from_object(time_s).rotation);
+    const glm::dquat object_from_world = glm::conjugate(get_world_from_object(time_s).rotation);
     const double span_s = 2.0 * kVelocityStep_s;
-    return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
-            thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
+    return {object_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
+            object_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
 std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format) {
-    const SampledScanRays rays(scan);
+    const std::vector<SampledRay> rays = sample_rays(scan);
     std::vector<ActorInScan> actors;
     const auto append = [&](const BoxTrack& box, const std::vector<float>& times_s,
                             const ActorVisibility* view) -> ActorInScan& {
@@ -165,7 +169,7 @@ std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputO
             const Pose pose = box.world_from_box.pose_at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
-        const double faced_s = rays.time_towards([&](double t_s) { return world_from_box(t_s).translation; });
+        const double faced_s = time_towards(scan, rays, world_from_box);
         return actors.emplace_back(ActorInScan{&box, world_from_box, choose_box_time(scan, faced_s, times_s),
                                                times_s.size(), visible_share(view)});
     };
@@ -187,11 +191,11 @@ std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputO
         ActorInScan& object = append(box, times_in_box(points, world_from_box, box.size_m), view);
         object.is_static = true;
         const Pose box_pose = object.world_from_box(object.faced_s);
-        const bool is_covered = std::any_of(actors.begin(), actors.begin() + std::ptrdiff_t(n_actors),
-                                            [&](const ActorInScan& actor) {
-                                                return overlap_boxes(actor.world_from_box(actor.faced_s),
-                                                                     actor.box->size_m, box_pose, box.size_m);
-                                            });
+        const auto covers = [&](const ActorInScan& actor) {
+            return overlap_boxes(actor.world_from_box(actor.faced_s), actor.box->size_m, box_pose,
+                                 box.size_m);
+        };
+        const bool is_covered = std::ranges::any_of(std::span(actors).first(n_actors), covers);
         if (is_covered) object.note = LabelNote::covered;
         else if (view && view->n_rays_alone == 0) object.note = LabelNote::not_observed;
     }
@@ -211,7 +215,7 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
     std::vector<ActorBox> boxes;
     if (scan.actor_views.empty()) return boxes;
     for (const scan_files::ActorInScan& actor : scan_files::find_actors(scan, format)) {
-        if (!actor.visible_share) continue;
+        if (!actor.visible_share) continue;  // No ray would hit the actor.
         // The box fits the points only at the time when the sensor faces the actor.
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =

@@ -3,10 +3,25 @@
 // which the sensor faces each box, and how much of each object is visible in the scan.
 #pragma once
 
-#include <relidar/simulate/actor_boxes.hpp>
-#include "simulate/scan_files/recorded_moment.hpp"
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+enum class LabelNote;
+struct BoxTrack;
+struct RenderedScan;
+struct ScanOutputOptions;
+}  // namespace relidar
 
 namespace relidar::scan_files {
+
+/// The components are along the axes of the object.
+struct Velocity {
+    glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
+};
 
 struct ActorInScan {
     const BoxTrack* box;
@@ -19,7 +34,7 @@ struct ActorInScan {
     /// if no ray would hit it, or without ScanRenderer::count_actor_rays().
     std::optional<double> visible_share;
     bool is_static = false;
-    LabelNote note = LabelNote::none;
+    LabelNote note{};
 };
 
 /// Returns the actors of the log that are present during a scan, and the standing objects

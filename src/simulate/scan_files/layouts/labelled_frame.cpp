@@ -8,10 +8,11 @@
 
 #include <relidar/scene/labels.hpp>
 #include <relidar/scene/scene.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 #include "simulate/scan_files/layouts/layout.hpp"
-#include "simulate/scan_files/seen_actors.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 
 namespace relidar::layouts {
 namespace {
@@ -103,13 +104,6 @@ std::size_t count_points(const LidarPoints& cloud, const Pose& box_from_cloud, c
     }));
 }
 
-/// What one sensor sees of an object, for the sensor with the most points on it.
-struct SeenObject {
-    LabelledObject object;
-    std::size_t n_points_on = 0;  ///< points of this sensor on the surface of the object
-};
-
-/// Describes an actor, with its box at the time at which the sensor faces the actor.
 LabelledObject describe_object(const scan_files::ActorInScan& actor, int number) {
     const BoxTrack& box = *actor.box;
     return {.track = box.id,
@@ -118,31 +112,32 @@ LabelledObject describe_object(const scan_files::ActorInScan& actor, int number)
             .is_static = actor.is_static,
             .moves = box.is_moving(),
             .size_m = box.size_m,
-            .world_from_box = actor.world_from_box(actor.faced_s)};
+            .world_from_box = actor.world_from_box(actor.faced_s),
+            .visible_share = actor.visible_share};
 }
 
-/// Finds the objects that at least one sensor hits, sorted by number. If several sensors
-/// hit an object, its box is the one of the sensor with most points, which it fits best.
-std::vector<SeenObject> find_seen_objects(std::span<const RenderedScan> scans,
-                                          const std::vector<DatasetSensor>& sensors) {
-    // The number of an object is the index of its track in this list.
+/// Returns the objects that at least one sensor hits, in the order of their tracks. If
+/// several sensors hit an object, its box is the one of the sensor with most points,
+/// which it fits best. The visible share is that of the sensor that sees most.
+std::vector<LabelledObject> find_seen_objects(std::span<const RenderedScan> scans,
+                                              const std::vector<DatasetSensor>& sensors) {
     const ScanOutputOptions& options = sensors.front().options;
     std::vector<std::string> tracks;
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) tracks.push_back(box.id);
-    std::map<int, SeenObject> seen_by_number;
+    std::map<int, scan_files::ActorInScan> seen;  // by the index of the track
     for (std::size_t s = 0; s < scans.size(); ++s)
         for (const scan_files::ActorInScan& actor : scan_files::find_actors(scans[s], sensors[s].options)) {
             // An actor with a note is not visible: its points belong to another object.
             if (actor.n_points == 0 || actor.note != LabelNote::none) continue;
             const int number = int(std::ranges::find(tracks, actor.box->id) - tracks.begin());
-            SeenObject& seen = seen_by_number[number];  // new entries have no points
-            const auto largest_share = std::max(actor.visible_share, seen.object.visible_share);
-            if (actor.n_points > seen.n_points_on) seen = {describe_object(actor, number), actor.n_points};
-            seen.object.visible_share = largest_share;
+            scan_files::ActorInScan& best = seen.try_emplace(number, actor).first->second;
+            const auto largest_share = std::max(actor.visible_share, best.visible_share);
+            if (actor.n_points > best.n_points) best = actor;
+            best.visible_share = largest_share;
         }
-    std::vector<SeenObject> objects;
-    for (auto& [number, seen] : seen_by_number) objects.push_back(std::move(seen));
+    std::vector<LabelledObject> objects;
+    for (const auto& [number, actor] : seen) objects.push_back(describe_object(actor, number));
     return objects;
 }
 
@@ -179,8 +174,7 @@ LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector
         frame.n_rings.push_back(scans[s].ring.empty() ? 0 : 1 + *std::ranges::max_element(scans[s].ring));
         frame.clouds.push_back(place_points(scans[s], sensors[s].options.config, scans[s].world_from_sensor));
     }
-    for (const SeenObject& seen : find_seen_objects(scans, sensors)) {
-        LabelledObject object = seen.object;
+    for (LabelledObject& object : find_seen_objects(scans, sensors)) {
         std::vector<Pose> sensor_from_box;
         for (std::size_t s = 0; s < scans.size(); ++s) {
             sensor_from_box.push_back(inverse(scans[s].world_from_sensor) * object.world_from_box);
@@ -188,7 +182,7 @@ LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector
         }
         if (object.n_points == 0) continue;
         object.truncated = share_outside(views, sensor_from_box, object.size_m);
-        frame.objects.push_back(object);
+        frame.objects.push_back(std::move(object));
     }
     return frame;
 }
