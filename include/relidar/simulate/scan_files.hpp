@@ -111,12 +111,12 @@ std::string to_topic_name(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
-///   mcap    scans.mcap, for Foxglove: foxglove.PointCloud of each sensor (x y z
-/// intensity           time instance ring return, channels), FrameTransforms on /tf and
-/// /tf_static,           SceneUpdate on /actors with a box for each actor
-///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z
-/// intensity           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with
-/// Autoware's           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
+///   mcap    scans.mcap, for Foxglove: foxglove.PointCloud of each sensor (x y z intensity
+///           time instance ring return, channels), FrameTransforms on /tf and /tf_static,
+///           SceneUpdate on /actors with a box for each actor
+///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z intensity
+///           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with Autoware's
+///           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
 ///           (vision_msgs/Detection3DArray) and /actors_autoware (TrackedObjects)
 ///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig (PacketEncoder);
 ///           packets.csv or packets.json has the calibration for the driver
@@ -133,7 +133,8 @@ std::string to_topic_name(const std::string& name);
 /// logged at the time of its last ray, after the transforms that it needs.
 class ScanRecordingsWriter {
 public:
-    /// Creates the recordings in an existing folder. Removes list_scan_files().
+    /// Creates the recordings in an existing folder. Removes the files of an earlier
+    /// rendering: list_scan_files().
     /// @param sensors  at least one; common settings are read from the first
     /// @throws UsageError if two topics or frames have the same name, if ROS does not
     /// allow a name, or if find_foreign_file() finds a file
@@ -224,8 +225,7 @@ public:
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
 private:
-    struct JoinExistingTag {};
-    ScanFolderWriter(std::filesystem::path folder, ScanOutputOptions format, JoinExistingTag);
+    ScanFolderWriter() = default;
 
     std::filesystem::path folder_;
     ScanOutputOptions format_;
@@ -234,9 +234,9 @@ private:
     /// A shared pointer, so that a ScanFolderWriter can be moved. Null if another process
     /// has created the folder.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
-    std::shared_ptr<const std::filesystem::path> unfinished_marker_;
+    std::shared_ptr<void> unfinished_marker_;  ///< its deleter removes the file of a rendering without scans
 
-    bool has_format(const std::string& format) const;
+    void open_folder(std::filesystem::path folder, ScanOutputOptions format);
     void write_summary() const;
 };
 

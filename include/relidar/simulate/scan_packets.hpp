@@ -18,7 +18,7 @@ Scan to_measured(const RenderedScan& scan, const Config& config);
 /// Converts the scans of a sensor, or of all sensors of a rig, to their network packets.
 class ScanPacketEncoder {
 public:
-    /// @param sensors  with the properties in `packets`
+    /// @param sensors  output options of each sensor, with its `packets`
     /// @throws UsageError if packets of a sensor cannot be written
     explicit ScanPacketEncoder(std::vector<ScanOutputOptions> sensors);
     ~ScanPacketEncoder();

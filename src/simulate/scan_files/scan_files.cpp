@@ -107,7 +107,8 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
 /// Writers of the formats of single scans, see kScanFormats.
 void write_npz_file(const fs::path& path, ScanInOutputFrame& scan) { write_npz(path, make_npz_arrays(scan)); }
 
-/// Writes the images of a scan as float channels of an EXR file.
+/// Writes the images of a scan as float channels of an EXR file. Its metadata has the
+/// origin of positions in the world.
 void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
@@ -249,15 +250,11 @@ std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const S
     return make_npz_arrays(placed);
 }
 
-bool ScanFolderWriter::has_format(const std::string& format) const {
-    return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
-}
-
 void ScanFolderWriter::write_scan(int frame, const RenderedScan& scan) {
     ScanInOutputFrame placed(scan, format_, frame, scan_metadata(format_, frame, scan));
     std::vector<std::string> files;
     for (const ScanFileFormat& format : kScanFormats) {
-        if (!has_format(format.name)) continue;
+        if (std::ranges::find(format_.formats, format.name) == format_.formats.end()) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / files.back(), placed);
     }

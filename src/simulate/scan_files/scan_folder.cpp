@@ -97,11 +97,13 @@ Json channels_json(const std::vector<ChannelInfo>& channels) {
 
 }  // namespace
 
-ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, JoinExistingTag)
-    : folder_(std::move(folder)), format_(std::move(format)) {
+/// Opens a folder without changing its files.
+void ScanFolderWriter::open_folder(fs::path folder, ScanOutputOptions format) {
+    folder_ = std::move(folder);
+    format_ = std::move(format);
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
-        if (std::find(known.begin(), known.end(), name) == known.end())
+        if (std::ranges::find(known, name) == known.end())
             fail<UsageError>("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
                              did_you_mean(name, known), fmt::join(known, ", "));
     prepare_folder(folder_);
@@ -109,26 +111,25 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
 }
 
 ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOptions options) {
-    ScanFolderWriter joined(std::move(folder), std::move(options), JoinExistingTag{});
+    ScanFolderWriter joined;
+    joined.open_folder(std::move(folder), std::move(options));
     for (const std::string& name : joined.format_.formats)
         if (is_recording(name))
             fail<UsageError>("the format {} stores all scans in one file; expected a single process", name);
     return joined;
 }
 
-ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
-    : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
+ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format) {
+    open_folder(std::move(folder), std::move(format));
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
-    // If the rendering is interrupted, the marker file stays unless the folder has no
-    // scans. A later rendering then knows that all scan files are unfinished. A shared
-    // pointer removes the file at the end, so that the writer can be moved.
-    const auto remove_marker = [](const fs::path* marker) {
+    // A rendering that is interrupted after its first scan leaves this file. A later
+    // rendering then knows that all scan files are unfinished.
+    const fs::path marker = folder_ / kUnfinishedName;
+    unfinished_marker_ = std::shared_ptr<void>(nullptr, [marker](void*) {
         std::error_code failed;
-        if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);
-        delete marker;
-    };
-    unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), remove_marker};
-    write_text_file(*unfinished_marker_, "relidar has not finished the scans in this folder\n");
+        if (output_files(marker.parent_path()).empty()) fs::remove(marker, failed);
+    });
+    write_text_file(marker, "relidar has not finished the scans in this folder\n");
 }
 
 void ScanFolderWriter::finish() {

@@ -35,10 +35,11 @@ struct ScanPacketEncoder::Impl {
     std::vector<std::unique_ptr<PacketEncoder>> encoders;
 };
 
-ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> rig) : impl_(std::make_unique<Impl>()) {
+ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
+    : impl_(std::make_unique<Impl>()) {
     // Sensors of one maker get consecutive units, because each needs other UDP ports.
     std::map<std::string, int> n_units;  // by maker
-    for (const ScanOutputOptions& format : rig) {
+    for (const ScanOutputOptions& format : sensors) {
         if (!format.packets.sensor)
             fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
                              packet_sensors());
@@ -48,7 +49,7 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> rig) : impl_
                                     .unit = n_units[packet_maker(format.packets.sensor->name)]++};
         impl_->encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
     }
-    impl_->sensors = std::move(rig);
+    impl_->sensors = std::move(sensors);
 }
 
 ScanPacketEncoder::~ScanPacketEncoder() = default;
