@@ -42,6 +42,7 @@ void check_dataset_folder(const std::filesystem::path& folder, const std::string
 /// lists the sequences. Files of an interrupted sequence are overwritten by the next one.
 class DatasetSequenceWriter {
 public:
+    /// Makes a new folder a data set, and chooses the place of the sequence in it.
     /// @param times_s  times of all frames
     /// @param replace  whether a sequence with the same settings is replaced
     /// @throws UsageError if the data set has a sequence with the same settings, if the

@@ -30,6 +30,7 @@ constexpr LayoutKind kLayouts[] = {
 
 /// Reads the list of sequences of a data set.
 /// @return no value if the folder has no such list
+/// @throws UsageError if the file is not such a list
 std::optional<DatasetIndex> read_index(const fs::path& folder) {
     const fs::path file = folder / kIndexName;
     std::error_code failed;
@@ -37,14 +38,39 @@ std::optional<DatasetIndex> read_index(const fs::path& folder) {
     try {
         std::ifstream stream(file);
         const Json json = Json::parse(stream);
-        if (json.at("format") != kIndexFormat) throw UsageError("");
-        DatasetIndex index{json.at("layout"), {}};
-        for (const Json& sequence : json.at("sequences"))
-            index.sequences.push_back({sequence.at("key"), sequence.at("frames"), sequence.at("settings")});
-        return index;
-    } catch (const std::exception&) {
-        fail<UsageError>("{}: found no list of sequences, expected a data set of relidar", file.string());
+        if (json.at("format") == kIndexFormat) {
+            DatasetIndex index{json.at("layout"), {}};
+            for (const Json& sequence : json.at("sequences"))
+                index.sequences.push_back(
+                    {sequence.at("key"), sequence.at("frames"), sequence.at("settings")});
+            return index;
+        }
+    } catch (const Json::exception&) {
+        // The text is no JSON, or has other members.
     }
+    fail<UsageError>("{}: found no list of sequences, expected a data set of relidar", file.string());
+}
+
+/// Reads the index of a data set, which has no sequences in a new folder.
+/// @throws UsageError as check_dataset_folder()
+DatasetIndex open_index(const fs::path& folder, const std::string& layout) {
+    const std::vector<std::string> names = list_layouts();
+    if (std::ranges::find(names, layout) == names.end())
+        fail<UsageError>("--layout: \"{}\" is unknown{} (known layouts: {})", layout,
+                         did_you_mean(layout, names), fmt::join(names, ", "));
+    if (std::optional<DatasetIndex> index = read_index(folder)) {
+        if (index->layout == layout) return std::move(*index);
+        fail<UsageError>(
+            "--layout {}: {} is a data set with the layout {}; expected the same layout or a new folder",
+            layout, folder.string(), index->layout);
+    }
+    // Hidden files do not matter. A missing folder has no files and gives no error.
+    std::error_code missing;
+    for (const auto& entry : fs::directory_iterator(folder, missing))
+        if (const std::string name = entry.path().filename().string(); !name.starts_with('.'))
+            fail<UsageError>("--layout {}: found {} in {}, expected a new folder or a data set of relidar",
+                             layout, name, folder.string());
+    return {layout, {}};
 }
 
 /// Writes the list of sequences, which read_index() reads when another sequence is added.
@@ -67,8 +93,8 @@ std::string describe_pose(const Pose& pose) {
     return fmt::format("{},{},{} {},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
 }
 
-/// Returns the settings of a sequence for users. Equal settings give equal data, so the
-/// settings also identify the sequence. Long settings are reduced to a hash.
+/// Returns everything that decides the data of a sequence, for users and as its identity:
+/// equal settings give equal data. Long lists (rays, tracks, settings) become a hash.
 Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
     const ScanOutputOptions& options = sensors.front().options;
     std::string tracks, settings, sensor_poses, rays;
@@ -139,8 +165,8 @@ SequencePlace place_sequence(DatasetIndex& index, DatasetIndex::Sequence sequenc
         place.first_frame += earlier->n_frames;
     if (!place.is_new && !replace)
         fail<UsageError>(
-            "--out {}: sequence {} has the same run, sensors and settings; expected another "
-            "seed, or --force to write it again",
+            "--out {}: sequence {} has the same run, sensors and settings; expected another seed, or --force "
+            "to write it again",
             folder.string(), place.number);
     if (place.is_new) index.sequences.push_back(std::move(sequence));
     else *same = std::move(sequence);
@@ -211,38 +237,19 @@ std::vector<std::string> list_layouts() {
     return names;
 }
 
-void check_dataset_folder(const fs::path& folder, const std::string& layout) {
-    const std::vector<std::string> names = list_layouts();
-    if (std::ranges::find(names, layout) == names.end())
-        fail<UsageError>("--layout: \"{}\" is unknown{} (known layouts: {})", layout,
-                         did_you_mean(layout, names), fmt::join(names, ", "));
-    std::error_code failed;
-    const std::optional<DatasetIndex> index = read_index(folder);
-    if (index && index->layout != layout)
-        fail<UsageError>(
-            "--layout {}: {} is a data set with the layout {}; expected the same layout or a "
-            "new folder",
-            layout, folder.string(), index->layout);
-    if (index) return;
-    // Hidden files do not matter. A missing folder has no files and gives no error.
-    for (const auto& entry : fs::directory_iterator(folder, failed))
-        if (const std::string name = entry.path().filename().string(); !name.starts_with('.'))
-            fail<UsageError>("--layout {}: found {} in {}, expected a new folder or a data set of relidar",
-                             layout, name, folder.string());
-}
+void check_dataset_folder(const fs::path& folder, const std::string& layout) { open_index(folder, layout); }
 
 DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string& layout,
                                              std::vector<DatasetSensor> sensors, std::vector<double> times_s,
                                              bool replace)
-    : impl_(std::make_shared<Impl>(Impl{std::move(folder), std::move(sensors), {layout, {}}, nullptr})) {
-    check_dataset_folder(impl_->folder, layout);
+    : impl_(std::make_shared<Impl>(Impl{folder, std::move(sensors), open_index(folder, layout), nullptr})) {
     DatasetIndex& index = impl_->index;
-    if (auto known = read_index(impl_->folder)) index = std::move(*known);
-    else write_index(impl_->folder, index);
+    // Makes a new folder a data set, which accepts sequences after an interruption.
+    if (index.sequences.empty()) write_index(folder, index);
     const Json settings = describe_sequence(impl_->sensors, times_s);
     DatasetIndex::Sequence sequence{
         .key = make_token(settings.dump()), .n_frames = int(times_s.size()), .settings = settings};
-    SequencePlace place = place_sequence(index, std::move(sequence), impl_->folder, replace);
+    SequencePlace place = place_sequence(index, std::move(sequence), folder, replace);
     const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
     impl_->writer = kind->make(std::move(place), impl_->sensors);
 }

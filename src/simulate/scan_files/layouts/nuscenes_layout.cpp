@@ -42,8 +42,9 @@ void add_pose(Json& record, const Pose& pose) {
     record["rotation"] = {q.w, q.x, q.y, q.z};
 }
 
-/// Returns the channel of each sensor. One of them is LIDAR_TOP, because many programs
-/// read only this channel.
+/// Returns the channel of each sensor: its name in upper case after LIDAR_. The first
+/// sensor becomes LIDAR_TOP if none has this name, because many programs read only this
+/// channel.
 /// @throws UsageError if two sensors have the same channel
 std::vector<std::string> name_channels(const std::vector<DatasetSensor>& sensors) {
     constexpr std::string_view kPrefix = "LIDAR_", kTop = "LIDAR_TOP";
