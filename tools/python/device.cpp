@@ -33,7 +33,7 @@ SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string&
     options.validation = enable_validation;
     options.share_memory = share_memory;
     // Releases the GIL, so that other Python threads run while the device opens.
-    const py::gil_scoped_release others_run;
+    const py::gil_scoped_release gil_released;
     return std::make_shared<LockableDevice>(apply_environment(options));
 }
 

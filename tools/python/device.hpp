@@ -49,7 +49,7 @@ private:
     LockableDevice& device_;
     /// Releases Python's global lock (GIL). Declared before `lock_`, so that no thread
     /// holds the GIL while it waits for the device.
-    py::gil_scoped_release others_run_;
+    py::gil_scoped_release gil_released_;
     std::unique_lock<std::mutex> lock_;
 };
 

@@ -63,15 +63,18 @@ std::size_t span_bytes(const DeviceArray& array) {
     return 4 * (last + 1);
 }
 
-/// Returns the values as a numpy array with the strides of the device.
+bool is_host_visible(const DeviceArray& array) {
+    return array.buffer.address_for_others().interface == MemoryAddress::Interface::host;
+}
+
+/// Returns the values as a numpy array with the strides of the device: a view of memory
+/// that the host can access, otherwise a copy.
 /// @param object the Python object of the array, which a view keeps alive
 py::array to_host(const py::object& object) {
     const auto& array = object.cast<const DeviceArray&>();
-    const MemoryAddress address = array.buffer.address_for_others();
-    if (address.interface == MemoryAddress::Interface::host)
+    if (is_host_visible(array))
         return py::array(dtype_of(array), array.shape, byte_strides(array),
-                         address.pointer + array.offset_bytes, object);
-    // The memory is not visible to the host, so the bytes are copied.
+                         array.buffer.address_for_others().pointer + array.offset_bytes, object);
     const std::size_t n_bytes = span_bytes(array);
     py::array bytes(py::dtype::of<std::uint8_t>(), NumpyShape{static_cast<py::ssize_t>(n_bytes)});
     if (n_bytes > 0) {
@@ -82,8 +85,7 @@ py::array to_host(const py::object& object) {
     return py::array(dtype_of(array), array.shape, byte_strides(array), bytes.mutable_data(), bytes);
 }
 
-/// Replaces the values of an array by those of another object. On a CPU device, to_host()
-/// is a view, so numpy writes to the array. Otherwise the changed copy is uploaded.
+/// Replaces the values of an array by those of another object.
 /// @param source a numpy array or a DLPack tensor of the same shape and dtype
 void copy_values(const py::object& object, const py::object& source) {
     auto& array = object.cast<DeviceArray&>();
@@ -92,8 +94,8 @@ void copy_values(const py::object& object, const py::object& source) {
     py::array host = to_host(object);
     py::module_::import("numpy").attr("copyto")(host, values);
     const std::size_t n_bytes = span_bytes(array);
-    if (array.buffer.address_for_others().interface == MemoryAddress::Interface::host || n_bytes == 0) return;
-    const void* data = host.data();  // Needs the GIL, which DeviceLock releases.
+    if (is_host_visible(array) || n_bytes == 0) return;  // `host` is a view of the array.
+    const void* data = host.data();                      // Needs the GIL, which DeviceLock releases.
     const DeviceLock use(*array.device);
     array.buffer.upload(data, n_bytes, array.offset_bytes);
 }

@@ -20,13 +20,6 @@ struct DeviceArray {
     char kind = 'f';            ///< 'f' float32, 'i' int32, 'u' uint32
 };
 
-template <class Number>
-constexpr char kind_of() {
-    static_assert(sizeof(Number) == 4);
-    if (std::is_floating_point_v<Number>) return 'f';
-    return std::is_signed_v<Number> ? 'i' : 'u';
-}
-
 /// Wraps a device array, or a part of it, that consists of Numbers in C order.
 /// @tparam Number float, std::int32_t (for PyTorch, which lacks uint32) or std::uint32_t
 /// @param shape product at most the count of Numbers behind `first_element`
@@ -34,30 +27,32 @@ constexpr char kind_of() {
 template <class Number, class T, class Meaning>
 DeviceArray wrap_array(const SharedDevice& device, const Array<T, Meaning>& array, NumpyShape shape,
                        std::size_t first_element = 0) {
+    static_assert(sizeof(Number) == 4);
+    constexpr char kKind = std::is_floating_point_v<Number> ? 'f' : std::is_signed_v<Number> ? 'i' : 'u';
     NumpyShape strides(shape.size(), 1);
     for (std::size_t i = shape.size(); i-- > 1;) strides[i - 1] = strides[i] * shape[i];
     return {device,           array.buffer().share(), first_element * sizeof(T),
-            std::move(shape), std::move(strides),     kind_of<Number>()};
+            std::move(shape), std::move(strides),     kKind};
 }
 
-/// Wraps one member of all structs of a device array, for example
-/// wrap_member<float>(device, rendered, offsetof(shared::RenderedRay, depth), n_rays).
-/// @param member_bytes offset of the member
-/// @param n_rows number of structs
-/// @param width count of Numbers of the member; 0: a single number, shape [n_rows]
-///        instead of [n_rows,width]
-template <class Number, class T, class Meaning>
-DeviceArray wrap_member(const SharedDevice& device, const Array<T, Meaning>& array, std::size_t member_bytes,
-                        std::size_t n_rows, py::ssize_t width = 0) {
-    // Strides count Numbers, not bytes.
-    constexpr py::ssize_t kStride = sizeof(T) / sizeof(Number);
-    NumpyShape shape{static_cast<py::ssize_t>(n_rows)}, strides{kStride};
-    if (width > 0) {
-        shape.push_back(width);
+/// Wraps a member of n structs of a device array, such as &shared::RenderedRay::depth:
+/// shape [n], or [n,3] for a vector. Integers become int32, because PyTorch lacks uint32.
+/// The structs are first, first + stride, ...
+template <class Struct, class Meaning, class Member>
+DeviceArray wrap_member(const SharedDevice& device, const Array<Struct, Meaning>& array,
+                        Member Struct::*member, std::size_t n, std::size_t first = 0,
+                        py::ssize_t stride = 1) {
+    static const Struct example{};
+    const auto member_bytes = std::size_t(reinterpret_cast<const char*>(&(example.*member)) -
+                                          reinterpret_cast<const char*>(&example));
+    constexpr std::size_t kNumber = sizeof(float), kWidth = sizeof(Member) / kNumber;
+    NumpyShape shape{static_cast<py::ssize_t>(n)}, strides{stride * py::ssize_t(sizeof(Struct) / kNumber)};
+    if (kWidth > 1) {
+        shape.push_back(kWidth);
         strides.push_back(1);
     }
-    return {device,           array.buffer().share(), member_bytes,
-            std::move(shape), std::move(strides),     kind_of<Number>()};
+    return {device,           array.buffer().share(), first * sizeof(Struct) + member_bytes,
+            std::move(shape), std::move(strides),     std::is_integral_v<Member> ? 'i' : 'f'};
 }
 
 }  // namespace relidar::python

@@ -2,6 +2,7 @@
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
+#include <map>
 #include <tuple>
 
 #include <pybind11/stl.h>
@@ -36,7 +37,9 @@ struct PythonRenderer {
     }
 };
 
-/// Creates a renderer for Python. Its constructor's help text describes the arguments.
+/// Creates a renderer for Python.
+/// @param for_poses, for_rays  also compute gradients of instance poses, or of rays
+/// @param sparse  leave gradients of surfels without hits undefined, instead of 0
 /// @param margin  factor and metres by which the boxes of surfels in the tree are larger
 std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
                                               bool for_poses, bool for_rays, bool sparse,
@@ -49,12 +52,13 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     RendererOptions options{.trace = training_options(settings),
                             .keep_hits = static_cast<std::uint32_t>(settings.trace.keep_hits)};
     if (margin) std::tie(options.accel.margin_scale, options.accel.margin_m) = *margin;
-    const GradientOptions gradients{
-        backward_options(settings), {.rays = for_rays, .poses = for_poses}, !sparse};
+    const GradientOptions gradients{.sums = backward_options(settings),
+                                    .requested_gradients = {.rays = for_rays, .poses = for_poses},
+                                    .zero_untouched = !sparse};
     auto renderer = std::make_unique<PythonRenderer>();
     renderer->differentiable = DeviceObject<DifferentiableRenderer>::create(
         device_or_default(std::move(device)), scene, image, options, gradients);
-    renderer->placed.resize(scene.instances.size());
+    renderer->placed.resize(scene.instances.size());  // until the first call of place()
     if (options.trace.likelihood) renderer->likelihood_scale_m = options.trace.likelihood->scale_m;
     return renderer;
 }
@@ -129,9 +133,8 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
-    // The macro expands to one array [n] for each value of the image, as dict["depth"].
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = move_to_numpy<float>(std::move(rendered.name), shape);
+    // One such line for each value of the image, such as dict["depth"].
+#define RELIDAR_VALUES(name, ...) dict[#name] = move_to_numpy<float>(std::move(rendered.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
     dict["transmittance"] = move_to_numpy<float>(std::move(rendered.transmittance), shape);
@@ -143,28 +146,26 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
 
 // Macros for RELIDAR_IMAGE_VALUES(m), which expands m once for each rendered value. They
 // make texts for error messages and help: a list of names, or of names with meanings.
-#define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
+#define RELIDAR_NAME(name, ...) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
 /// Reads the gradients dL/d(value) of the rendered values, one array per value with one
 /// number per ray. Missing gradients stay empty and count as 0.
 RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients gradients;
-    // The macro expands to the name and the destination of each value of the image.
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &gradients.name},
-    const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
-        RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
+    // The array of each value of the image by its name: {"depth", &gradients.depth}, ...
+#define RELIDAR_VALUES(name, ...) {#name, &gradients.name},
+    const std::map<std::string, std::vector<float>*> array_of_name{RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
     for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
-        const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
-                                        [&](const auto& known) { return known.first == name; });
-        if (match == gradient_arrays.end())
+        const auto destination = array_of_name.find(name);
+        if (destination == array_of_name.end())
             fail<UsageError>(
                 "the dict d_rendered has the unknown entry \"{}\"; expected only entries with "
                 "the names " RELIDAR_IMAGE_VALUES(RELIDAR_NAME) "which are the rendered values",
                 name);
-        *match->second =
+        *destination->second =
             copy_array<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
     return gradients;
@@ -259,20 +260,16 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     });
     renderer.n_rays = n;
     const RenderedBatch batch = renderer.differentiable->last_batch();
-    // Returns a view of a member. The value of type Number only selects the type.
-    const auto member = [&]<class Number>(Number, std::size_t member_bytes) {
-        return wrap_member<Number>(renderer.device(), *batch.rendered, member_bytes, n);
-    };
+    const auto wrap = [&](auto member) { return wrap_member(renderer.device(), *batch.rendered, member, n); };
     using shared::RenderedRay;
     py::dict dict;
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = member(0.0f, offsetof(RenderedRay, name));
+#define RELIDAR_VALUES(name, ...) dict[#name] = wrap(&RenderedRay::name);
     RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] = member(0.0f, offsetof(RenderedRay, transmittance));
-    dict["median_depth"] = member(0.0f, offsetof(RenderedRay, median_depth));
-    dict["hits"] = member(std::int32_t(), offsetof(RenderedRay, n_hits));
-    dict["instance"] = member(std::int32_t(), offsetof(RenderedRay, instance));
+    dict["transmittance"] = wrap(&RenderedRay::transmittance);
+    dict["median_depth"] = wrap(&RenderedRay::median_depth);
+    dict["hits"] = wrap(&RenderedRay::n_hits);
+    dict["instance"] = wrap(&RenderedRay::instance);
     // The caller writes dL/d(value) here before it calls backward_device().
     dict["d_rendered"] = wrap_array<float>(renderer.device(), *batch.upstream,
                                            {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});

@@ -11,16 +11,18 @@ namespace {
 
 /// Scores the held-out frames of a run, or of a baseline. A baseline needs the training
 /// scans but no device.
+/// @param log  has the scans, which a run does not store
 Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optional<std::string>& baseline,
                            const Progress& progress) {
     Run run = loaded.run;
     copy_scans(run, run.split.test, log);
     if (baseline) {
         copy_scans(run, run.split.train, log);
-        const py::gil_scoped_release others_run;
+        const py::gil_scoped_release gil_released;
         return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
     }
     return loaded.get_renderer().use([&](ScanRenderer& renderer) {
+        // Shows the instances that an earlier render() has hidden.
         renderer.show_instances(std::vector<bool>(run.scene.instances.size(), true));
         return evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
     });
@@ -29,21 +31,22 @@ Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optiona
 /// Scores the held-out frames of a run, and returns the means and the values of each
 /// frame.
 /// @param log  null: read the log from the path in the settings of the run
-py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,
+py::dict evaluate_run(LoadedRun& loaded, const LoadedLog* log, const std::optional<std::string>& baseline,
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
     if (baseline) (void)parse_baseline(*baseline);
-    if (run.run.split.test.empty())
-        throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
+    const Run& run = loaded.run;
+    if (run.split.test.empty())
+        throw DataError(run.folder.string() + ": the run has no held-out frames, expected at least one");
     const Progress progress = wrap_progress(report_progress);
     Log own_log;
     if (!log) {
-        const py::gil_scoped_release others_run;
-        limit_scan_memory(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
-        own_log = load_log(run.run.config, progress);
+        const py::gil_scoped_release gil_released;
+        limit_scan_memory(std::uint64_t(run.config.dataset.memory_mib) << 20);
+        own_log = load_log(run.config, progress);
     }
-    const Evaluation result = evaluate_loaded(run, log ? log->sequence : own_log, baseline, progress);
+    const Evaluation result = evaluate_loaded(loaded, log ? log->sequence : own_log, baseline, progress);
     py::list frames;
     for (const ScoredFrame& frame : result.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,

@@ -3,8 +3,6 @@
 // values of a batch, and add to the gradients, in the memory of the device.
 #include "losses.hpp"
 
-#include <cstddef>
-
 #include <relidar/diff/traversal.hpp>
 #include "device_array.hpp"
 
@@ -31,23 +29,12 @@ private:
     std::thread::id user_;
 };
 
-/// Wraps a member of the structs first, first + stride, ... of a device array.
-template <class Batch, class T>
-DeviceArray wrap_rows(const SharedDevice& device, const Batch& batch, const Array<T>& array,
-                      std::size_t member_bytes, py::ssize_t width = 0) {
-    DeviceArray rows =
-        wrap_member<float>(device, array, batch.first * sizeof(T) + member_bytes, batch.n_rays, width);
-    rows.strides[0] *= batch.stride;
-    return rows;
-}
-
 /// Returns views of the rendered values of all rays of a batch: depth, weight and the
 /// other blended values.
 py::dict wrap_rendered(const SharedDevice& device, const RenderedBatch& rendered, std::size_t n_rays) {
     py::dict values;
-#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    values[#name] =                                               \
-        wrap_member<float>(device, *rendered.rendered, offsetof(shared::RenderedRay, name), n_rays);
+#define RELIDAR_VALUES(name, ...) \
+    values[#name] = wrap_member(device, *rendered.rendered, &shared::RenderedRay::name, n_rays);
     RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)  // expands to one such line for each value
 #undef RELIDAR_VALUES
     return values;
@@ -70,23 +57,25 @@ void PythonLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, c
 void PythonLoss::call_function(const RenderedBatch& rendered, const TargetBatch& targets,
                                const LossTermRow& terms) const {
     using shared::DeviceRay, shared::DeviceTarget;
-    // Views of one member of DeviceTarget, or of DeviceRay, for all rays of the batch.
-    const auto target = [&](std::size_t member_bytes) {
-        return wrap_rows(device_, targets, *targets.targets, member_bytes);
+    // Views of one member of all targets, or of all rays.
+    const auto target = [&](float DeviceTarget::*member) {
+        return wrap_member(device_, *targets.targets, member, targets.n_rays, targets.first, targets.stride);
     };
-    const auto ray = [&](std::size_t member_bytes, py::ssize_t width = 0) {
-        return wrap_rows(device_, rendered.rays, *rendered.rays.rays, member_bytes, width);
+    const auto ray = [&](auto member) {
+        const RayBatch& batch = rendered.rays;
+        return wrap_member(device_, *batch.rays, member, batch.n_rays, batch.first, batch.stride);
     };
-    const py::dict measured(py::arg("range") = target(offsetof(DeviceTarget, range_m)),
-                            py::arg("intensity") = target(offsetof(DeviceTarget, intensity)),
-                            py::arg("weight") = target(offsetof(DeviceTarget, weight)));
-    const py::dict rays(py::arg("origins") = ray(offsetof(DeviceRay, origin), 3),
-                        py::arg("directions") = ray(offsetof(DeviceRay, direction), 3),
-                        py::arg("times") = ray(offsetof(DeviceRay, time_s)));
+    const py::dict measured(py::arg("range") = target(&DeviceTarget::range_m),
+                            py::arg("intensity") = target(&DeviceTarget::intensity),
+                            py::arg("weight") = target(&DeviceTarget::weight));
+    const py::dict rays(py::arg("origins") = ray(&DeviceRay::origin),
+                        py::arg("directions") = ray(&DeviceRay::direction),
+                        py::arg("times") = ray(&DeviceRay::time_s));
 
     constexpr py::ssize_t kGradientFloats = sizeof(shared::RayGradient) / sizeof(float);
     const py::object upstream =
         py::cast(wrap_array<float>(device_, *rendered.upstream, {targets.n_rays, kGradientFloats}));
+    // The log has a row of kLossTerms numbers for each iteration.
     const std::size_t term_index = terms.row * std::size_t(kLossTerms) + loss_term::custom;
     const py::object custom_term = py::cast(wrap_array<float>(device_, terms.terms, {1}, term_index));
 

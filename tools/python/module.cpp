@@ -23,8 +23,8 @@ py::object add_error(py::module_& module, const char* name, const char* doc, con
     return type;
 }
 
-/// Converts errors that are not one of the classes below to relidar.Error, with their
-/// exit code. pybind11 calls this function with the current exception.
+/// Converts errors without a Python class of their own to relidar.Error, with their exit
+/// code. pybind11 calls this function with the current exception.
 void raise_error(std::exception_ptr exception) {
     try {
         if (exception) std::rethrow_exception(exception);

@@ -24,8 +24,6 @@
 namespace relidar::python {
 namespace {
 
-namespace fs = std::filesystem;
-
 struct RenderArguments {
     py::object sensor, pose;
     std::optional<double> time;
@@ -172,7 +170,8 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     return arrays;
 }
 
-/// Renders the points of a scan, which stay on the device.
+/// Renders the points of a scan, which stay on the device. All actors are visible and the
+/// weather is clear, whatever an earlier render_scan() has set.
 py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const auto [request, sensor] = prepare_scan(arguments, run);
@@ -184,20 +183,15 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
         return renderer.wait_for_device_points();
     });
     using shared::ReturnedPoint;
-    const SharedDevice& device = loaded.device;
-    // Views of one member of all points. `width`: length of a vector; 0: a number
-    const auto wrap_floats = [&](std::size_t member_bytes, py::ssize_t width = 0) {
-        return wrap_member<float>(device, points.points, member_bytes, points.n_points, width);
-    };
-    const auto wrap_integers = [&](std::size_t member_bytes) {
-        return wrap_member<std::int32_t>(device, points.points, member_bytes, points.n_points, 0);
+    const auto wrap = [&](auto member) {
+        return wrap_member(loaded.device, points.points, member, points.n_points);
     };
     py::dict arrays;
-    arrays["position"] = wrap_floats(offsetof(ReturnedPoint, position), 3);
-    arrays["intensity"] = wrap_floats(offsetof(ReturnedPoint, intensity));
-    arrays["time"] = wrap_floats(offsetof(ReturnedPoint, time_offset_s));
-    arrays["ring"] = wrap_integers(offsetof(ReturnedPoint, ring));
-    arrays["instance"] = wrap_integers(offsetof(ReturnedPoint, instance));
+    arrays["position"] = wrap(&ReturnedPoint::position);
+    arrays["intensity"] = wrap(&ReturnedPoint::intensity);
+    arrays["time"] = wrap(&ReturnedPoint::time_offset_s);
+    arrays["ring"] = wrap(&ReturnedPoint::ring);
+    arrays["instance"] = wrap(&ReturnedPoint::instance);
     arrays["pose"] = pose_matrix(points.dataset_from_points);
     return arrays;
 }
@@ -206,16 +200,16 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
 py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
                             IntegerArgument<std::uint32_t, "position"> position) {
     const Run& run = loaded.run;
-    const std::vector<Frame>&frames = run.sequence.frames, &scans = log.sequence.frames;
-    if (position >= frames.size() || position >= scans.size() ||
-        frames[position].index != scans[position].index)
+    const std::vector<Frame>&run_frames = run.sequence.frames, &log_frames = log.sequence.frames;
+    if (position >= run_frames.size() || position >= log_frames.size() ||
+        run_frames[position].index != log_frames[position].index)
         fail<UsageError>(
-            "cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
-            "same frames in both",
-            position.value, scans.size(), frames.size());
+            "cannot use frame {}: found a log of {} frames and a run of {} frames, expected the same frames "
+            "in both",
+            position.value, log_frames.size(), run_frames.size());
     // The run has the registered poses, but no scans.
-    Frame frame = frames[position];
-    frame.scan = scans[position].scan;
+    Frame frame = run_frames[position];
+    frame.scan = log_frames[position].scan;
     TrainingRays training = make_training_rays(run, frame);
     const auto n = static_cast<py::ssize_t>(training.rays.size());
     constexpr py::ssize_t kRayNumbers = sizeof(shared::DeviceRay) / sizeof(float),
@@ -223,7 +217,7 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
     py::dict dict;
     dict["rays"] = move_to_numpy<float>(std::move(training.rays), {n, kRayNumbers});
     dict["measured"] = move_to_numpy<float>(std::move(training.targets), {n, kTargetNumbers});
-    // Position of the sensor in the frame of the scene at the time of the frame.
+    // Position of the sensor in the scene at the time of the frame.
     const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 sensor_m =
         run.sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
@@ -289,16 +283,14 @@ constexpr const char* kHelpAfterWeather =
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: no hit) [rows,columns]; "
     "directions, origin, points (the ends of the rays)\n"
     "[rows,columns,3] float32 (origin and points of the world: float64); pose [4,4] float64; time_s, "
-    "frame_number (of the log's sweep nearest in "
-    "time), instance_names, frame,\n"
+    "frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
     "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or\n"
     "[rows,columns,3]; unseen, the share of rays that cross space that the log has not observed, if the run "
     "has this information and the scan shows the background.\n"
     "With `boxes`, also the dict boxes of the n actors and standing objects that a ray would hit, each at "
     "the time at which the sensor faces it: track,\n"
     "category, class (vehicle, cyclist, person, other) and note (\"\", \"covered\", \"not_observed\") [n] "
-    "str, "
-    "is_static [n] int32 (1: part of the background),\n"
+    "str, is_static [n] int32 (1: part of the background),\n"
     "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points (first returns "
     "on it) [n] int32, visible_share [n].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
@@ -318,14 +310,9 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             "\"median\"}\n"
             "device: device for rendering; None: the default device\n\n"
             "Raises DataError with the name of the file that is missing, damaged or of another format.")
-        .def(
-            "save",
-            [](LoadedRun& run, const fs::path& folder, bool overwrite) {
-                save_run_in(run, folder, overwrite);
-            },
-            py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
-            "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left behind. "
-            "Raises UsageError if the folder already contains a run.")
+        .def("save", &save_run_in, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
+             "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left behind. "
+             "Raises UsageError if the folder already contains a run.")
         .def(
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
@@ -355,9 +342,8 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             "Renders the points of a scan, which stay in the memory of the device. The arguments accept the "
             "same values as in render(). Without `sample`, the host only reads the number of points.\n\n"
             "Returns a dict of DeviceArray: position [n,3], intensity, time (seconds from `time`) [n] "
-            "float32, "
-            "ring, instance [n] int32; pose [4,4] float64 of the sensor at `time`, in whose frame the points "
-            "are. Intensities are not rounded to the steps of the log.")
+            "float32, ring, instance [n] int32; pose [4,4] float64 of the sensor at `time`, in whose frame "
+            "the points are. Intensities are not rounded to the steps of the log.")
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
@@ -374,11 +360,10 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
              "Returns a dict: rays [n,7] float32 (origin, direction, seconds from the time of the frame), "
              "measured [n,3] float32 (range in metres,\n"
              "    0: dropped; intensity; weight, 0: ignored), view_origin [3] float64 (of the sensor), shape "
-             "(rows, "
-             "columns).")
+             "(rows, columns).")
         .def("spawn", &spawn_actor, py::arg("actor").none(false), py::arg("name"),
-             "Adds an actor to the scene of the following scans, without loading the scene again. Only "
-             "scans that name it in `actors` show it.\n\n"
+             "Adds an actor to the scene of the following scans, without loading the scene again. Only scans "
+             "that name it in `actors` show it.\n\n"
              "actor: a track of this run, a spawned actor, or another run with a single actor, for example "
              "an asset\n"
              "name: a name that no other actor has\n\n"
@@ -450,12 +435,12 @@ DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
 
 /// Adds relidar.Run, a trained scene with everything that rendering needs.
 void bind_run_class(py::module_& module) {
-    py::class_<LoadedRun> type(module, "Run",
-                               "A trained scene with the sensor, poses and tracks of its log, as written by "
-                               "`relidar train`. Its content does not change. A pickled run has "
-                               "neither its device nor its spawned actors: it uses the default device of the "
-                               "process that reads it. Its files are part of the pickle only if the run is "
-                               "not stored in its folder as it is.");
+    py::class_<LoadedRun> type(
+        module, "Run",
+        "A trained scene with the sensor, poses and tracks of its log, as written by `relidar train`. Its "
+        "content does not change. A pickled run has neither its device nor its spawned actors: it uses the "
+        "default device of the process that reads it. Its files are part of the pickle only if the run is "
+        "not stored in its folder as it is.");
     bind_methods(type);
     bind_properties(type);
 }

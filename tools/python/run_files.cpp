@@ -72,7 +72,7 @@ py::tuple pickle_run(const LoadedRun& loaded) {
     const py::object settings = py::cast(loaded.run.config).attr("values")();
     const fs::path& folder = loaded.run.folder;
     const std::string absolute = folder.empty() ? "" : fs::absolute(folder).lexically_normal().string();
-    // The folder still contains this run, so the pickle needs only its path.
+    // If the folder still contains this run, the pickle needs only its path.
     if (!loaded.files_on_disk.empty() && loaded.files_on_disk == list_run_files(folder))
         return py::make_tuple(absolute, settings, loaded.files_on_disk, py::none());
     // Otherwise the pickle contains the files. They are first saved to a temporary
@@ -93,19 +93,17 @@ py::tuple pickle_run(const LoadedRun& loaded) {
 /// content of the files, a temporary folder with these files.
 /// @throws DataError if the files in the folder have changed
 std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
-    // The state has the folder, the settings, the list of files, and their content or
-    // None.
-    const fs::path folder = state[0].cast<std::string>();
-    const auto settings = py::dict(state[1]);
-    if (state[3].is_none()) {
-        auto loaded = load_run_with(folder, settings, nullptr);
-        if (loaded->files_on_disk == state[2].cast<std::string>()) return loaded;
-        fail("cannot unpickle the run {}: its files have changed since it was pickled", folder.string());
+    const auto [folder, settings, pickled_files, contents] =
+        state.cast<std::tuple<std::string, py::dict, std::string, std::optional<py::dict>>>();
+    if (!contents) {
+        const SharedDevice default_device;
+        auto loaded = load_run_with(folder, settings, default_device);
+        if (loaded->files_on_disk == pickled_files) return loaded;
+        fail("cannot unpickle the run {}: its files have changed since it was pickled", folder);
     }
     const py::object temporary = make_temp_folder();
-    for (const auto& [name, content] : py::dict(state[3]))
-        (python_path(temporary.attr("name")) / py::reinterpret_borrow<py::object>(name))
-            .attr("write_bytes")(content);
+    const py::object path = python_path(temporary.attr("name"));
+    for (const auto& [name, content] : *contents) path.attr("joinpath")(name).attr("write_bytes")(content);
     Run run = load_run(temporary.attr("name").cast<std::string>());
     temporary.attr("cleanup")();
     set_values(run.config, settings);

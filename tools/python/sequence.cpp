@@ -25,7 +25,7 @@ LoadedLog load_dataset(const std::string& path, const std::optional<Config>& con
     LoadedLog log{.sequence = {}, .config = config.value_or(make_preset("default"))};
     log.config.dataset.path = absolute_dataset(path);
     // Releases the interpreter. The progress callback locks it again for each call.
-    const py::gil_scoped_release others_run;
+    const py::gil_scoped_release gil_released;
     constexpr int kMibShift = 20;
     limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << kMibShift);
     log.sequence = load_log(log.config, wrap_progress(progress));

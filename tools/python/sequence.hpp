@@ -36,14 +36,13 @@ void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
          "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.");
     bind("frame_numbers", frame_numbers, "Frame numbers of the dataset, [frames] int32.");
     bind("trajectory", vehicle_path,
-         "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, "
-         "in the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.");
+         "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, in "
+         "the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.");
     bind("world_offset", world_offset,
          "Origin of the scene's frame in the dataset's world, [3] float64, metres. Both have the same axes.");
     bind("mountings", mounting_dict,
-         "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
-         "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
-         "identity.");
+         "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The poses "
+         "of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the identity.");
 }
 
 }  // namespace relidar::python

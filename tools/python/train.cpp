@@ -26,15 +26,14 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the user's settings for a training, except settings that were fixed when the
-/// log was loaded.
-Config merge_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
-    Config config = requested_config.value_or(log.config);
+/// Returns the settings of a training: those of the user, except settings with which the
+/// log was already read. The log is split into training and held-out frames only now.
+Config merge_settings(const LoadedLog& log, const std::optional<Config>& requested) {
+    if (!requested) return log.config;
+    Config config = *requested;
     config.dataset = log.config.dataset;
-    if (requested_config) {
-        config.dataset.test_every = requested_config->dataset.test_every;
-        config.dataset.test_frames = requested_config->dataset.test_frames;
-    }
+    config.dataset.test_every = requested->dataset.test_every;
+    config.dataset.test_frames = requested->dataset.test_frames;
     config.sensor.rolling_shutter = log.config.sensor.rolling_shutter;
     return config;
 }
@@ -84,10 +83,11 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const auto note = wrap_note(arguments, python_calls);
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
-    const DeviceLock use(*device);
+    const DeviceLock use(*device);  // Releases the GIL, so the calls of Python above are not affected.
     // The progress of this step only checks for Ctrl-C and earlier exceptions.
     const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
     prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
+    // Compares the poses too, which prepare_log() has registered.
     if (start) check_resume(*start, run.sequence, run.split, run.config);
     return train(device->device, run.sequence, run.split, run.config, wrap_callback(arguments, python_calls),
                  {.checkpoints = arguments.checkpoints.value_or(""),
@@ -208,8 +208,7 @@ void bind_train(py::module_& module) {
         "resume: continue from the newest checkpoint in this folder, if there is one; pass equal losses\n"
         "losses: functions that get each batch of rays as an object. Each returns a torch tensor with one "
         "number that depends on batch.rendered, or adds to batch.gradients and returns a float. The result "
-        "is "
-        "added to the losses of the settings, as the term \"custom\". Attributes of batch:\n"
+        "is added to the losses of the settings, as the term \"custom\". Attributes of batch:\n"
         "- rendered: dict of depth (metres, not divided by weight), weight, intensity, hit_logit, "
         "drop_logit, likelihood (0 if loss.likelihood is 0): [n]\n"
         "- measured: dict of range (metres, 0: no return), intensity, weight (0: unknown): [n]\n"
@@ -218,8 +217,7 @@ void bind_train(py::module_& module) {
         "- shape: (rows, columns) if the rays form an image, otherwise None\n"
         "- n_returned, n_known: expected number of known rays with a return, and of known rays\n"
         "The arrays are torch tensors, or numpy arrays if torch is not installed. They are views of the "
-        "memory "
-        "of the device, valid until the loss returns\n\n"
+        "memory of the device, valid until the loss returns\n\n"
         "Returns a Run that exists only in memory; call save() to store it. Raises KeyboardInterrupt on "
         "Ctrl-C, the exceptions of the callback and the losses, and DataError if the log cannot be used for "
         "training.");
