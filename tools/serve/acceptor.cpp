@@ -100,7 +100,9 @@ void Acceptor::accept_next(tcp::acceptor& listener) {
         if (failed) {
             // For example, no file descriptor is free. Tries again later.
             std::this_thread::sleep_for(kRetryPause);
-        } else if (!is_too_high(connection.native_handle())) {
+        } else if (is_too_high(connection.native_handle())) {
+            connection.close(failed);  // Keeps descriptors free for files and running calls.
+        } else {
             connection.native_non_blocking(true, failed);  // gRPC expects this mode.
             receive_(listener.native_handle(), connection.release());
         }

@@ -220,22 +220,23 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
             refuse(Code::ALREADY_EXISTS,
                    "cannot spawn {}: an actor of the run already has the name {}; use another name", field,
                    quote_client_text(spawn.name()));
+        ActorToSpawn& actor = actors.emplace_back();
+        actor.name = spawn.name();
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
             if (!asset) reject_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
-            actors.push_back({.name = spawn.name(),
-                              .source = {.is_asset = true, .name = spawn.asset()},
-                              .size_m = asset->facts.size_m,
-                              .surfels = asset->facts.surfels});
+            actor.source = {.is_asset = true, .name = spawn.asset()};
+            actor.size_m = asset->facts.size_m;
+            actor.surfels = asset->facts.surfels;
         } else if (spawn.has_actor()) {
-            const auto actor = std::ranges::find(run_actors, spawn.actor());
-            if (actor == run_actors.end()) reject_name(field + ".actor", spawn.actor(), run_actors);
-            // `visible_actors` begins with `run_actors`, in the same order.
-            const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
-            actors.push_back({.name = spawn.name(),
-                              .source = {.is_asset = false, .name = spawn.actor()},
-                              .size_m = model.size_m,
-                              .surfels = model.surfels});
+            if (std::ranges::count(run_actors, spawn.actor()) == 0)
+                reject_name(field + ".actor", spawn.actor(), run_actors);
+            // Names of spawned actors differ from those of the run.
+            const VisibleActor& model =
+                *std::ranges::find(visible_actors, spawn.actor(), &VisibleActor::name);
+            actor.source = {.is_asset = false, .name = spawn.actor()};
+            actor.size_m = model.size_m;
+            actor.surfels = model.surfels;
         } else {
             reject_field(field, "neither an actor nor an asset", "one of them");
         }
@@ -243,8 +244,8 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
     return actors;
 }
 
-/// Reads a request for one scan. If the time of the scan is missing, the first ray is
-/// fired at the first pose of the path. By default, points are in the last sensor frame.
+/// Reads a request for one scan. If its time is missing, the first ray is fired at the
+/// first pose of the path. By default, points are in the sensor frame at the last pose.
 RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,
                                       const std::optional<Pose>& rig_from_sensor) {
     RenderRequest scan;

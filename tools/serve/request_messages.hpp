@@ -50,9 +50,11 @@ std::vector<std::string> run_actor_names(const Run& run);
 /// Caches only the sensors. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
+    /// Reads requests for the scenes of a server.
     explicit RequestReader(SceneSet& scenes);
     /// Reads requests without a SceneSet, which would need a device.
     /// @param outlines [scenes] runs without surfels
+    /// @param spawned  actors that clients have added to the scenes
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 

@@ -13,6 +13,20 @@ namespace {
 
 constexpr double kMiB = 1024.0 * 1024.0;
 
+/// Renders a single ray at the start of the log, which uploads the scene to the device.
+void render_one_ray(ScanRenderer& renderer, const Log& log) {
+    RayTable one_ray;
+    one_ray.rows = one_ray.columns = 1;
+    one_ray.origin.push_back(glm::vec3(0.0f));
+    one_ray.direction.push_back(glm::vec3(1.0f, 0.0f, 0.0f));
+    one_ray.time_offset_s.push_back(0.0f);
+    one_ray.channel.push_back(0);
+    const PoseTrack path = shift_track(log.lidar_track(0), log.world_offset_m);
+    const double time_s = path.time_s.front();
+    renderer.render({.rays = one_ray, .name = "one ray"},
+                    ScanRequest{time_s, {{time_s}, {path.pose.front()}}});
+}
+
 }  // namespace
 
 SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
@@ -36,7 +50,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB);
-        make_room(i, 0);
+        make_room(i);
     }
 }
 
@@ -54,7 +68,7 @@ SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weath
     });
     // Rendering may have allocated larger arrays, for a sensor with more rays. Unloads
     // other scenes if all scenes together now need too much memory.
-    make_room(scene, 0);
+    make_room(scene);
     return loaded_[scene].load;
 }
 
@@ -84,21 +98,11 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     SceneInMemory& loaded = loaded_[scene];
     loaded.bytes = 0;
     loaded.n_slots = 0;
-    loaded.used = ++clock_;  // The scene with the lowest number is unloaded first.
+    loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
     count_bytes(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        // Rendering a single ray uploads the complete scene to the device.
-        RayTable one_ray;
-        one_ray.rows = one_ray.columns = 1;
-        one_ray.origin.push_back(glm::vec3(0.0f));
-        one_ray.direction.push_back(glm::vec3(1.0f, 0.0f, 0.0f));
-        one_ray.time_offset_s.push_back(0.0f);
-        one_ray.channel.push_back(0);
-        const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
-        const double time_s = path.time_s.front();
-        loaded.renderer->render({.rays = one_ray, .name = "one ray"},
-                                ScanRequest{time_s, {{time_s}, {path.pose.front()}}});
+        render_one_ray(*loaded.renderer, run.sequence);
     });
     // Each further parallel scan needs a copy of the scene. No other scene is unloaded
     // for such copies.
@@ -125,35 +129,39 @@ std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vect
     // Slots that removed actors have left already have their models.
     const bool reuses_slots = loaded.n_slots == spawned_.list_all_slots(scene).size();
     if (loaded.renderer && reuses_slots) return occupied_slots;
-    // Also unloads the scene. The next request loads it again, without the actors that
-    // could not be added.
-    const auto undo = [&] {
+    try {
+        load_spawned(scene, actors.size());
+    } catch (...) {
+        // The next request loads the scene again, without these actors.
         loaded.renderer.reset();
         spawned_.undo_assign(scene, occupied_slots, n_slots_before);
-    };
+        throw;
+    }
+    return occupied_slots;
+}
+
+/// Loads a scene with all its spawned actors. Other scenes may be unloaded.
+/// @param n_actors number of new actors, for errors
+/// @throws RejectedRequest if an asset does not fit, or if the memory is too small
+void SceneSet::load_spawned(std::size_t scene, std::size_t n_actors) {
+    SceneInMemory& loaded = loaded_[scene];
     try {
         if (!loaded.renderer) {
             make_room(scene, loaded.bytes);
             load_scene(scene, sources_[scene].load());
         }
         spawn_missing(scene);
-        make_room(scene, 0);  // The scene is larger now, so other scenes may be unloaded.
+        make_room(scene);
     } catch (const DataError& error) {
-        undo();
-        refuse(Code::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(), error.what());
+        refuse(Code::FAILED_PRECONDITION, "cannot spawn {} actors: {}", n_actors, error.what());
     } catch (const OutOfDeviceMemory& error) {
-        undo();
-        refuse(Code::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", actors.size(), error.what());
-    } catch (...) {
-        undo();
-        throw;
+        refuse(Code::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", n_actors, error.what());
     }
-    if (loaded.bytes <= memory_bytes_) return occupied_slots;
-    const double needed_mib = double(loaded.bytes) / kMiB;
-    undo();
-    refuse(Code::RESOURCE_EXHAUSTED,
-           "cannot spawn {} actors: the scene would need {:.1f} MiB, expected at most {:.1f} (--memory-mib)",
-           actors.size(), needed_mib, double(memory_bytes_) / kMiB);
+    if (loaded.bytes > memory_bytes_)
+        refuse(
+            Code::RESOURCE_EXHAUSTED,
+            "cannot spawn {} actors: the scene would need {:.1f} MiB, expected at most {:.1f} (--memory-mib)",
+            n_actors, double(loaded.bytes) / kMiB, double(memory_bytes_) / kMiB);
 }
 
 /// Unloads other scenes, the least recently used first, until `n_bytes` more bytes fit

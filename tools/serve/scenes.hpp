@@ -56,7 +56,7 @@ private:
     struct SceneInMemory {
         std::unique_ptr<ScanRenderer> renderer;
         std::uint64_t bytes = 0;
-        std::uint64_t used = 0;   ///< Value of clock_ at the last use.
+        std::uint64_t used = 0;   ///< Value of clock_ at the last use. The lowest is unloaded first.
         SceneLoadNumber load{};   ///< Number of the most recent load of the scene.
         std::size_t n_slots = 0;  ///< Number of slots for added actors in the loaded scene.
     };
@@ -68,11 +68,12 @@ private:
     std::vector<SceneInMemory> loaded_;
     const AssetCatalogue& assets_;
     SpawnedActorRegistry spawned_;
-    std::uint64_t clock_ = 0;
+    std::uint64_t clock_ = 0;  ///< number of uses of all scenes
 
     void load_scene(std::size_t scene, const Run& run);
+    void load_spawned(std::size_t scene, std::size_t n_actors);
     void spawn_missing(std::size_t scene);
-    void make_room(std::size_t kept, std::uint64_t n_bytes);
+    void make_room(std::size_t kept, std::uint64_t n_bytes = 0);
     void count_bytes(std::size_t scene, const std::function<void()>& allocate);
     void call_renderer(std::size_t scene, const RendererTask& use);
 };

@@ -265,7 +265,8 @@ SensorPtr SensorCache::add_sensor(const std::string& key, SimulatedSensor sensor
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
            (entries_.size() >= kMostSensors || cached_rays() + shared_sensor->rays.size() > kMostRays))
-        remove_oldest();
+        entries_.erase(
+            std::ranges::min_element(entries_, {}, [](const auto& entry) { return entry.second.used; }));
     entries_[key] = {shared_sensor, ++clock_};
     return shared_sensor;
 }
@@ -276,12 +277,6 @@ SensorPtr SensorCache::find_cached(const std::string& key) {
     if (entry == entries_.end()) return nullptr;
     entry->second.used = ++clock_;
     return entry->second.sensor;
-}
-
-void SensorCache::remove_oldest() {
-    entries_.erase(std::min_element(
-        entries_.begin(), entries_.end(),
-        [](const auto& first, const auto& second) { return first.second.used < second.second.used; }));
 }
 
 std::size_t SensorCache::cached_rays() const {

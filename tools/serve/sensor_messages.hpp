@@ -66,7 +66,6 @@ private:
     std::uint64_t clock_ = 0;
     std::atomic<std::uint64_t> n_uploads_ = 0;
 
-    void remove_oldest();
     std::size_t cached_rays() const;
 };
 

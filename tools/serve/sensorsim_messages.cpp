@@ -117,18 +117,17 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
         reject_field("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
                      fmt::format("a time from 0 to {} microseconds after frame_start_us", kLongestFrame_us));
-    RenderRequest render_request;
-    render_request.scene = find_scene(message.scene_id());
+    RenderRequest scan;
+    scan.scene = find_scene(message.scene_id());
     const SensorsimTimeFrame frame{checked_number(double(start_us) * kMicrosecond_s, "frame_start_us"),
                                    checked_number(double(end_us) * kMicrosecond_s, "frame_end_us"),
-                                   outlines_[render_request.scene].sequence.world_offset_m};
-    render_request.sensor = find_or_make_sensor(message, render_request.scene);
+                                   outlines_[scan.scene].sequence.world_offset_m};
+    scan.sensor = find_or_make_sensor(message, scan.scene);
 
-    // The time of the scan is the middle of the interval, because firing times are
-    // relative to the middle of a sweep.
-    render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
-    render_request.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
-    render_request.points_at_s = frame.end_s;
+    // The time of a scan is the middle of its sweep.
+    scan.request.time_s = 0.5 * (frame.start_s + frame.end_s);
+    scan.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
+    scan.points_at_s = frame.end_s;
     std::vector<RequestedActor> actors;
     for (int i = 0; i < message.dynamic_objects_size(); ++i) {
         const sensorsim::DynamicObject& object = message.dynamic_objects(i);
@@ -136,8 +135,8 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
         actors.push_back(
             {field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
     }
-    reader_.set_visible(actors, render_request);
-    return render_request;
+    reader_.set_visible(actors, scan);
+    return scan;
 }
 
 /// Writes the points as numbers and as bytes. Both fields have the same values, and a

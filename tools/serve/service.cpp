@@ -76,11 +76,12 @@ Status RenderService::GetTracks(ServerContext*, const v1::GetTracksRequest* requ
 Status RenderService::SpawnActors(ServerContext* context, const v1::SpawnActorsRequest* request,
                                   v1::SpawnActorsResponse* answer) {
     return call_handler([&] {
+        // Rejects the call here if too many calls are waiting.
         QueueSlot slot = reserve_slot(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<ActorToSpawn> actors = reader_.read_spawn(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, actors);
-        spawn.run_checked(slot);
+        spawn.run_checked(slot);  // Waits for the render thread.
         for (const SpawnSlot& spawn_slot : spawn.occupied_slots)
             write_spawned(spawn_slot, scenes_.runs()[scene], *answer->add_actors());
     });

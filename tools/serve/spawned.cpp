@@ -17,7 +17,8 @@ auto find_slot(SpawnedActorSlots& slots, const std::string& actor_name) {
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
-/// Returns the index of a free slot for the same model. Adds a slot if there is none.
+/// Returns the index of a slot for the same model that is free: its actor has no name.
+/// Adds a slot if there is none.
 std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto found = std::ranges::find_if(slots, is_free);
@@ -26,7 +27,7 @@ std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
         refuse(Code::RESOURCE_EXHAUSTED,
                "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
                quote_client_text(actor.name), slots.size());
-    slots.push_back(actor);
+    slots.emplace_back();
     return slots.size() - 1;
 }
 
