@@ -98,7 +98,7 @@ void FoxglovePlayer::remove_client(ClientId id) {
 }
 
 /// Handles a text from a client, and queues an error for invalid texts.
-/// @return false if the client does not speak the protocol of Foxglove
+/// @return false if add_client() was not called for this client: it is another WebSocket
 bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     const std::lock_guard lock(mutex_);
     const auto client = clients_.find(id);
@@ -159,11 +159,11 @@ bool FoxglovePlayer::flush_texts() {
     return has_subscriptions;
 }
 
-/// Sends the next scan if its time has come. Without subscriptions, frees the renderer
-/// and its device memory.
+/// Sends the queued texts, and the next scan if its time has come.
 std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max_wait) {
-    if (!flush_texts() || times_s_.empty()) {
-        playback_.reset();
+    const bool has_subscriptions = flush_texts();
+    if (!has_subscriptions || times_s_.empty()) {
+        playback_.reset();  // Frees the renderer and its device memory.
         return max_wait;
     }
     try {
@@ -174,7 +174,11 @@ std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max
     } catch (const Error& error) {
         // After such an error, for example exhausted device memory, the page still works.
         playback_.reset();
-        cancel_all(error.what());
+        const std::lock_guard lock(mutex_);
+        for (auto& [id, client] : clients_) {
+            client.subscriptions.clear();
+            client.texts.push_back(error_status(error.what()));
+        }
         return max_wait;
     }
     const auto pause = std::chrono::ceil<std::chrono::milliseconds>(playback_->due - Clock::now());
@@ -210,14 +214,6 @@ void FoxglovePlayer::publish(const std::vector<ScanMessage>& messages_per_topic)
             for (const auto& [subscription, topic] : client.subscriptions)
                 if (topic == message.topic) packets.push_back(encode_message(subscription, message));
         answers_.scan(id, std::move(packets));
-    }
-}
-
-void FoxglovePlayer::cancel_all(const std::string& reason) {
-    const std::lock_guard lock(mutex_);
-    for (auto& [id, client] : clients_) {
-        client.subscriptions.clear();
-        client.texts.push_back(error_status(reason));
     }
 }
 

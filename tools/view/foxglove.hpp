@@ -62,7 +62,6 @@ private:
     bool flush_texts();
     void send_next();
     void publish(const std::vector<ScanMessage>& messages_per_topic);
-    void cancel_all(const std::string& reason);
 
     const Run& run_;
     Device& device_;

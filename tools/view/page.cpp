@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server.hpp"
 
-#include <deque>
+#include <string>
 #include <utility>
 
 namespace relidar {
@@ -21,14 +21,10 @@ std::string_view content_type(std::string_view file) {
 }  // namespace
 
 const std::vector<WebPageFile>& web_page_files() {
-    // The files refer to these texts. A deque does not move its elements when it grows.
-    static std::deque<std::string> url_paths;
     static const std::vector<WebPageFile> files = [] {
         std::vector<WebPageFile> all;
-        for (const auto& [name, text] : view_page_texts()) {
-            url_paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
-            all.push_back({url_paths.back(), content_type(name), text});
-        }
+        for (const auto& [name, text] : view_page_texts())
+            all.push_back({name == "index.html" ? "/" : "/" + std::string(name), content_type(name), text});
         return all;
     }();
     return files;

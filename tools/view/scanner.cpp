@@ -214,8 +214,8 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
 Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
     Run run = run_;
     SceneWithLog driving = add_copies({std::move(run.scene), run.sequence}, others_, edits.copies);
-    // set_driving_scene() completes actors whose boxes differ from those of the run, so
-    // the boxes of moved actors are removed here. EditedTraffic applies the moves.
+    // set_driving_scene() completes the sides of actors whose boxes are not those of the
+    // run. It shall complete moved actors, whose poses only EditedTraffic changes.
     std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) { return is_moved(edits, box.id); });
     run.set_driving_scene(std::move(driving));
     for (const ModelInstance& instance : run.scene.instances) {

@@ -26,7 +26,7 @@
 namespace relidar::view {
 
 struct WebPageFile {
-    std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the start page.
+    std::string path;       ///< Path in the URL, such as "/main.js". The path "/" is the start page.
     std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };

@@ -89,7 +89,11 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
     if (!tab->has_hello) {
         tab->has_hello = true;
-        return text_job(tab_id, "hello", [this] { return make_hello(); });
+        return text_job(tab_id, "hello", [this] {
+            Json hello = scanner_.page_data();
+            hello["save_folder"] = save_folder_.string();
+            return hello;
+        });
     }
     // Informs the page when the scans of the log are loaded, or cannot be loaded.
     const RecordedScans::State state = scanner_.measured_scans().state();
@@ -121,13 +125,6 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                          }};
     }
     return {};
-}
-
-/// Returns the first message for a new tab: run, sensors, actors and save folder.
-Json ViewerSession::make_hello() const {
-    Json hello = scanner_.page_data();
-    hello["save_folder"] = save_folder_.string();
-    return hello;
 }
 
 /// Returns the next job of any browser tab. Starts with the tab after the previous one,

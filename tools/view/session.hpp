@@ -56,7 +56,6 @@ private:
     std::optional<ViewerJob> wait_for_job(std::chrono::milliseconds max_wait);
     std::optional<ViewerJob> take_job(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
     ViewerJob text_job(TabId tab_id, const char* name, std::function<nlohmann::json()> make_answer) const;
-    nlohmann::json make_hello() const;
     nlohmann::json execute(TabCache& cache, const BrowserRequest& request) const;
     void send_error(TabId tab_id, const char* request_name, const std::string& reason) const;
     nlohmann::json save_edited(const SaveRequest& request) const;
