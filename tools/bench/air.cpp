@@ -22,7 +22,7 @@ namespace {
 
 using namespace relidar;
 
-constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
+constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;  // limits of the distances that are counted
 // Number of test rays that start at a point in all directions. They are dense enough that
 // one of them is within 7 degrees of the normal of any surface.
 constexpr std::size_t kRaysPerPoint = 256;
@@ -42,10 +42,15 @@ std::array<glm::vec3, kRaysPerPoint> sphere_directions() {
     return directions;
 }
 
+/// What a scan of the exact street needs, in addition to its rays.
 struct StreetScanSetup {
     const StreetOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
+
+    Scan cast_rays(const RayTable& rays) const {
+        return cast_street_rays(street, rays, world_from_sensor, time_s);
+    }
 };
 
 /// Rays of a simulated scan with their ranges. `truth` has the exact ranges of the
@@ -91,7 +96,7 @@ std::vector<float> street_distances(const StreetScanSetup& setup, const Simulate
         }
         probes.rows = 1;
         probes.columns = int(probes.size());
-        const Scan around = cast_street_rays(setup.street, probes, setup.world_from_sensor, setup.time_s);
+        const Scan around = setup.cast_rays(probes);
         for (std::size_t probe = 0; probe < probes.size(); ++probe) {
             if (!(around.range_m[probe] > 0.0f)) continue;
             const std::size_t k = point_of_probe[probe], ray = ray_indices[k];
@@ -133,9 +138,9 @@ struct AirPointCounts {
     }
 };
 
-/// Prints, for each pose of the sensor, the shares of points that float in the air, away
-/// from all surfaces of the street: of the points that are written to files (median
-/// ranges), and of the range image (mean ranges).
+/// Prints, for each shift of the sensor, the shares of points that float in the air, away
+/// from all surfaces of the street. Counts the points that are written to files (median
+/// ranges) and those of the range image (mean ranges) apart.
 void print_air_table(const std::string& run_folder) {
     const Run run = load_run(run_folder);
     const StreetOptions street = read_street(run);
@@ -149,20 +154,21 @@ void print_air_table(const std::string& run_folder) {
                                                                   {"2 m to the left", {0, 2, 0}},
                                                                   {"2 m left, 1 m up", {0, 2, 1}}};
     for (const auto& [name, offset_m] : offsets) {
-        AirPointCounts points, image;
+        const Pose offset{{1, 0, 0, 0}, offset_m};
+        AirPointCounts file_points, image_points;
         for (const int position : run.split.test) {
             const Frame& frame = run.sequence.frames[std::size_t(position)];
             const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
             const RayTable rays = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
-            const Pose offset{{1, 0, 0, 0}, offset_m};
             const PoseTrack track = mount_track(run.sequence.lidar_track(frame.lidar), offset);
+            const StreetScanSetup setup{street, track, frame.time_s};
+            const Scan truth = setup.cast_rays(rays);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
-            const StreetScanSetup scan_setup{street, track, frame.time_s};
-            const Scan truth = cast_street_rays(street, rays, track, frame.time_s);
-            points.add_points(scan_setup, {rays, scan.median_range_m, truth}, scan);
-            image.add_points(scan_setup, {rays, scan.image.range_m, truth}, scan);
+            file_points.add_points(setup, {rays, scan.median_range_m, truth}, scan);
+            image_points.add_points(setup, {rays, scan.image.range_m, truth}, scan);
         }
-        fmt::print("{}{}", points.format_row(name + ", points"), image.format_row(name + ", image"));
+        fmt::print("{}{}", file_points.format_row(name + ", points"),
+                   image_points.format_row(name + ", image"));
     }
 }
 

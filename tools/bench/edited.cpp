@@ -53,26 +53,25 @@ void print_edited_scores(const std::string& folder) {
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = make_sensor(run.config, run.sequence).limits;
     const PoseTrack track = run.sequence.lidar_track(0);
-    std::vector<Scan> before;  // of the held-out frames, without the edits
     for (const int position : run.split.test) {
         Frame& frame = run.sequence.frames[std::size_t(position)];
         frame.scan = cast_street_rays(street, cars, rays, track, frame.time_s);
-        before.push_back(cast_street_rays(street, rays, track, frame.time_s));
-        for (Scan* scan : {&frame.scan, &before.back()}) limit_ranges(*scan, limits);
+        limit_ranges(frame.scan, limits);
     }
 
-    // A pixel is edited if the exact range differs before and after the edits.
     Device device(apply_environment({}));
     ScanRenderer renderer(device, run);
     std::vector<MetricValues> scores;
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) {
-        // Each frame adds a score, so the number of scores is the index of this frame.
-        const RangeImage original = measured_image(run.config, before[scores.size()]);
-        PixelRegion edited{"edited", std::vector<bool>(original.range_m.size())};
+    const auto score_frame = [&](const ScoredFrame& frame) {
+        Scan unedited_street = cast_street_rays(street, rays, track, frame.time_s);
+        limit_ranges(unedited_street, limits);
+        const RangeImage unedited = measured_image(run.config, unedited_street);
+        PixelRegion edited{"edited", std::vector<bool>(unedited.range_m.size())};
         for (std::size_t i = 0; i < edited.pixels.size(); ++i)
-            edited.pixels[i] = std::abs(frame.real.range_m[i] - original.range_m[i]) > kSameRange_m;
+            edited.pixels[i] = std::abs(frame.real.range_m[i] - unedited.range_m[i]) > kSameRange_m;
         scores.push_back(evaluate_regions(frame.rendered.image, frame.real, {edited}));
-    });
+    };
+    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, score_frame);
     MetricValues mean = mean_metrics(scores);
     for (const char* metric : {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m"})
         fmt::print("{:.4g} ", mean["edited/" + std::string(metric)]);

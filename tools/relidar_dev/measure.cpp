@@ -247,8 +247,7 @@ void set_ray_rates(BenchResult& result, std::size_t n_rays) {
 BenchResult BenchRunner::bench_result() {
     Renderer& renderer = get_renderer();
     check_complete_rays(renderer, rays_.size());
-    // Adds the kernels that do not run in an iteration, such as the build of the
-    // acceleration structure.
+    // Kernels that also run in an iteration keep the times of the iteration.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = renderer.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
@@ -259,10 +258,9 @@ BenchResult BenchRunner::bench_result() {
     result.hits_per_ray = sizes_.n_hits / double(rays_.size());
     result.stored_hits_per_ray = renderer.stored_hits_per_ray();
 
-    // The memory of the rays is what the other parts have not allocated.
     result.memory = memory_;
-    result.memory.rays =
-        device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
+    // The remainder of this benchmark's memory belongs to the rays.
+    result.memory.rays = device_.allocated_bytes() - allocated_before_ - surfel_bytes(memory_);
     result.memory.peak = device_.peak_bytes();
     if (const auto visits = count_visits(device_, renderer.scene(), renderer.accel(), make_ray_batch(),
                                          case_.config.image, trace_options(case_)))
@@ -281,17 +279,18 @@ MemoryTrafficSizes BenchRunner::traffic_sizes() {
     sizes.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
     sizes.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
     sizes.training = training_ != nullptr;
-    // The measured kernels show which methods the renderer has chosen.
+    // The names of the measured kernels show which methods the renderer has chosen.
     sizes.lists = kernels_.contains("diff/forward/append");
     sizes.gather = kernels_.contains("diff/backward/gather");
     sizes.only_touched = case_.config.train.only_touched;
     sizes.boxes = get_renderer().accel().proxy_shape() == ProxyShape::boxes;
     sizes.software = device_.backend() == RayTracingBackend::software;
-    // Surfels that any ray has hit.
-    if (training_)
-        for (const std::uint32_t touched :
-             training_->differentiable.gradients().touched.download(get_renderer().scene().size()))
-            sizes.n_touched += touched;
+    if (training_) {
+        // [n_surfels] 1 if any ray has hit the surfel, otherwise 0
+        const std::vector<std::uint32_t> touched =
+            training_->differentiable.gradients().touched.download(get_renderer().scene().size());
+        sizes.n_touched = double(std::ranges::count(touched, 1u));
+    }
     return sizes;
 }
 

@@ -41,6 +41,10 @@ struct BenchMemory {
     std::uint64_t rays = 0;      ///< Memory of rays, rendered values, targets and gradients of the loss.
     std::uint64_t peak = 0;      ///< Maximum device memory since the device was opened.
 };
+/// Returns the bytes that grow with the number of surfels.
+inline std::uint64_t surfel_bytes(const BenchMemory& memory) {
+    return memory.scene + memory.accel + memory.training;
+}
 
 struct BenchVisits {
     double nodes = 0.0;

@@ -46,8 +46,6 @@ std::string summation_method(const BenchResult& result) {
     if (!result.sizes.training) return "none";
     return result.sizes.gather ? "gather" : "atomics";
 }
-std::uint64_t total_bytes(const BenchMemory& memory) { return memory.scene + memory.accel + memory.training; }
-
 double bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
     return double(n_bytes) / double(std::max<std::size_t>(count, 1));
 }
@@ -56,14 +54,15 @@ std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std:
     return fmt::format(
         "memory    {} at peak; {:.0f} bytes per surfel (scene {:.0f}, acceleration structure {:.0f}, "
         "gradients and moments {:.0f}), {:.0f} bytes per ray\n",
-        format_bytes(memory.peak), bytes_per_item(total_bytes(memory), n_surfels),
+        format_bytes(memory.peak), bytes_per_item(surfel_bytes(memory), n_surfels),
         bytes_per_item(memory.scene, n_surfels), bytes_per_item(memory.accel, n_surfels),
         bytes_per_item(memory.training, n_surfels), bytes_per_item(memory.rays, n_rays));
 }
 
 /// Returns a lower bound ("floor") for the time of each kernel, in milliseconds: the time
-/// to copy the data that it must read and write. The bound of a phase, a group of
-/// kernels, is the sum of their bounds. Empty if the copy speed is unknown.
+/// to copy the data that it must read and write. Also returns the sums of these bounds
+/// for the phases "iteration" (on the device; "iteration_wall" is its time on the host)
+/// and "rebuild" (of the acceleration structure). Empty if the copy speed is unknown.
 std::map<std::string, double> lower_bounds_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
@@ -140,7 +139,7 @@ Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n
             {"accel_bytes", memory.accel},
             {"training_bytes", memory.training},
             {"ray_bytes", memory.rays},
-            {"bytes_per_surfel", bytes_per_item(total_bytes(memory), n_surfels)},
+            {"bytes_per_surfel", bytes_per_item(surfel_bytes(memory), n_surfels)},
             {"accel_bytes_per_surfel", bytes_per_item(memory.accel, n_surfels)},
             {"bytes_per_ray", bytes_per_item(memory.rays, n_rays)}};
 }
