@@ -56,10 +56,11 @@ Config demo_config(const DemoOptions& options, const fs::path& street_folder) {
 }
 
 /// Scores the held-out frames. Keeps their scans, which the demo writes to files.
+/// evaluate_frames() keeps only the scan of the middle frame.
 Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
-    std::vector<ScoredFrame> with_images;  // Frames whose scans are written to files.
+    std::vector<ScoredFrame> with_images;
     Evaluation evaluation =
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, interruptible_progress(progress),
                         [&](const ScoredFrame& frame) { with_images.push_back(frame); });

@@ -167,7 +167,7 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
         fail("cannot write {}: another relidar process is writing this {}", folder.string(),
              contains_run(folder) ? "run" : "folder");
     descriptor_ = lock->descriptor;
-    // Without a lock, the temporary files may belong to a running process.
+    // If the file system has no locks, temporary files may belong to a running process.
     if (lock->exclusive) remove_temporary(folder);
 }
 
@@ -248,7 +248,7 @@ void RunFolderWriter::save_run_in(Run& run) const {
     if (!earlier_) return save_run(run);
     if (has_only_run_files(path_)) {
         try {
-            run.folder = fs::canonical(path_);
+            run.folder = fs::canonical(path_);  // If the path is a link, keeps the link.
             replace_run(run);
             run.folder = path_;
             return;

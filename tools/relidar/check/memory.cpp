@@ -43,9 +43,9 @@ bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 CheckResult check_buffer(CheckedDevice& tested) {
     Device& device = tested.default_device();
     constexpr std::uint32_t kPattern = 0x5a5a1234u;
-    constexpr std::uint64_t kAlignment = 64;  // is_filled_with() reads 64 bytes at both ends.
-    const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, memory_budget_bytes(device)) / kAlignment * kAlignment;
+    // Multiples of 64 bytes, because is_filled_with() reads so many at both ends.
+    const std::uint64_t limit = device.impl().largest_buffer.n_bytes / 64 * 64,
+                        n_bytes = std::min(limit, memory_budget_bytes(device) / 64 * 64);
     if (n_bytes < kMiB) return unsupported_check("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
@@ -54,9 +54,8 @@ CheckResult check_buffer(CheckedDevice& tested) {
     if (!is_filled_with(buffer, kPattern))
         return failed_check(fmt::format("a buffer of {} does not contain the values that were written to it",
                                         format_bytes(n_bytes)));
-    const bool is_limit = n_bytes >= limit / kAlignment * kAlignment;
-    const std::string remark = is_limit ? ", which is the limit of the device"
-                                        : " tested; the driver allows at most " + format_bytes(limit);
+    const std::string remark = n_bytes == limit ? ", which is the limit of the device"
+                                                : " tested; the driver allows at most " + format_bytes(limit);
     return passed_check(format_bytes(n_bytes) + remark);
 }
 

@@ -31,7 +31,7 @@ struct RenderAndGradients {
 std::vector<shared::RayGradient> to_ray_gradients(const std::vector<reference::PixelGradient>& gradients) {
     std::vector<shared::RayGradient> converted(gradients.size());
     for (std::size_t i = 0; i < converted.size(); ++i) {
-#define RELIDAR_COPY(name, built, value, input, slope, meaning) converted[i].name = float(gradients[i].name);
+#define RELIDAR_COPY(name, ...) converted[i].name = float(gradients[i].name);
         RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
     }
@@ -107,7 +107,7 @@ double image_error(const RenderAndGradients& pass) {
             sum_squares += expected * expected;
         };
         // A call for each value that is blended along a ray, such as the depth.
-#define RELIDAR_ADD(name, built, value, input, slope, meaning) add_value(pass.rendering.name[i], p.name);
+#define RELIDAR_ADD(name, ...) add_value(pass.rendering.name[i], p.name);
         RELIDAR_IMAGE_VALUES(RELIDAR_ADD)
 #undef RELIDAR_ADD
         add_value(pass.rendering.transmittance[i], p.transmittance);

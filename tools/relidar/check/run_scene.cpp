@@ -85,9 +85,8 @@ double ray_difference(const RenderedRayValues& rendered, std::size_t ray, const 
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
         worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
     };
-    // A call for each value that is blended along a ray, such as the depth.
-#define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
-    compare_value(rendered.name[ray], expected.name);
+    // Compares rendered.depth[ray] with expected.depth, and so on for each blended value.
+#define RELIDAR_COMPARE(name, ...) compare_value(rendered.name[ray], expected.name);
     RELIDAR_IMAGE_VALUES(RELIDAR_COMPARE)
 #undef RELIDAR_COMPARE
     compare_value(rendered.transmittance[ray], expected.transmittance);

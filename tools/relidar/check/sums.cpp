@@ -39,8 +39,8 @@ CheckResult check_subgroups(CheckedDevice& tested) {
         return unsupported_check("the device does not report its subgroup size");
     const std::vector<int> sizes = subgroup_sizes(tested.default_device());
     for (const int lanes : sizes) {
-        // Opens the device with this subgroup size, without the test at first use.
-        const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
+        // Opens the device as if the test at first use had chosen this subgroup size.
+        const ScopedDeviceTestResults chosen(DeviceTestResults{.subgroup_size = lanes});
         Device device(tested.device_options());
         const std::string text = test_subgroups(device);
         if (!text.empty()) return failed_check(fmt::format("subgroups of {} lanes: {}", lanes, text));

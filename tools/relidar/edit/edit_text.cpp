@@ -69,7 +69,7 @@ std::optional<GroundPlacement> parse_ground(const EditArgument& edit, const std:
 struct ActorToInsert {
     const SceneWithLog& owner;  ///< Scene that contains the actor.
     const std::string& track;
-    std::optional<double> clearance_m;  ///< Height of its box above the ground, if it is known.
+    std::optional<double> clearance_m = {};  ///< Height of its box above the ground, if it is known.
 };
 
 /// Parses a start pose with an optional speed in m/s. The text has the form
@@ -145,8 +145,9 @@ EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), fmt::format("set the class of {} to {}", track, name), note};
 }
 
-/// Returns a warning if an actor with new times is absent in frames of the log.
-std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack& original) {
+/// Returns a warning if an actor with new times is absent in all frames of the log, or in
+/// more frames than before the edit.
+std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack& before) {
     const BoxTrack* box = find_box(driving.sequence, id);
     const auto is_present = [&](const Frame& frame) { return box && box->is_observed(frame.time_s); };
     if (std::ranges::none_of(driving.sequence.frames, is_present))
@@ -154,7 +155,7 @@ std::string warn_absent(const SceneWithLog& driving, const std::string& id, cons
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
             "of the log",
             id);
-    return describe_absence(original, driving.sequence);
+    return describe_absence(before, driving.sequence);
 }
 
 BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id) {
@@ -184,12 +185,12 @@ EditResult apply_speed(SceneWithLog edited, const EditArgument& edit) {
 EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = find_box_track(edited, track);
-    // Start pose {} and speed 0 have no effect, because the motion has a path.
-    NewActorMotion motion{{}, 0.0, read_actor_path(file, edited.sequence.georeference)};
+    NewActorMotion motion{.dataset_from_box = {},
+                          .dataset_path = read_actor_path(file, edited.sequence.georeference)};
     // NaN: the file has the word `ground` instead of heights.
     if (std::isnan(motion.dataset_path.pose.front().translation.z)) {
-        const SceneWithLogView scene{edited.scene, edited.sequence};
-        motion = follow_ground(scene, motion.dataset_path, {}, scene, track);
+        const SceneWithLogView scene{edited.scene, edited.sequence};  // has the actor and the ground
+        motion = follow_ground(scene, motion.dataset_path, /*clearance_m=*/{}, scene, track);
     }
     edited = replace_track(std::move(edited), track, motion.dataset_path);
     const std::string note = join_notes({warn_absent(edited, track, before), warn_unobserved(motion, track)});
@@ -198,7 +199,7 @@ EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
 
 EditResult apply_copy_edit(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, place] = split_text(edit, edit.value, edit.value.rfind('@'));
-    const NewActorMotion start = parse_motion(edit, place, edited, {edited, track, {}});
+    const NewActorMotion start = parse_motion(edit, place, edited, {.owner = edited, .track = track});
     edited = copy_track(std::move(edited), track, start);
     return {edited,
             fmt::format("copied {} as {}{}", track, last_track_id(edited), describe_ground(start, place)),
@@ -236,7 +237,7 @@ std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& ed
         actor.track);
 }
 
-/// Adds an actor of another run, or an asset, to the scene.
+/// Adds an actor to the scene, at the place after @: RUN#TRACK of a run, or an asset.
 EditResult apply_insert(SceneWithLog edited, const EditArgument& edit) {
     const auto [what, place] = split_text(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_actor(edit, what);

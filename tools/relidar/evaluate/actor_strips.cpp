@@ -232,11 +232,11 @@ std::optional<ReportFigure> draw_walker(Device& device, const Run& run) {
     const BoxTrack& box = *walker.box;
     const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    // From the right side of the actor, the view is along y of its box.
-    const glm::dvec2 to_the_left(0.0, 1.0);
+    // A viewer at the right side of the actor looks along y of its box.
+    const glm::dvec2 view_direction(0.0, 1.0);
     ActorPanels panels;
     for (const Frame* frame : walker.frames)
-        panels.add_frame(box_points(renderer, run, config, *frame, box), to_the_left);
+        panels.add_frame(box_points(renderer, run, config, *frame, box), view_direction);
     if (!panels.has_enough_points()) return std::nullopt;
 
     const glm::dvec2 half_m(0.5 * box.size_m.x, 0.5 * box.size_m.z);

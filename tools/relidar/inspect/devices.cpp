@@ -78,8 +78,7 @@ void print_devices(const bool& as_json) {
     if (devices.empty())
         throw DeviceError(
             "found no Vulkan device on this machine; expected at least one; tools/dev/setup installs a "
-            "driver "
-            "that renders on the CPU");
+            "driver that renders on the CPU");
     if (as_json) print_json(devices);
     else print_table(devices);
     if (apply_environment().report_missing_drivers)

@@ -86,15 +86,16 @@ void write_log_as_packets(const Log& sequence, const ConvertOptions& options) {
 /// ends in .pcap, as network packets.
 void run_convert(const ConvertOptions& options) {
     check_settings_used(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
-    const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
     apply_selection(config, {.frames = options.frames, .sequence = ""});
     const Log sequence = load_dataset(config, options.quiet);
     install_handlers();
-    if (writes_packets) return write_log_as_packets(sequence, options);
+    if (std::filesystem::path(options.out).extension() == ".pcap")
+        return write_log_as_packets(sequence, options);
     TerminalProgress progress(options.quiet);
-    const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
+    // With dataset.poses=none the user says that the poses of the log are wrong.
+    const bool has_poses = sequence.has_poses && config.dataset.poses != kNoPoses;
     save_folder(sequence, options.out, {options.overwrite, has_poses, interruptible_progress(progress)});
     end_progress();
     if (!options.quiet)

@@ -170,7 +170,9 @@ std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, c
         formats.push_back(
             scan_format(options, run, target.sensor, sensor_offset * target.mounting, target.folder));
         PacketFormatOptions& packets = formats.back().packets;
+        // Without a value, the packets are those of the log's sensor.
         if (target.spinning) packets.sensor = target.spinning;
+        // The metadata.json of an Ouster sensor names the format of its packets.
         packets.ouster_profile = read_udp_profile(options.sensor);
     }
     return formats;
@@ -220,31 +222,26 @@ RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
 RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
                              const std::vector<RenderedSensor>& rendered_sensors, const Pose& sensor_offset,
                              const MpiProcessGroup& ranks) {
-    const std::filesystem::path out = options.out;
-    const bool has_subfolders = !options.merge && !rendered_sensors.front().folder.empty();
     std::vector<ScanOutputOptions> formats;
     if (options.merge) formats = {merged_format(options, run, rendered_sensors, sensor_offset)};
     else formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
+    std::vector<std::filesystem::path> folders(formats.size(), options.out);
 
     RenderOutputs output;
-    if (!ranks.is_first()) ranks.barrier();  // waits for the folders
-    if (ranks.is_first() && has_subfolders) {
-        // Checks all folders before files of an earlier rendering are removed.
-        for (const RenderedSensor& sensor : rendered_sensors)
-            check_scan_folder(out / sensor.folder, options.overwrite);
-        output.recordings.emplace(out, formats);
-    }
-    for (std::size_t i = 0; i < formats.size(); ++i) {
-        // A recording contains all sensors, so the folder of a sensor has none.
-        if (has_subfolders) std::erase_if(formats[i].formats, is_recording);
-        const std::filesystem::path folder = has_subfolders ? out / rendered_sensors[i].folder : out;
+    if (!options.merge && !rendered_sensors.front().folder.empty()) {
+        for (std::size_t s = 0; s < folders.size(); ++s) folders[s] /= rendered_sensors[s].folder;
         if (ranks.is_first()) {
-            if (has_subfolders) std::filesystem::create_directories(folder);
-            output.folders.emplace_back(folder, formats[i]);
-        } else {
-            output.folders.push_back(ScanFolderWriter::join_folder(folder, formats[i]));
+            // Checks all folders before files of an earlier rendering are removed.
+            for (const std::filesystem::path& folder : folders) check_scan_folder(folder, options.overwrite);
+            output.recordings.emplace(options.out, formats);
         }
+        // These recordings contain all sensors, so the folder of a sensor has none.
+        for (ScanOutputOptions& format : formats) std::erase_if(format.formats, is_recording);
     }
+    if (!ranks.is_first()) ranks.barrier();  // Waits until the first process has created the folders.
+    for (std::size_t s = 0; s < formats.size(); ++s)
+        output.folders.push_back(ranks.is_first() ? ScanFolderWriter(folders[s], formats[s])
+                                                  : ScanFolderWriter::join_folder(folders[s], formats[s]));
     if (ranks.is_first()) ranks.barrier();  // The other processes continue.
     return output;
 }
@@ -259,7 +256,7 @@ void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
         for (const std::string& lines :
              ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n")))) {
             if (lines.empty()) continue;  // This process has rendered no scan.
-            for (const std::string& entry : split_text(lines, '\n')) entries.push_back(entry);
+            std::ranges::copy(split_text(lines, '\n'), std::back_inserter(entries));
         }
         folder.set_entries(std::move(entries));
         if (ranks.is_first()) folder.finish();

@@ -66,15 +66,17 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
 
 std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
                                          int lidar) {
-    if (name.empty()) return {{"", make_sensor(run.config, run.sequence, lidar), {}}};
+    if (name.empty()) return {{.sensor = make_sensor(run.config, run.sequence, lidar)}};
     if (!rig) {
         const SimulatedSensor sensor = choose_sensor(name, run.config, run.sequence, lidar);
-        return {{"", sensor, {}, spinning_sensor_of(name, sensor)}};
+        return {{.sensor = sensor, .spinning = spinning_sensor_of(name, sensor)}};
     }
     std::vector<RenderedSensor> sensors;
     for (const MountedSensor& mounted : *rig)
-        sensors.push_back({mounted.name, simulate_sensor(mounted, lidar), mounted.rig_from_sensor,
-                           as_spinning(mounted.sensor)});
+        sensors.push_back({.folder = mounted.name,
+                           .sensor = simulate_sensor(mounted, lidar),
+                           .mounting = mounted.rig_from_sensor,
+                           .spinning = as_spinning(mounted.sensor)});
     return sensors;
 }
 

@@ -22,9 +22,9 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
 /// A sensor to simulate, and where its scans are written.
 struct RenderedSensor {
     /// Subfolder for the files of this sensor; empty: the output folder itself.
-    std::string folder;
+    std::string folder = {};
     SimulatedSensor sensor;
-    Pose mounting;
+    Pose mounting = {};
     /// No value for the log's sensor, a grid of rays, and sensors that do not spin.
     std::optional<SpinningSensor> spinning = {};
 };

@@ -38,7 +38,7 @@ TimeSteps parse_times(const std::string& text) {
     return {.first = numbers[0], .last = numbers[1], .step = numbers[2]};
 }
 
-/// Returns the largest distance of the sensor from the recorded path.
+/// Returns the largest distance of the sensor from the recorded path, over some times.
 double max_distance_m(const Log& log, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
     double farthest_m = 0.0;
     for (const double time_s : times_s) {

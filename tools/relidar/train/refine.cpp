@@ -87,20 +87,28 @@ void compare_scores(Device& device, const Run& run, const RefineCommandOptions& 
               "\nThe column \"baseline\" has the scores without the ray-drop network.\n");
 }
 
+/// Returns the settings for refining a run: those of the run or of the checkpoint from
+/// which the training resumes, changed by --set.
+Config refine_config(const Run& run, const std::optional<Checkpoint>& start,
+                     const std::vector<std::string>& sets) {
+    std::vector<std::string> used = render_settings();
+    used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
+    check_settings_used(sets, used, "refine");
+    Config config = run.config;
+    if (start) read_drop_settings(*start, config);
+    apply_settings(config, sets);
+    config.refine.enabled = true;
+    return with_max_range(std::move(config), run.sequence);
+}
+
 /// Trains the ray-drop network of an existing run again, and scores the result.
 void run_refine(const RefineCommandOptions& options) {
     std::optional<FolderLock> lock;
-    if (is_run_folder(options.run)) lock.emplace(options.run);
+    if (is_run_folder(options.run)) lock.emplace(options.run);  // otherwise load_run() fails
     Run run = load_run(options.run);
     const std::optional<Checkpoint> start = load_checkpoint(options);
-    if (start) read_drop_settings(*start, run.config);
-    std::vector<std::string> used = render_settings();
-    used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    check_settings_used(options.sets, used, "refine");
-    apply_settings(run.config, options.sets);
-    run.config = with_max_range(std::move(run.config), run.sequence);
-    run.config.refine.enabled = true;
-    prepare_folder(run.folder);
+    run.config = refine_config(run, start, options.sets);
+    prepare_folder(run.folder);  // Fails before the training if the results cannot be written.
     Device device(to_device_options(options.device));
     const Log log = load_dataset(run.config, options.quiet);
     copy_scans(run, run.split.train, log);

@@ -38,8 +38,7 @@ struct TrainOptions {
     std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
-    /// Then a resumed training does not use the settings of its run.
-    bool from_preset = false;
+    bool from_preset = false;  ///< --preset or --config is given.
     bool force = false;
     bool no_eval = false;
     bool quiet = false;
@@ -77,23 +76,23 @@ TrainOptions resolve_paths(TrainOptions options) {
 /// Returns the settings of a training. A resumed training uses its saved settings, unless
 /// --preset or --config is given.
 Config training_config(const TrainOptions& options) {
-    const fs::path saved = fs::path(options.out) / kConfigFile;
-    Config config;
-    if (!options.resume || options.from_preset || !is_file(saved)) {
-        config = make_config(options.settings);
-    } else {
-        config = load_settings(saved);
-        apply_settings(config, options.settings.sets);
-    }
-    // 0 means automatic. A resumed training uses the range that was found earlier.
-    const bool has_automatic_range = config.dataset.max_range_m == 0.0;
-    if (options.resume && has_automatic_range && is_file(saved))
-        config.dataset.max_range_m = load_settings(saved).dataset.max_range_m;
     if (contains_run(options.dataset))
         fail<UsageError>(
             "cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` continues the "
             "training of a run",
             options.dataset);
+    const fs::path config_file = fs::path(options.out) / kConfigFile;
+    std::optional<Config> saved;
+    if (options.resume && is_file(config_file)) saved = load_settings(config_file);
+    Config config;
+    if (saved && !options.from_preset) {
+        config = *saved;
+        apply_settings(config, options.settings.sets);
+    } else {
+        config = make_config(options.settings);
+    }
+    // 0 means automatic. A resumed training uses the range that was found earlier.
+    if (saved && config.dataset.max_range_m == 0.0) config.dataset.max_range_m = saved->dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     apply_selection(config, options.part);
@@ -321,11 +320,23 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
     remove_network_state(run.folder);
 }
 
-/// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
-/// ray-drop network and the scores.
+/// Returns what the log of a training says about its result.
+TrainResult read_result(const fs::path& run_folder) {
+    TrainResult result;
+    result.log = read_log(run_folder);
+    if (!result.log.empty()) {
+        result.iterations = result.log.back().iteration;
+        result.train_s = result.log.back().seconds;
+    }
+    return result;
+}
+
+/// Resumes a run whose scene is already trained. Runs only the missing steps: held-out
+/// poses, ray-drop network, scores.
 void finish_run(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
     Run run = load_run(options.out);
+    // A network that was trained with other settings is trained again.
     const bool has_network = !run.drop_network.empty() && is_group_equal(run.config, config, "refine.");
     run.config = config;
     Device device(to_device_options(options.device));
@@ -340,16 +351,11 @@ void finish_run(const TrainOptions& options, const Config& config, const std::st
     }
     install_handlers();
     if (!run.held_out_placed) finish_scene(device, run, options, stages);
-    // The network is trained, so its checkpoints are obsolete. A process that was killed
-    // may have left them.
+    // The checkpoints of a trained network are obsolete. A process that was killed may
+    // have left them.
     if (has_network) remove_network_state(run.folder);
     else if (config.refine.enabled) train_drop(device, run, options, stages);
-    TrainResult result;
-    result.log = read_log(run.folder);
-    if (!result.log.empty()) {
-        result.iterations = result.log.back().iteration;
-        result.train_s = result.log.back().seconds;
-    }
+    TrainResult result = read_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
     write_train_report(device, run, result, options, command_line, stages);
 }
