@@ -162,10 +162,10 @@ SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index) {
     return choice;
 }
 
-LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
-                           const BoxContext& transform_context, const std::vector<double>& times_s) {
+LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic, const BoxContext& context,
+                           const std::vector<double>& times_s) {
     const double step_s = median_interval_s(times_s);
-    BoxMessageReader reader(transform_context, times_s.front() - step_s, times_s.back() + step_s);
+    BoxMessageReader reader(context, times_s.front() - step_s, times_s.back() + step_s);
     const BagTopic& topic = bag.topics()[box_topic.topic];
     for (const BoxIndexEntry& entry : box_topic.lists)
         if (reader.is_in_log(entry)) {

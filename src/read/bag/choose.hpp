@@ -127,7 +127,7 @@ struct LoadedBoxes {
 /// Reads the boxes of a topic and joins the boxes of each object to a track. Accepts
 /// times up to one time step before the first or after the last frame.
 /// @param times_s  times of the frames of the log in seconds, ascending
-LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
-                           const BoxContext& transform_context, const std::vector<double>& times_s);
+LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic, const BoxContext& context,
+                           const std::vector<double>& times_s);
 
 }  // namespace relidar::bag

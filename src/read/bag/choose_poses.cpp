@@ -39,8 +39,8 @@ std::optional<std::string> find_moving_frame(const FrameTree& frame_tree,
     return std::nullopt;
 }
 
-/// Returns the transforms from an ancestor frame down to the vehicle as source of the
-/// vehicle poses. If no transform moves, the LiDAR itself is the vehicle.
+/// Returns the transforms in /tf as source of the vehicle poses. The vehicle is the first
+/// frame that moves, seen from the LiDAR. If none moves, it is the LiDAR itself.
 /// @param frame_path_to_root  the frame of the LiDAR and all its ancestors
 PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
                           const std::string& ancestor_frame) {

@@ -129,11 +129,11 @@ std::string describe_frame_ids(const CloudTopic& cloud_topic) {
 }
 
 std::string describe_jumps(const CloudTopic& cloud_topic) {
-    std::size_t n_falls = 0, n_jumps = 0;
+    std::size_t n_not_later = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
         const CloudEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
-        if (entry.stamp_ns <= before.stamp_ns) ++n_falls;
+        if (entry.stamp_ns <= before.stamp_ns) ++n_not_later;
         // Difference between the steps of the time stamps and of the recorder's clock.
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));
@@ -142,8 +142,8 @@ std::string describe_jumps(const CloudTopic& cloud_topic) {
         if (std::abs(jump_s) > std::abs(largest_s)) largest_s = jump_s;
     }
     std::string text;
-    if (n_falls > 0)
-        text = fmt::format("the stamps of {} clouds are not later than the previous stamp", n_falls);
+    if (n_not_later > 0)
+        text = fmt::format("the stamps of {} clouds are not later than the previous stamp", n_not_later);
     if (n_jumps > 0)
         text += fmt::format("{}the clock of the stamps jumps {} times, by at most {:.2f} s",
                             text.empty() ? "" : "; ", n_jumps, std::abs(largest_s));

@@ -169,8 +169,7 @@ private:
         if (matches.size() > 1) {
             angles_note_ += fmt::format(
                 ", because {} and {} both have angles of {} lasers; the file of this sensor needs the name "
-                "of "
-                "the recording",
+                "of the recording",
                 matches[0]->where, matches[1]->where, n);
         } else if (matches.size() == 1) {
             angles_ = matches[0]->lasers;
