@@ -271,19 +271,19 @@ fs::path find_box_file(const fs::path& dataset_folder, const std::string& drive_
 
 /// Adds the frames, poses and boxes of a drive. Boxes are in the world of the dataset, so
 /// they are omitted if the user gives poses and the dataset has none.
-void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveFrames& drive,
+void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveFrames& chosen,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(
-        dataset_folder / "data_3d_raw" / drive.drive / "velodyne_points/timestamps.txt", numbers, sequence);
-    const bool has_poses = does_path_exist(dataset_folder / "data_poses" / drive.drive);
+        dataset_folder / "data_3d_raw" / chosen.drive / "velodyne_points/timestamps.txt", numbers, sequence);
+    const bool has_poses = does_path_exist(dataset_folder / "data_poses" / chosen.drive);
     if (!user_pose_file.empty() && !has_poses) {
         // The caller replaces these poses by those of the user.
         for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], Pose{});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
         return;
     }
-    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.drive));
-    const fs::path box_file = find_box_file(dataset_folder, drive.drive);
+    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, chosen.drive));
+    const fs::path box_file = find_box_file(dataset_folder, chosen.drive);
     if (box_file.empty()) sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
     else sequence.boxes = read_360_boxes(box_file, sequence.frames);
 }
@@ -294,22 +294,22 @@ void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const D
 Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
-    const DriveFrames drive = choose_360_drive(folder / "data_3d_raw", options);
-    const fs::path points = folder / "data_3d_raw" / drive.drive / "velodyne_points";
-    const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
+    const DriveFrames chosen = choose_360_drive(folder / "data_3d_raw", options);
+    const fs::path points = folder / "data_3d_raw" / chosen.drive / "velodyne_points";
+    const std::vector<int> frames = list_scans(points / "data", chosen.frames.begin, chosen.frames.end);
 
     Log sequence;
-    sequence.name = drive.drive;
+    sequence.name = chosen.drive;
     sequence.source = log_folder.string();
     sequence.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
         "drive. At the time of a frame, the head faces forward. World frame: x east, y north, z up "
         "(Mercator). Scans are not motion-compensated.";
-    sequence.notes = drive.notes;
-    sequence.test_frames = drive.test_frames;
+    sequence.notes = chosen.notes;
+    sequence.test_frames = chosen.test_frames;
     note_missing_scans(sequence, points / "data", frames, options.allow_missing_scans);
     sequence.lidars[0].sensor.period_s = read_time_step_s(points / "timestamps.txt");
-    add_kitti_360_frames(sequence, folder, drive, frames, options.poses_file);
+    add_kitti_360_frames(sequence, folder, chosen, frames, options.poses_file);
     replace_poses(sequence, options.poses_file);
     centre_log(sequence);
     constexpr int kFileNameDigits = 10;

@@ -239,16 +239,11 @@ MovingStreetActor make_person(const StreetOptions& options, const glm::dvec2& po
     return person;
 }
 
-/// Adds a shape below the body of a person. Shapes are sorted from bottom to top.
-void add_below_body(MovingStreetActor& person, const StreetShape& shape) {
-    person.shapes.insert(person.shapes.begin(), shape);
-}
-
 /// Adds legs that do not move, as one cylinder.
 void add_stiff_legs(MovingStreetActor& person) {
     constexpr double kRadius_m = 0.125;
     const glm::dvec3 centre(0.0, 0.0, 0.5 * kLegs_m - 0.5 * person.size_m.z);
-    add_below_body(person, make_cylinder(centre, kRadius_m, 0.5 * kLegs_m, kLegReflectance));
+    person.shapes.push_back(make_cylinder(centre, kRadius_m, 0.5 * kLegs_m, kLegReflectance));
 }
 
 /// Adds arms and legs that swing: capsules that hang from a joint, in the frame of the
@@ -260,21 +255,16 @@ void add_swinging_limbs(MovingStreetActor& person) {
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35, kMargin_m = 0.02;
     // The capsule of a straight leg ends at the bottom of the box.
     const double half_height_m = 0.5 * person.size_m.z, hip_z_m = -half_height_m + kLeg_m + kLegRadius_m;
-    // An arm swings opposite to the leg of its side.
+    const auto add_limb = [&](const glm::dvec3& joint_m, double length_m, double radius_m, double phase_rad,
+                              double reflectance) {
+        person.limbs.push_back({joint_m, length_m, radius_m, kSwing_rad, phase_rad, reflectance});
+    };
     for (const double side : {1.0, -1.0}) {  // left, right
         const double phase_rad = side > 0.0 ? 0.0 : kPi;
-        person.limbs.push_back({.joint_m = {0.0, side * kHip_m, hip_z_m},
-                                .length_m = kLeg_m,
-                                .radius_m = kLegRadius_m,
-                                .swing_rad = kSwing_rad,
-                                .phase_rad = phase_rad,
-                                .reflectance = kLegReflectance});
-        person.limbs.push_back({.joint_m = {0.0, side * kShoulder_m, half_height_m - kShoulderBelowTop_m},
-                                .length_m = kArm_m,
-                                .radius_m = kArmRadius_m,
-                                .swing_rad = kSwing_rad,
-                                .phase_rad = phase_rad + kPi,
-                                .reflectance = kBodyReflectance});
+        add_limb({0.0, side * kHip_m, hip_z_m}, kLeg_m, kLegRadius_m, phase_rad, kLegReflectance);
+        // An arm swings opposite to the leg of its side.
+        add_limb({0.0, side * kShoulder_m, half_height_m - kShoulderBelowTop_m}, kArm_m, kArmRadius_m,
+                 phase_rad + kPi, kBodyReflectance);
     }
     // The foot on the ground moves from foot_forward_m before the hip to as far behind
     // it. The body moves this distance forward, once for each foot in a stride.
@@ -284,12 +274,13 @@ void add_swinging_limbs(MovingStreetActor& person) {
     person.size_m.x = 2.0 * (foot_forward_m + kLegRadius_m) + 2.0 * kMargin_m;
 }
 
+/// Returns a person on a bicycle, which is a box below the body.
 MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& middle_m, double speed_mps) {
     MovingStreetActor rider = make_person(options, middle_m, 0.0, speed_mps);
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     rider.shapes[0].centre.x -= 0.2;
-    add_below_body(rider, make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.4));
+    rider.shapes.push_back(make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.4));
     return rider;
 }
 

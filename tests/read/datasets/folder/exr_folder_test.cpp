@@ -20,14 +20,6 @@ namespace fs = std::filesystem;
 
 using Channels = std::map<std::string, std::vector<float>>;
 
-fs::path write_one_frame(const std::string& name, const std::string& head = test::make_head()) {
-    const fs::path folder = test::make_fresh_folder_path("exr_" + name);
-    fs::create_directories(folder / "scans");
-    test::write_text(folder / "sequence.json", head);
-    test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
-    return folder;
-}
-
 Channels list_channels(const Scan& scan) {
     Channels channels{{"range", to_vector(scan.range_m)},
                       {"intensity", to_vector(scan.intensity)},
@@ -107,7 +99,8 @@ TEST(ExrFolder, RowsFromBelow) {
         "sensor": {"beams": [{"elevation_deg": 5}, {"elevation_deg": 0}, {"elevation_deg": -5}], "columns": 4, "period_s": 0.1}}]})";
     const auto ranges = [&](const std::string& ring) {
         std::string text = head;
-        const fs::path folder = write_one_frame("below", text.replace(text.find("\"RING\""), 6, ring));
+        const fs::path folder =
+            test::make_frame_folder("below", text.replace(text.find("\"RING\""), 6, ring));
         write_exr(folder / "scans/0.exr", 3, 4, {{"range", {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}}});
         const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
         EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6)
@@ -119,7 +112,7 @@ TEST(ExrFolder, RowsFromBelow) {
 }
 
 TEST(ExrFolder, TheSensorThatAFileNames) {
-    const fs::path folder = write_one_frame("named");
+    const fs::path folder = test::make_frame_folder("named");
     const SensorModel sensor = find_sensor("VLP-16:180x10");
     const RayTable rays = make_rays(sensor);
     const std::vector<float> range(rays.size(), 12.0f);
@@ -135,7 +128,7 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
 /// Half precision or integers, other compressions, a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
-    const fs::path folder = write_one_frame(
+    const fs::path folder = test::make_frame_folder(
         "others", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 1000,
         "lidars": [{"sensor": "rays.json", "spins": false}]})");
     std::string directions;
@@ -175,7 +168,7 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
 
 class ExrDamage : public testing::Test {
 protected:
-    const fs::path folder = write_one_frame("damage");
+    const fs::path folder = test::make_frame_folder("damage");
     const fs::path file = folder / "scans/a.exr";
     const int rows = 20, columns = 12;
 

@@ -432,8 +432,7 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
 }
 
 TEST(PlainFolder, ReadsRenderedScans) {
-    const fs::path folder = make_fresh_folder_path("rendered");
-    fs::create_directories(folder / "scans");
+    const fs::path folder = test::make_frame_folder("rendered");
     const std::vector<float> range = {5.0f, 7.0f}, median = {5.5f, 7.5f}, drop = {0.2f, 0.9f},
                              intensity = {0.25f, 0.5f};
     const std::vector<float> directions = {1, 0, 0, 0, 1, 0};
@@ -444,8 +443,6 @@ TEST(PlainFolder, ReadsRenderedScans) {
                                    make_array("directions", {1, 2, 3}, directions.data(), 6),
                                    single_text("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
-    test::write_text(folder / "sequence.json", test::make_head());
-    test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5.5f, 0.0f}));
     EXPECT_EQ(scan.intensity, (ScanArray<float>{0.25f, 0.0f}));

@@ -35,6 +35,15 @@ inline fs::path make_fresh_folder_path(const std::string& name) {
     return folder;
 }
 
+/// Writes a log with one frame at the origin, but without its scan in scans/.
+inline fs::path make_frame_folder(const std::string& name, const std::string& head = make_head()) {
+    const fs::path folder = make_fresh_folder_path(name);
+    fs::create_directories(folder / "scans");
+    write_text(folder / "sequence.json", head);
+    write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
+    return folder;
+}
+
 /// Adds second returns `farther_m` behind every `step`-th first return.
 inline void add_second_returns(Log& log, std::size_t step, float farther_m, float max_range_m) {
     for (Frame& frame : log.frames) {
