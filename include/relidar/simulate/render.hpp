@@ -126,7 +126,7 @@ public:
 
 private:
     struct CachedFiringPose {
-        float time_offset_s;  ///< NaN if no pose is stored yet
+        float time_offset_s;
         Pose target_from_firing;
     };
     const RenderedScan& scan_;
@@ -134,7 +134,7 @@ private:
     const bool moves_;
     /// Last pose of each column, whose rays often fire at the same time. A single entry
     /// if the scan has one row or the sensor does not move.
-    std::vector<CachedFiringPose> made_;
+    std::vector<std::optional<CachedFiringPose>> cached_;
 };
 
 /// Limit of RenderedScan::unseen_share for a warning. The log's sensor on its path is

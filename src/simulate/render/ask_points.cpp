@@ -14,13 +14,12 @@ namespace {
 
 /// Copies points that the device has computed. Rounds their intensities to the steps of
 /// the sensor.
-/// @param reused earlier points, whose memory is reused
+/// @param points earlier points, whose memory is reused
 LidarPoints copy_points(std::span<const shared::ReturnedPoint> returned,
-                        const IntensityScatterModel& rounding, LidarPoints reused) {
+                        const IntensityScatterModel& rounding, LidarPoints points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);  // host value for "no instance"
     const std::size_t n = returned.size();
-    LidarPoints points = std::move(reused);
     points.position_m.resize(n);
     points.intensity.resize(n);
     points.ring.resize(n);

@@ -150,22 +150,19 @@ glm::dvec3 MotionDuringScan::object_velocity(std::int32_t instance, double after
     return object.motion.velocity_mps + glm::cross(object.motion.angular_velocity_radps, point_m - middle_m);
 }
 
-// A moving sensor has one cached pose for each column, which pose_of() replaces if a ray
-// of the column fires at another time. NaN differs from every time, so the first ray of
-// each column computes a pose.
 FiringPoseInterpolator::FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset)
     : scan_(scan),
       target_from_dataset_(target_from_dataset),
       moves_(scan.track.pose.size() > 1),
-      made_(moves_ && scan.image.rows > 1 ? std::size_t(scan.image.columns) : 1,
-            {std::numeric_limits<float>::quiet_NaN(), {}}) {}
+      cached_(moves_ && scan.image.rows > 1 ? std::size_t(scan.image.columns) : 1) {}
 
+/// Computes a pose only if the ray fires at another time than the last ray of its column.
 const Pose& FiringPoseInterpolator::pose_of(std::size_t ray) {
-    CachedFiringPose& cached = made_[ray % made_.size()];  // rays are stored row by row
+    std::optional<CachedFiringPose>& cached = cached_[ray % cached_.size()];  // rays are stored row by row
     const float time_offset_s = moves_ ? scan_.time_offset_s[ray] : 0.0f;
-    if (cached.time_offset_s != time_offset_s)
+    if (!cached || cached->time_offset_s != time_offset_s)
         cached = {time_offset_s, target_from_dataset_ * scan_.firing_pose(ray)};
-    return cached.target_from_firing;
+    return cached->target_from_firing;
 }
 
 double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogObservedSpace& space) {
