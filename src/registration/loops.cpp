@@ -74,8 +74,7 @@ public:
             if (later % 16 == 0 && !proceed(double(later) / double(keyframes_.size()))) return result;
             const std::optional<std::size_t> earlier = find_earlier(later);
             if (!earlier) continue;
-            // The previous closure predicts the next only if it is at most 3 keyframes
-            // older.
+            // A closure predicts the next only if it is at most 3 keyframes older.
             if (before && before->later + 3 < later) before.reset();
             if (const auto closure = find_closure(*earlier, later, before)) {
                 closures_.push_back(*closure);

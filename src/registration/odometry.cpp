@@ -83,8 +83,7 @@ public:
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
-        // After several lost scans, the map probably shows another place: starts a new
-        // map.
+        // After several lost scans, the map probably shows another place.
         if (is_lost && lost_in_a_row_ < kMaxLostScans) return;
         if (is_lost) maps_.clear();
         extend_map(scan);

@@ -53,8 +53,7 @@ class PlaneMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// @param first, last  cell size and kernel scale at the coarsest and the finest
-    /// level
+    /// @param first, last  cell size and kernel scale at the coarsest and finest level
     PlaneMaps(const FitRound& first, const FitRound& last) : first_(first), last_(last) { clear(); }
 
     void clear();
@@ -64,12 +63,10 @@ public:
     }
     /// Adds points that the vehicle measured after driving `travelled_distance_m`.
     void add_points(const std::vector<glm::dvec3>& points_m, double travelled_distance_m);
-    /// Removes cells whose last point is from before the vehicle had driven this
-    /// distance.
+    /// Removes cells that got no point since the vehicle had driven this distance.
     void forget_before(double min_travelled_distance_m);
     /// Returns the plane at a point. Searches map `finest_level` first, then the coarser
-    /// maps, because distant points form planes only in large cells. Null if no map has a
-    /// plane.
+    /// maps, because distant points form planes only in large cells. Can be null.
     const LocalPlane* find_plane(const glm::dvec3& point_m, int finest_level) const;
 
 private:

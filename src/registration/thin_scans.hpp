@@ -32,8 +32,7 @@ struct SubsampledPoint {
     std::uint32_t left = 0;
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
-/// [sweeps] points of each scan, frame by frame in the order of the rays; empty if not
-/// used
+/// [sweeps] points of each scan, by frame and ray; empty if not used
 using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 
 /// World positions of a point, and of the vehicle when it measured the point.

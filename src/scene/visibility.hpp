@@ -32,8 +32,7 @@ public:
     std::size_t cell_index(int row, int column) const {
         return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
     }
-    /// Returns the range of the nearest return in each cell, [rows * columns] metres, or
-    /// 0.
+    /// Returns the nearest range in each cell, [rows * columns] metres, or 0.
     std::vector<float> nearest_ranges_m(const Scan& scan) const;
 
 private:
@@ -42,8 +41,7 @@ private:
 };
 
 /// Compares a point with the range images of at most 64 frames, evenly spaced in time.
-/// Their sensors are within 40 m of the point, or at most 1.25 times as far as the
-/// nearest.
+/// Their sensors are within 40 m, or within 1.25 times the smallest distance.
 class VisibilityChecker {
 public:
     /// Selects the frames that can observe each tile of the ground. `log` is not
@@ -51,8 +49,7 @@ public:
     /// @param positions indices of the frames to use, in `log.frames`
     VisibilityChecker(const Log& log, const std::vector<int>& positions);
 
-    /// Creates the images that these points (world) need. Only they may be looked up
-    /// then.
+    /// Creates the images for these points (world). Only they may be looked up.
     template <class Points>
     void make_images(const Points& points_m) {
         for (const auto& point_m : points_m) request_images(glm::dvec3(point_m));

@@ -25,8 +25,7 @@ bool has_usable_poses(const Log& sequence, const Config& config) {
 struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// Computes the median and the maximum of the corrections from the log to the
-    /// registration.
+    /// Computes the median and the maximum of the corrections by the registration.
     PoseCorrectionStatistics(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {

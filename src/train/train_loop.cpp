@@ -1,7 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Runs a training iteration (docs/method.md sections 4-6). The host submits each
-// iteration to the GPU without waiting, and reads the losses later
-// (iteration_reports.hpp).
+// SPDX-License-Identifier: Apache-2.0 Runs a training iteration (docs/method.md sections
+// 4-6). The host submits each iteration to the GPU without waiting, and reads the losses
+// later.
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -406,8 +405,7 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     return drops;
 }
 
-/// Renders a batch. Counts the measurements of rays for which the scene predicts a
-/// return.
+/// Renders a batch. Counts rays for which the scene predicts a return.
 void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
     constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface

@@ -98,8 +98,7 @@ TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& c
     return sum;
 }
 
-// A second track inside this margin around the box of a person or vehicle is a part of
-// it.
+// A track inside this margin around the box of a person or vehicle is a part of it.
 constexpr double kPersonMargin_m = 0.5, kVehicleMargin_m = 1.0;
 constexpr std::size_t kMinMoverPoints = 5;  // minimum number of points per frame without static points
 constexpr double kMaxBoxLength_m = 20.0, kMaxBoxWidth_m = 3.2, kMaxBoxHeight_m = 4.5;

@@ -100,8 +100,7 @@ RayDropTable RayDropCounts::persistent_rates() const {
             const auto [end, interval_rate] = *interval;
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
-                // At most the bin's rate, because other bins of the interval can drop
-                // more.
+                // Other bins of the interval can drop more than this bin.
                 const float bin_rate = rays_[i] > 0 ? float(drops_[i]) / float(rays_[i]) : 1.0f;
                 table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval_rate));
             }
