@@ -1,6 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0 Runs a training iteration (docs/method.md sections
-// 4-6). The host submits each iteration to the GPU without waiting, and reads the losses
-// later.
+// SPDX-License-Identifier: Apache-2.0
+// Runs a training iteration (docs/method.md sections 4-6). The host submits each
+// iteration to the GPU without waiting, and reads the losses later.
 #include "train/train_loop.hpp"
 
 #include <algorithm>

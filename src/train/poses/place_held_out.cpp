@@ -1,5 +1,5 @@
-// SPDX-License-Identifier: Apache-2.0 Aligns held-out scans with the trained scene, so
-// that metrics have no pose errors.
+// SPDX-License-Identifier: Apache-2.0
+// Aligns held-out scans with the trained scene, so that metrics have no pose errors.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
