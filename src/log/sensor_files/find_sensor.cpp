@@ -6,6 +6,7 @@
 #include <optional>
 
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_pattern.hpp>
@@ -102,9 +103,10 @@ SensorModel read_sensor_file(const SensorSpecifier& specifier, double default_ma
     const std::string stem = path.stem().string();
     SensorModel sensor;
     if (path.extension() == ".npz") sensor = sensor_files::read_ray_npz(specifier.name, stem);
-    else if (path.extension() == ".json")
-        sensor = sensor_files::parse_json_sensor(read_text_file(path), stem, specifier.name, specifier.mode);
-    else sensor = parse_csv_sensor(read_text_file(path), specifier);
+    else if (path.extension() == ".json") {
+        const nlohmann::json json = parse_json(read_text_file(path), specifier.name);
+        sensor = sensor_files::read_json_sensor({json, specifier.name, ""}, stem, specifier.mode);
+    } else sensor = parse_csv_sensor(read_text_file(path), specifier);
     if (specifier.mode && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         fail<UsageError>(
             "sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no number of "
@@ -128,7 +130,8 @@ void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, co
 }
 
 SensorModel parse_sensor(const std::string& text, const std::string& name, const std::string& where) {
-    return sensor_files::parse_json_sensor(text, name, where, {});
+    const nlohmann::json json = parse_json(text, where);
+    return sensor_files::read_json_sensor({json, where, ""}, name);
 }
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,

@@ -9,6 +9,8 @@
 
 #include <relidar/log/sensor.hpp>
 
+#include "base/json_field.hpp"
+
 namespace relidar::sensor_files {
 
 /// Arrays that the file does not contain are empty.
@@ -48,11 +50,12 @@ struct SpinMode {
     int columns = 0;
     double rate_hz = 0.0;
 };
-/// Parses a pattern, a ray table, or the metadata of an Ouster.
+/// Reads a pattern, a ray table, or the metadata of an Ouster.
+/// @param name  used if the object contains none
 /// @param ouster_mode  replaces the mode in the metadata of an Ouster
 /// @throws DataError naming the key that is wrong
-SensorModel parse_json_sensor(const std::string& json_text, const std::string& name, const std::string& where,
-                              const std::optional<SpinMode>& ouster_mode);
+SensorModel read_json_sensor(const JsonField& object, const std::string& name,
+                             const std::optional<SpinMode>& ouster_mode = {});
 
 /// Sets the maximum range of a sensor whose file has none. The parser has set it to
 /// infinity in this case.

@@ -36,17 +36,16 @@ glm::dvec3 read_vector(const JsonField& object, const char* key, double max_abs_
     return object.has_member(key) ? object.at(key).vector_in(-max_abs_value, max_abs_value) : glm::dvec3(0.0);
 }
 
-/// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
-/// of a file, or a JSON object.
-SensorModel read_rig_sensor(const Json& entry_json, const JsonField& entry, const std::string& sensor_name,
+/// Returns a sensor of a rig.
+/// @param sensor  the name of a sensor, the name of a file, or an object
+SensorModel read_rig_sensor(const JsonField& sensor, const std::string& sensor_name,
                             const std::string& rig_file) {
-    if (entry.has_member("sensor") && entry_json.at("sensor").is_object()) {
-        const std::string where = entry.at("sensor").location();
-        SensorModel model = parse_sensor(entry_json.at("sensor").dump(), sensor_name, where);
-        sensor_files::set_missing_range(model, kDefaultMaxRange_m, where);
+    if (!sensor.is_string()) {
+        SensorModel model = sensor_files::read_json_sensor(sensor, sensor_name);
+        sensor_files::set_missing_range(model, kDefaultMaxRange_m, sensor.location());
         return model;
     }
-    const std::string name_or_file = entry.at("sensor").text();
+    const std::string name_or_file = sensor.text();
     if (find_name(name_or_file, list_sensors())) return find_sensor(name_or_file);
     // A file in the folder of the rig, which ":1024x10" may follow, or another path.
     const fs::path path = fs::path(rig_file).parent_path() / name_or_file;
@@ -143,7 +142,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         const JsonField sensor = sensors.at(i);
         sensor.check_members({"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"});
         const std::string name = read_sensor_name(sensor.at("name"), rig);
-        SensorModel model = read_rig_sensor(json.at("sensors")[i], sensor, name, path);
+        SensorModel model = read_rig_sensor(sensor.at("sensor"), name, path);
         const glm::dvec3 angle_rad = read_vector(sensor, "yaw_pitch_roll_deg", 360.0) * (kPi / 180.0);
         const Pose rig_from_sensor{make_rotation(angle_rad.x, angle_rad.y, angle_rad.z),
                                    read_vector(sensor, "translation_m", kMaxOffset_m)};

@@ -10,7 +10,6 @@
 #include <cmath>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
@@ -23,8 +22,6 @@
 
 namespace relidar::sensor_files {
 namespace {
-
-using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
@@ -110,27 +107,25 @@ SensorModel parse_ouster(const JsonField& metadata, const std::string& name,
 
 }  // namespace
 
-SensorModel parse_json_sensor(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& where, const std::optional<SpinMode>& ouster_mode) {
-    const Json json = parse_json(json_text, where);
-    const JsonField root(json, where, "");
-    // A table of rays may be the root object itself, without the key of its kind.
-    if (root.has_member("directions")) return sensor::parse_ray_table(root, sensor_name);
-    if (find_kind(root)) {
-        SensorModel sensor = read_sensor_json(root, sensor_name);
+SensorModel read_json_sensor(const JsonField& object, const std::string& name,
+                             const std::optional<SpinMode>& ouster_mode) {
+    // A table of rays may be the object itself, without the key of its kind.
+    if (object.has_member("directions")) return sensor::parse_ray_table(object, name);
+    if (find_kind(object)) {
+        SensorModel sensor = read_sensor_json(object, name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         if (spinning && spinning->beams.empty())
-            root.at("spinning").reject("found no beams", "expected at least one");
+            object.at("spinning").reject("found no beams", "expected at least one");
         return sensor;
     }
-    if (root.find("beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster(root, sensor_name, ouster_mode);
+    if (object.find("beam_altitude_angles", {"beam_intrinsics"}))
+        return parse_ouster(object, name, ouster_mode);
     std::string kinds;
     for (const PatternKind& kind : all_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     fail(
         "{}: found no sensor; expected a JSON object with one of the keys {}\"directions\" (a table of rays) "
         "or \"beam_altitude_angles\" (metadata of an Ouster)",
-        where, kinds);
+        object.location(), kinds);
 }
 
 }  // namespace relidar::sensor_files
