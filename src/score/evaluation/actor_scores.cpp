@@ -10,9 +10,12 @@
 #include <relidar/score/evaluation.hpp>
 #include "base/median.hpp"
 #include "base/parallel.hpp"
+#include "score/metrics/image_errors.hpp"
 
 namespace relidar {
 namespace {
+
+using metrics::mean_value;
 
 // Margins around a box for its points and for the rays that hit it.
 constexpr double kBoxMargin_m = 0.1, kSilhouetteMargin_m = 0.3;
@@ -52,12 +55,6 @@ struct BoxInScan {
     }
 };
 
-double compute_mean(const std::vector<double>& values) {
-    double sum = 0.0;
-    for (const double v : values) sum += v;
-    return sum / double(std::max<std::size_t>(values.size(), 1));
-}
-
 /// Returns how well the simulated and the real outline of a box agree:
 ///   F1 = n_both / (n_both + (n_missed + n_false) / 2)
 /// as numerator and denominator, so that those of several boxes can be added.
@@ -77,10 +74,10 @@ void add_range_errors(MetricValues& row, const std::string& name_prefix,
     }
     row[name_prefix + "medae_m"] = compute_median(absolute_m);
     row[name_prefix + "bias_m"] = compute_median(errors_m);
-    row[name_prefix + "above_30cm"] = compute_mean(large);
+    row[name_prefix + "above_30cm"] = mean_value(large);
 }
 
-/// All people and cyclists, or all other labelled boxes.
+/// All people and cyclists, or all other labelled boxes. All of them have real points.
 struct BoxGroupErrors {
     std::vector<double> range_error_m, chamfer_m, inlier_flags;
     double both = 0.0, either = 0.0;
@@ -93,16 +90,16 @@ struct BoxGroupErrors {
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
         // Chamfer distance: mean distance to the nearest real point, plus the reverse.
-        chamfer_m.push_back(compute_mean(to_real) +
-                            compute_mean(nearest_distances_m(points.real_m, points.simulated_m)));
+        chamfer_m.push_back(mean_value(to_real) +
+                            mean_value(nearest_distances_m(points.real_m, points.simulated_m)));
         for (const double d : to_real) inlier_flags.push_back(d <= kInlierDistance_m ? 1.0 : 0.0);
     }
     void add_to_row(MetricValues& row, const std::string& name_prefix) const {
         add_range_errors(row, name_prefix, range_error_m);
         if (either > 0.0) row[name_prefix + "f1"] = both / either;
         if (chamfer_m.empty()) return;
-        row[name_prefix + "cd_m"] = compute_mean(chamfer_m);
-        row[name_prefix + "3cm"] = compute_mean(inlier_flags);
+        row[name_prefix + "cd_m"] = mean_value(chamfer_m);
+        row[name_prefix + "3cm"] = mean_value(inlier_flags);
     }
 };
 
