@@ -66,8 +66,8 @@ void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit&
     double position = 0.0;  // fraction of the segment
     for (int k = 0; k < n_borders; ++k) {
         // Axis of the nearest border. Of equally near borders, the lowest axis is first.
-        int axis = next_border.y <= next_border.z ? 1 : 2;
-        if (next_border.x <= next_border.y) axis = next_border.x <= next_border.z ? 0 : 2;
+        int axis = next_border.x <= next_border.y ? 0 : 1;
+        if (next_border.z < next_border[axis]) axis = 2;
         visit_cell(cell, std::max(next_border[axis] - position, 0.0) * length_m);
         position = std::max(next_border[axis], position);
         cell[axis] += cell_step[axis];
