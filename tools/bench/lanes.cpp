@@ -206,7 +206,7 @@ void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& str
 
 /// Prints the scores of a sensor that is shifted by up to 3 m to either side.
 void print_lane_table(const std::string& run_folder) {
-    // LiDAR-RT compares squared distances with 0.05 m2, about (22 cm)2.
+    // LiDAR-RT compares squared distances with 0.05 m2, which is a distance of 22 cm.
     const double kFineThreshold_m = 0.05, kLidarRtThreshold_m = std::sqrt(0.05);
     Run run = load_run(run_folder);
     run.config = with_max_range(std::move(run.config), run.sequence);

@@ -83,11 +83,10 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const auto note = wrap_note(arguments, python_calls);
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
-    const DeviceLock use(*device);  // Releases the GIL, so the calls of Python above are not affected.
+    const DeviceLock use(*device);  // Releases the GIL. From here on, only `python_calls` calls Python.
     // The progress of this step only checks for Ctrl-C and earlier exceptions.
     const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
     prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
-    // Compares the poses too, which prepare_log() has registered.
     if (start) check_resume(*start, run.sequence, run.split, run.config);
     return train(device->device, run.sequence, run.split, run.config, wrap_callback(arguments, python_calls),
                  {.checkpoints = arguments.checkpoints.value_or(""),
