@@ -1,5 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0 Appends the bytes of values to a string, in the
-// byte order of this machine. Shares bytes, for example of a file, without a copy.
+// SPDX-License-Identifier: Apache-2.0
+// Appends the bytes of values to a string, in the byte order of this machine. Shares
+// bytes, for example of a file, without a copy.
 #pragma once
 
 #include <cstddef>

@@ -210,7 +210,7 @@ def check_files(tree):
     for path, text in tree.items():
         is_code, head = path.endswith(CODE), text.split("\n")[:3]
         if is_code or path.endswith((".cmake", ".py", ".sh", ".in", "CMakeLists.txt")) or text.startswith("#!"):
-            if not any("SPDX-License-Identifier: Apache-2.0" in line for line in head):
+            if not any(re.search(r"SPDX-License-Identifier: Apache-2.0\W*$", line) for line in head):
                 yield f"{path}:1: no SPDX-License-Identifier line at the top"
         if is_code and text.count("\n") > line_limit(path):
             yield f"{path}:1: {text.count(chr(10))} lines, at most {line_limit(path)}"

@@ -1,9 +1,10 @@
-// SPDX-License-Identifier: Apache-2.0 Updates one parameter group with the Adam optimizer
-// (Kingma and Ba). A thread updates a row on a CPU, and a single float
-// (ONE_THREAD_PER_FLOAT) on a GPU. The gradient of a row that is not marked in `touched`
-// is zero; its entry in the gradient array is not used. If a list of rows exists
-// (list_touched.comp), other rows stay unchanged. Input: gradients, touched or rows and
-// n_listed, bounds, model_factors, models. In place: values, moment1, moment2.
+// SPDX-License-Identifier: Apache-2.0
+// Updates one parameter group with the Adam optimizer (Kingma and Ba). A thread updates a
+// row on a CPU, and a single float (ONE_THREAD_PER_FLOAT) on a GPU. The gradient of a row
+// that is not marked in `touched` is zero; its entry in the gradient array is not used.
+// If a list of rows exists (list_touched.comp), other rows stay unchanged. Input:
+// gradients, touched or rows and n_listed, bounds, model_factors, models. In place:
+// values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../scene/find_model.glsl"

@@ -1,6 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0 Writes the bytes of files with C streams, because
-// C++ streams do not report the cause of an error (errno). Error messages contain only
-// the failed operation; write_atomically() adds the path.
+// SPDX-License-Identifier: Apache-2.0
+// Writes the bytes of files with C streams, because C++ streams do not report the cause
+// of an error (errno). Error messages contain only the failed operation;
+// write_atomically() adds the path.
 #pragma once
 
 #include <bit>

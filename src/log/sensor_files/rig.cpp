@@ -1,5 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0 Reads sensor rigs. A rig is a set of sensors with
-// their poses on the vehicle. Intersects rays with the body of the vehicle.
+// SPDX-License-Identifier: Apache-2.0
+// Reads sensor rigs. A rig is a set of sensors with their poses on the vehicle.
+// Intersects rays with the body of the vehicle.
 #include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/sensor_files.hpp>
 
