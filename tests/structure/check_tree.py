@@ -48,6 +48,7 @@ MAX_CHAIN, MAX_CHAIN_OF_TESTS = 8, 10
 PLACEHOLDERS = {"relidar/room/name.hpp", "src/room", "RELIDAR_UPPER", "kernel_params.hpp",
                 "relidarTargets.cmake", "scores.md"}
 SOURCES = {".cpp", ".hpp", ".h", ".glsl", ".comp", ".rgen", ".md", ".cmake", ".sh", ".py", ".js", ".css", ".proto"}
+FILE_TABLE_ENDINGS = (".cpp", ".hpp", ".h", ".py", ".js", ".proto")   # of section 13 of architecture.md
 # Endings of files that the program reads or writes. `word.ending` is such a file, even if
 # `word` is a section of the settings.
 FILE_ENDINGS = {"json", "toml", "csv", "npz", "safetensors", "jsonl", "html", "png", "exr", "ply", "pcd", "log",
@@ -407,6 +408,20 @@ def check_documents(tree):
             yield f"README.md:1: calls {command.split()[0]}, which does not exist"
 
 
+def check_file_table(tree):
+    """Compares the table of files at the end of architecture.md with the tree."""
+    page = "docs/architecture.md"
+    stems = {}
+    for path in tree:
+        folder, name = posixpath.split(path)
+        if re.match("src/|tools/(relidar|view|serve|python)(/|$)", path) and name.endswith(FILE_TABLE_ENDINGS):
+            stems.setdefault(folder, set()).add(name.rsplit(".", 1)[0])
+    expected = {f"| `{folder}` | {', '.join(sorted(names))} |" for folder, names in stems.items()}
+    rows = {row for row in tree[page].split("\n## 13. Files")[-1].split("\n") if row.startswith("| `")}
+    yield from (f"{page}:1: section 13 has no row {row}" for row in sorted(expected - rows))
+    yield from (f"{page}:1: section 13 has the wrong row {row}" for row in sorted(rows - expected))
+
+
 # ---- names
 
 def check_names(tree):
@@ -422,7 +437,7 @@ def check_names(tree):
                 yield f"{path}:{line}: the namespace {space[1]} is no folder of the path"
 
 
-RULES = (check_includes, check_umbrella, check_files, check_names, check_documents)
+RULES = (check_includes, check_umbrella, check_files, check_names, check_documents, check_file_table)
 
 # A fault for each rule: the file, the text that is added, and a part of the violation.
 FAULTS = [
@@ -449,6 +464,7 @@ FAULTS = [
     ("docs/guide.md", "`RELIDAR_LOST`\n", "no variable or option RELIDAR_LOST"),
     ("docs/guide.md", "[x](sensors.md#lost)\n", "no heading for sensors.md#lost"),
     ("docs/guide.md", "[x](lost.md)\n", "no file docs/lost.md"),
+    ("docs/architecture.md", "| `src/lost` | lost |\n", "the wrong row"),
     ("README.md", "<!-- runnable -->\n```sh\ntools/lost\n```\n", "calls tools/lost"),
 ]
 
