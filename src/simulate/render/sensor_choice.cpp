@@ -159,21 +159,23 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
     const auto fill_channel = [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays,
                                            std::vector<T>& of_pixels) {
         of_pixels.assign(n, empty_value<T>(channel));
-        for (std::size_t pixel = 0; pixel < n; ++pixel)
-            if (shown[pixel]) of_pixels[pixel] = of_rays[*shown[pixel]];
-        if constexpr (std::is_same_v<T, float>) {
+        for (std::size_t pixel = 0; pixel < n; ++pixel) {
+            if (!shown[pixel]) continue;
+            const std::size_t ray = *shown[pixel];
+            of_pixels[pixel] = of_rays[ray];
             // A grid has distances from its origin, not from the origin of the ray.
-            for (std::size_t pixel = 0; channel.join == ChannelMergeRule::range && pixel < n; ++pixel)
-                if (shown[pixel])
-                    of_pixels[pixel] = glm::length(scan.image.origin[*shown[pixel]] +
-                                                   of_pixels[pixel] * scan.image.direction[*shown[pixel]]);
-            // A pixel has a return if any of its rays returns.
-            for (std::size_t ray = 0; channel.join == ChannelMergeRule::drop && ray < pixels.size(); ++ray)
-                if (pixels[ray] >= 0) {
+            if constexpr (std::is_same_v<T, float>)
+                if (channel.join == ChannelMergeRule::range)
+                    of_pixels[pixel] =
+                        glm::length(scan.image.origin[ray] + of_rays[ray] * scan.image.direction[ray]);
+        }
+        // A pixel has a return if any of its rays returns.
+        if constexpr (std::is_same_v<T, float>)
+            for (std::size_t ray = 0; ray < pixels.size(); ++ray)
+                if (channel.join == ChannelMergeRule::drop && pixels[ray] >= 0) {
                     float& drop = of_pixels[std::size_t(pixels[ray])];
                     drop = std::min(drop, of_rays[ray]);
                 }
-        }
     };
     for_all_channels(scan, result, fill_channel);
     return result;
