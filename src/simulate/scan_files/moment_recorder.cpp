@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <iterator>
+
 #include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
 
@@ -31,20 +34,24 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
 /// Merges the actors of the scans of several sensors. For an actor in several scans, adds
 /// up its points, and keeps the largest visible share and the box of the scan with most
 /// points.
-void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor> new_actors) {
-    for (RecordedActor& actor : new_actors) {
+std::vector<RecordedActor> merge_actors(std::vector<RecordedActor> actors_of_scans) {
+    std::vector<RecordedActor> merged;
+    std::vector<std::size_t> n_points;  // in all scans, of each merged actor
+    for (RecordedActor& actor : actors_of_scans) {
         const auto known = std::ranges::find_if(
             merged, [&](const RecordedActor& other) { return other.box->id == actor.box->id; });
         if (known == merged.end()) {
+            n_points.push_back(actor.n_points);
             merged.push_back(std::move(actor));
             continue;
         }
-        const std::size_t n_points = known->n_points + actor.n_points;
+        n_points[std::size_t(known - merged.begin())] += actor.n_points;
         const std::optional<double> share = std::max(known->visible_share, actor.visible_share);
         if (known->n_points < actor.n_points) *known = std::move(actor);
-        known->n_points = n_points;
         known->visible_share = share;
     }
+    for (std::size_t i = 0; i < merged.size(); ++i) merged[i].n_points = n_points[i];
+    return merged;
 }
 
 /// Rounds a time to 10 ns, because floats have errors of some nanoseconds. The stamp of a
@@ -118,13 +125,15 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
     // Times of the vehicle's poses, including the stamps of all clouds.
     std::vector<double> pose_times_s;
     add_pose_times(pose_times_s, scans[0].track, all.first_s, all.last_s);
+    std::vector<RecordedActor> actors_of_scans;
     for (std::size_t s = 0; s < scans.size(); ++s) {
         const SweepInterval of_sensor = sweep_interval(scans.subspan(s, 1));
         pose_times_s.push_back(of_sensor.first_s);
         pose_times_s.push_back(of_sensor.last_s);
         sweep.clouds.push_back(make_cloud(scans[s], sensors_[s], of_sensor.first_s));
-        merge_actors(sweep.actors, recorded_actors(scans[s], all.first_s));
+        std::ranges::move(recorded_actors(scans[s], all.first_s), std::back_inserter(actors_of_scans));
     }
+    sweep.actors = merge_actors(std::move(actors_of_scans));
     sweep.poses = vehicle_poses(scans[0], std::move(pose_times_s));
     if (earth_ && !sweep.poses.empty()) {
         const ObjectState& first = sweep.poses.front();

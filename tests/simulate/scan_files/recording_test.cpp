@@ -10,6 +10,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"
+#include "simulate/scan_files/recorded_moment.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -254,6 +255,41 @@ TEST_F(Recordings, OfARigAreOne) {
     for (const char* name : {"scans.mcap", "rosbag.mcap"})
         for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
             EXPECT_THAT(read_contents(folder / name), testing::HasSubstr(topic)) << name;
+}
+
+/// Sensor k of a rig has kPoints[k] returns of the car, all at the time 1 + 0.01 k s. The
+/// third sensor has most of them, but less than the first two together.
+TEST_F(Recordings, HaveTheBoxOfTheSensorWithMostPoints) {
+    constexpr std::array<std::size_t, 3> kPoints{4, 3, 5};
+    format.instance_names = {"background", "car"};
+    format.actors = {{.id = "car",
+                      .category = "Van",
+                      .size_m = {4.0, 2.0, 1.5},
+                      .world_from_box = {
+                          {0.0, 2.0}, {{{1, 0, 0, 0}, {0.0, -5.0, 0.0}}, {{1, 0, 0, 0}, {0.0, 15.0, 0.0}}}}}};
+    std::vector<RenderedScan> scans;
+    for (std::size_t k = 0; k < kPoints.size(); ++k) {
+        const int n = int(kPoints[k]);
+        RenderedScan scan;
+        scan.image = {1,
+                      n,
+                      std::vector<float>(kPoints[k], 10.0f),
+                      std::vector<float>(kPoints[k], 0.5f),
+                      std::vector<float>(kPoints[k], 0.0f),
+                      {},
+                      std::vector<glm::vec3>(kPoints[k], {1.0f, 0.0f, 0.0f})};
+        scan.instance.assign(kPoints[k], 1);
+        scan.ring.assign(kPoints[k], 0);
+        scan.time_offset_s.assign(kPoints[k], 0.01f * float(k));
+        scan.time_s = 1.0;
+        scans.push_back(test::complete(std::move(scan)));
+    }
+    std::vector<ScanOutputOptions> sensors(kPoints.size(), format);
+    const scan_files::RecordedSweep sweep = scan_files::SweepRecorder(sensors).record(scans);
+    ASSERT_EQ(sweep.actors.size(), 1u);
+    EXPECT_EQ(sweep.actors[0].n_points, 12u);
+    EXPECT_NEAR(sweep.actors[0].faced_s, 1.02, 1e-6);
+    EXPECT_NEAR(sweep.actors[0].faced.world_from_object.translation.y, 5.2, 1e-6);  // drives 10 m/s
 }
 
 TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
