@@ -59,7 +59,8 @@ void keep_brightest(std::array<DecodedReturn, 2>& returns, std::size_t index, co
     };
     auto& [first, second] = returns;
     if (added.range_m == first.range_m || added.range_m == second.range_m) return;
-    DecodedReturn& darker = brightness(first) < brightness(second) ? first : second;
+    const bool is_first = first.range_m == 0.0f || brightness(first) < brightness(second);
+    DecodedReturn& darker = is_first ? first : second;
     if (brightness(darker) < added.intensity) darker = added;
 }
 

@@ -21,7 +21,11 @@ public:
     /// @param scene_copy null for the first lane
     RenderLane(Device& device, ResidentScene& scene, std::unique_ptr<Renderer> scene_copy = {},
                const RayDropNetwork* network = nullptr)
-        : points(device), device_(device), scene_(scene), copy_(std::move(scene_copy)) {
+        : points(device),
+          device_(device),
+          scene_(scene),
+          copy_(std::move(scene_copy)),
+          cached_{std::make_shared<DeviceSensorRays>(device)} {  // compiles the kernels now
         if (network) refiner.emplace(device, *network);
     }
 
