@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Common interface of two acceleration structures: one is built by the Vulkan driver, the
-// other by kernels of relidar. Decides whether an update rebuilds a structure or only
-// refits its boxes.
+// Common interface of the acceleration structures of the Vulkan driver and of relidar.
+// Decides whether an update rebuilds a structure or only refits its boxes.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -90,9 +89,8 @@ void AccelerationStructure::record_refit(Stream& stream, const DeviceScene& scen
 void AccelerationStructure::refit_animated(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return record_refit(stream, scene);
-    // `refits` is not increased here. This counter triggers rebuilds, because refits
-    // usually degrade a tree. A walking actor repeats the same shapes, so its refits do
-    // not degrade the tree.
+    // Does not increase `refits`, which triggers rebuilds because refits degrade a tree.
+    // A walking actor repeats the same shapes, so its refits do not degrade the tree.
     a.refit_tree(stream, scene, animated_ranges(scene.layout().models));
     ++a.n_updates;
 }

@@ -63,13 +63,11 @@ std::uint32_t count_top_nodes(std::uint32_t n_instances) {
 
 }  // namespace
 
-/// Value above all surfel indices. If `last_surfel` has this value,
-/// compute_node_boxes() processes all models.
+/// Value of `last_surfel` with which compute_node_boxes() processes all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of arrays in the scratch memory of a build. Offset k is word k * n, where n is
-/// the number of surfels, rounded up to a multiple of 4.
-/// Arrays that are not needed at the same time share an offset.
+/// Offsets of arrays in scratch memory. The unit is the number of surfels, rounded up to
+/// a multiple of 4. Arrays that are not needed at the same time share an offset.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -91,10 +89,10 @@ struct Bvh::Impl {
     Device& device;
     std::uint32_t n, n_models, n_instances;
     PrimitiveType primitive;
-    std::uint32_t bound = max_node_count(n, n_models);  ///< maximum number of nodes
+    std::uint32_t max_nodes = max_node_count(n, n_models);
     std::uint32_t n_refitting = should_coalesce(device)
-                                    ? RELIDAR_BVH_WIDTH * bound
-                                    : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu);
+                                    ? RELIDAR_BVH_WIDTH * max_nodes
+                                    : std::min(RELIDAR_BVH_WIDTH * max_nodes, kRefitThreadsOfCpu);
     Kernel<shared::ProxyParams> proxies{
         device, "diff/accel/proxies", {{BOXES, 2u}, {PRIMITIVE, std::uint32_t(primitive)}}};
     Kernel<shared::BvhBoundsParams> bounds_kernel{
@@ -130,23 +128,23 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::ModelBounds> bounds{device, 6 * std::size_t(n_models), "model bounds"};
     Array<std::uint32_t> scratch{device,
                                  std::max(kScratchWords* std::size_t(round_up_4(n)),
-                                          kSlotsAt* std::size_t(round_up_4(n)) + 8 * std::size_t(bound)),
+                                          kSlotsAt* std::size_t(round_up_4(n)) + 8 * std::size_t(max_nodes)),
                                  "acceleration structure scratch"};
     /// binary nodes that become wide nodes
-    Array<std::uint32_t, shared::BinaryRoots> queue{device, bound, "collapse queue"};
+    Array<std::uint32_t, shared::BinaryRoots> queue{device, max_nodes, "collapse queue"};
     /// number of queue entries per level
     Array<std::uint32_t, shared::LevelSizes> level_sizes{device, max_levels() + 1, "collapse levels"};
     Array<glm::uvec2, shared::SumsOfTiles> tiles{device, surfel_tiles(n), "collapse sums"};
-    Array<shared::BvhNode> nodes{device, bound, "wide nodes"};
+    Array<shared::BvhNode> nodes{device, max_nodes, "wide nodes"};
     Array<std::uint32_t, shared::LeafOrder> order{device, n, "surfels in leaf order"};
-    /// [bound] two indices per node: its parent, and the first surfel of the model that
-    /// contains the node
-    Array<glm::uvec2, shared::WideLinks> links{device, bound, "wide node links"};
-    /// [bound,6] boxes of the nodes before quantisation
-    Array<float, shared::WideBoxes> node_boxes{device, 6 * std::size_t(bound), "wide node boxes"};
-    /// [bound] number of children whose boxes are finished
-    Array<std::uint32_t, shared::Arrivals> arrivals{device, bound, "wide node arrivals"};
-    Array<std::uint32_t, shared::WideCount> count{device, 1, "wide node count"};  ///< number of nodes in use
+    /// [max_nodes] two indices per node: its parent, and the first surfel of the model
+    /// that contains the node
+    Array<glm::uvec2, shared::WideLinks> links{device, max_nodes, "wide node links"};
+    /// [max_nodes,6] boxes of the nodes before quantisation
+    Array<float, shared::WideBoxes> node_boxes{device, 6 * std::size_t(max_nodes), "wide node boxes"};
+    /// [max_nodes] number of children whose boxes are finished
+    Array<std::uint32_t, shared::Arrivals> arrivals{device, max_nodes, "wide node arrivals"};
+    Array<std::uint32_t, shared::WideCount> n_used_nodes{device, 1, "wide node count"};
     /// [n_instances] like `root_of`, but RELIDAR_BVH_NO_NODE for an absent instance
     Array<std::uint32_t, shared::InstanceRoots> roots{device, n_instances, "instance roots"};
     Array<std::uint32_t, shared::TopOrder> top_order{device, n_instances, "instances in leaf order"};
@@ -154,8 +152,8 @@ struct Bvh::Impl {
     Array<float, shared::InstanceBoxes> top_boxes{
         device, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"};
     Array<glm::uvec2> top_keys{device, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"};
-    Array<float, shared::CostSums> cost_sums{device, count_workgroups(bound), "cost sums"};
-    ReadbackBuffer costs{device, count_workgroups(bound) * sizeof(float), "cost sums"};
+    Array<float, shared::CostSums> cost_sums{device, count_workgroups(max_nodes), "cost sums"};
+    ReadbackBuffer costs{device, count_workgroups(max_nodes) * sizeof(float), "cost sums"};
 
     Impl(Device& d, const DeviceScene& scene)
         : device(d),
@@ -182,6 +180,7 @@ struct Bvh::Impl {
         return {scratch, words_per_surfel * std::size_t(round_up_4(n))};
     }
     std::uint32_t max_levels() const;
+    shared::BvhWideParams wide_params(const DeviceScene& scene) const;
     void collapse_tree(Stream& stream, const DeviceScene& scene);
     std::uint32_t n_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS + std::uint32_t(std::bit_width(std::max(n_models, 1u) - 1));
@@ -199,22 +198,23 @@ struct Bvh::Impl {
              .first_surfel = range.first,
              .n_surfels = range.count});
     }
+    void compute_bounds(Stream& stream, const DeviceScene& scene);
     void sort_surfels(Stream& stream, const DeviceScene& scene);
     void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
         run(stream, refit_kernel, n_refitting,
             {.wide = wide_bvh(),
              .boxes = boxes.address(),
-             .bound = bound,
+             .bound = max_nodes,
              .first_surfel = first_surfel,
              .last_surfel = last_surfel});
     }
 };
 
 /// Returns an upper bound of the number of tree levels: the levels of a full tree with
-/// `bound` nodes, plus 4 because real trees are uneven.
+/// `max_nodes` nodes, plus 4 because real trees are uneven.
 std::uint32_t Bvh::Impl::max_levels() const {
     std::uint32_t n_levels = 4;
-    for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
+    for (std::uint64_t width = n_models; width < max_nodes; width *= RELIDAR_BVH_WIDTH) ++n_levels;
     return n_levels;
 }
 
@@ -232,15 +232,12 @@ shared::BvhWide Bvh::Impl::wide_bvh() const {
             .links = links.address(),
             .boxes = node_boxes.address(),
             .arrivals = arrivals.address(),
-            .count = count.address()};
+            .count = n_used_nodes.address()};
 }
 
-/// Sorts the surfels by model and by the Morton codes of their box centres. Neighbours in
-/// space are then neighbours in the list. The sorted keys are at kKeysAt, and the surfels
-/// in this order at kValuesAt.
-void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
-    // A Morton code is relative to the bounds of its model. They are minima, which the
-    // kernel computes with atomics, so they start at the largest number.
+/// Computes the bounds of each model. They are minima, which the kernel computes with
+/// atomics, so they start at the largest number.
+void Bvh::Impl::compute_bounds(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,
         {.boxes = boxes.address(),
@@ -248,12 +245,19 @@ void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
+}
+
+/// Sorts the surfels by model and by the Morton codes of their means (positions on a
+/// curve that fills the bounds of the model). Neighbours in the list are then close in
+/// space. Writes the sorted keys to kKeysAt and the surfels in this order to kValuesAt.
+void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
+    compute_bounds(stream, scene);
     // Each pass of the radix sort moves the keys from one buffer to the other. An odd
     // number of passes starts in the second, so that the result is in the first.
     const SortBuffers first{.keys = scratch_at(kKeysAt), .order = scratch_at(kValuesAt)};
     const SortBuffers second{.keys = scratch_at(kSecondKeysAt), .order = scratch_at(kSecondValuesAt)};
     const bool starts_in_second = RadixSort::pass_count(n_key_bits()) % 2 == 1;
-    // The kernel also initialises `other_ends` and `demands` for the next kernels.
+    // The kernel also initialises `other_ends` and `demands`, which later kernels update.
     run(stream, keys_kernel, n,
         {.records = scene.surfel_records().address(),
          .models = scene.model_table().address(),
@@ -267,41 +271,47 @@ void Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     else sort.run(stream, first, second, n_key_bits());
 }
 
-/// Converts the binary trees of all models to wide trees (up to eight children per node).
+/// Returns the parameters that the five kernels of collapse_tree() share.
+shared::BvhWideParams Bvh::Impl::wide_params(const DeviceScene& scene) const {
+    return {.tree = binary_bvh(),
+            .wide = wide_bvh(),
+            .queue = queue.address(),
+            .slots = scratch_at(kSlotsAt),  // children of each wide node
+            .level_sizes = level_sizes.address(),
+            .demands = scratch_at(kDemandsAt),  // of a node: wide children, surfels in leaves
+            .offsets = scratch_at(kOffsetsAt),  // sums of the demands before a node in its tile
+            .tiles = tiles.address(),           // sums of the demands of all earlier tiles
+            .places = scratch_at(kWideNodeIndicesAt),
+            .surfels = scratch_at(kValuesAt),  // sorted
+            .models = scene.model_table().address(),
+            .n_surfels = n,
+            .n_tiles = surfel_tiles(n),
+            .n_models = n_models,
+            .bound = max_nodes,
+            .level = 0};
+}
+
+/// Converts the binary trees of all models to wide trees. A wide node replaces a binary
+/// node and some of the nodes below it, and has up to eight children.
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
-    shared::BvhWideParams params{.tree = binary_bvh(),
-                                 .wide = wide_bvh(),
-                                 .queue = queue.address(),
-                                 .slots = scratch_at(kSlotsAt),
-                                 .level_sizes = level_sizes.address(),
-                                 .demands = scratch_at(kDemandsAt),
-                                 .offsets = scratch_at(kOffsetsAt),
-                                 .tiles = tiles.address(),
-                                 .places = scratch_at(kWideNodeIndicesAt),
-                                 .surfels = scratch_at(kValuesAt),
-                                 .models = scene.model_table().address(),
-                                 .n_surfels = n,
-                                 .n_tiles = surfel_tiles(n),
-                                 .n_models = n_models,
-                                 .bound = bound,
-                                 .level = 0};
+    shared::BvhWideParams params = wide_params(scene);
     // Chooses which binary nodes become wide nodes, from the roots down, one level per
     // launch, and lists them in `queue`. The host does not know the number of nodes of a
     // level, so each launch has enough threads for the largest possible level.
     std::uint64_t max_level_nodes = n_models;
     while (params.level < max_levels() - 1) {
         run(stream, choose_level, max_level_nodes, params);
-        max_level_nodes = std::min<std::uint64_t>(max_level_nodes * RELIDAR_BVH_WIDTH, bound);
+        max_level_nodes = std::min<std::uint64_t>(max_level_nodes * RELIDAR_BVH_WIDTH, max_nodes);
         ++params.level;
     }
     run(stream, choose_remaining, kWorkgroupSize, params);  // deeper levels of uneven trees
 
-    // Numbers these nodes by a prefix sum over tiles of binary nodes, and writes them.
+    // Numbers the wide nodes by prefix sums of demands in tiles, and writes them.
     run(stream, sum_tiles, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
     run(stream, sum_earlier_tiles, kWorkgroupSize, params);
-    run(stream, number_nodes, bound, params);
-    run(stream, write_nodes, bound, params);
+    run(stream, number_nodes, max_nodes, params);
+    run(stream, write_nodes, max_nodes, params);
 }
 
 /// Makes all trees empty. A build does not change the tree of a model without surfels.
@@ -309,7 +319,7 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) : impl_(std::make_unique<Impl
     Stream stream(device);
     stream.fill(impl_->nodes);
     stream.fill(impl_->arrivals);
-    stream.fill(impl_->count);
+    stream.fill(impl_->n_used_nodes);
     stream.fill(impl_->links, RELIDAR_BVH_NO_NODE);
     stream.fill(impl_->queue, RELIDAR_BVH_NO_NODE);
     stream.submit_and_wait();
@@ -385,18 +395,21 @@ void Bvh::Impl::reserve_nodes(std::size_t n_surfels, std::size_t n_nodes) {
     arrivals.reserve(device, n_nodes, "wide node arrivals");
 }
 
-/// Copies nodes and their links of an added tree behind the other nodes. Their indices
-/// count from the start of the added tree, so they are shifted.
+/// Copies the nodes of an added tree, and the two links of each node, behind the other
+/// nodes. Indices of the added tree count from 0, so the number of earlier nodes or
+/// surfels is added to them.
 void Bvh::Impl::append_nodes(const Impl& added, std::uint32_t first_node, std::uint32_t first_surfel) {
-    std::vector<shared::BvhNode> added_nodes = added.nodes.download(added.bound);
+    std::vector<shared::BvhNode> added_nodes = added.nodes.download(added.max_nodes);
     for (shared::BvhNode& node : added_nodes) {
         node.first_child += first_node;
         node.first_leaf += first_surfel;
     }
-    std::vector<glm::uvec2> added_links = added.links.download(added.bound);
-    for (glm::uvec2& parent_and_surfel : added_links) {
-        if (parent_and_surfel.x != RELIDAR_BVH_NO_NODE) parent_and_surfel.x += first_node;
-        if (parent_and_surfel.y != RELIDAR_BVH_NO_NODE) parent_and_surfel.y += first_surfel;
+    std::vector<glm::uvec2> added_links = added.links.download(added.max_nodes);
+    for (glm::uvec2& link : added_links) {
+        std::uint32_t &parent_node = link.x, &model_surfel = link.y;
+        // A root has no parent, and an unused node has neither link.
+        if (parent_node != RELIDAR_BVH_NO_NODE) parent_node += first_node;
+        if (model_surfel != RELIDAR_BVH_NO_NODE) model_surfel += first_surfel;
     }
     nodes.upload(added_nodes, first_node);
     links.upload(added_links, first_node);
@@ -406,25 +419,26 @@ void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
     constexpr std::size_t kBoxFloats = 6;  // two corners
     Impl& trees = *impl_;
     const Impl& tree = *added.impl_;
-    const std::uint32_t first_node = trees.bound, first_surfel = scene.layout().models.back().first;
-    const std::uint32_t n_nodes = first_node + tree.bound, n_surfels = first_surfel + tree.n;
+    const std::uint32_t first_node = trees.max_nodes, first_surfel = scene.layout().models.back().first;
+    const std::uint32_t n_nodes = first_node + tree.max_nodes, n_surfels = first_surfel + tree.n;
     if (n_surfels > trees.order.size() || n_nodes > trees.nodes.size())
         reserve_spare(n_surfels, [&](std::size_t capacity) {
-            // The surfels of later models need at most a quarter as many nodes.
-            trees.reserve_nodes(capacity, n_nodes + (capacity - n_surfels) / 4);
+            const std::size_t n_spare_surfels = capacity - n_surfels;
+            trees.reserve_nodes(capacity, n_nodes + n_spare_surfels / 4);  // see max_node_count()
         });
-    // Arrays with an entry per node. The counters `arrivals` are 0 between launches.
+    // Arrays with an entry per node. A refit counts in `arrivals` from 0.
     trees.append_nodes(tree, first_node, first_surfel);
-    trees.node_boxes.upload(tree.node_boxes.download(kBoxFloats * tree.bound), kBoxFloats * first_node);
-    trees.arrivals.upload(std::vector<std::uint32_t>(tree.bound, 0u), first_node);
-    // Arrays with an entry per surfel. Surfels count from the start of their model.
+    trees.node_boxes.upload(tree.node_boxes.download(kBoxFloats * tree.max_nodes), kBoxFloats * first_node);
+    trees.arrivals.upload(std::vector<std::uint32_t>(tree.max_nodes, 0u), first_node);
+    // Arrays with an entry per surfel. `order` counts from the model's first surfel.
     trees.order.upload(tree.order.download(tree.n), first_surfel);
     trees.boxes.upload(tree.boxes.download(kBoxFloats * tree.n), kBoxFloats * first_surfel);
 
-    trees.count.upload(std::vector<std::uint32_t>{first_node + tree.count.download().front()});
+    const std::uint32_t n_added_nodes = tree.n_used_nodes.download().front();
+    trees.n_used_nodes.upload(std::vector<std::uint32_t>{first_node + n_added_nodes});
     trees.model_roots.resize(scene.layout().models.size(), RELIDAR_BVH_NO_NODE);
     trees.model_roots.back() = first_node;
-    trees.bound = n_nodes;
+    trees.max_nodes = n_nodes;
     trees.n = n_surfels;
 }
 
@@ -450,18 +464,19 @@ HostBvhCopy Bvh::download_bvh() const {
     const Impl& b = *impl_;
     HostBvhCopy host{b.nodes.download(),          b.order.download(),     b.roots.download(),
                      b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
-    host.nodes.resize(std::min<std::size_t>(b.count.download().front(), host.nodes.size()));
+    host.nodes.resize(std::min<std::size_t>(b.n_used_nodes.download().front(), host.nodes.size()));
     return host;
 }
 
-/// A ray enters a box with a probability proportional to its area. So the cost is the sum
-/// of the areas of all boxes, each times the cost of testing the node or the leaf in it.
+/// Submits the kernel that measures how expensive the trees are: the sum of the areas of
+/// all boxes, each times the cost of testing the node or the leaf in it. A ray enters a
+/// box with a probability proportional to its area. read_cost() returns the result.
 void Bvh::measure_cost(Stream& stream) {
     Impl& bvh = *impl_;
-    // A workgroup writes one sum. append_tree() does not enlarge the array of these sums,
-    // so the cost does not include the nodes of appended trees.
-    const auto n_nodes =
-        std::uint32_t(std::min<std::size_t>(bvh.bound, kWorkgroupSize * bvh.cost_sums.size()));
+    // Each workgroup writes the sum of its nodes. The array of these sums does not grow
+    // with appended trees, so the cost does not include their nodes.
+    const std::size_t max_measured = kWorkgroupSize * bvh.cost_sums.size();
+    const auto n_nodes = std::uint32_t(std::min<std::size_t>(bvh.max_nodes, max_measured));
     run(stream, bvh.cost_kernel, n_nodes,
         {.wide = bvh.wide_bvh(),
          .boxes = bvh.boxes.address(),

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Software acceleration structure (relidar/diff/bvh.h) that the device builds and refits.
-// The trees of all models share the same arrays, so that the number of launches does not
-// depend on the number of models. The build sorts surfels along a space-filling curve,
-// clusters them into binary trees, converts these to wide nodes, and computes their boxes
-// bottom up. Memory per surfel: 24 B boxes, 92 B scratch, 4 B order, 30 B nodes.
+// Software acceleration structure that the device builds and refits. The trees of all
+// models share the same arrays, so that the number of launches does not depend on the
+// number of models. Memory per surfel: 24 B boxes, 92 B scratch, 4 B order, 30 B nodes.
 #pragma once
 
 #include <cstdint>
@@ -41,9 +39,8 @@ public:
     ~Bvh();
 
     void build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    /// Submits kernels that update the boxes in the trees of models and rebuild the
-    /// top-level tree. Keeps the structure of the models' trees. Requires an earlier
-    /// build_trees().
+    /// Submits kernels that update the boxes in the trees of models (not their structure)
+    /// and rebuild the top-level tree. Requires an earlier build_trees().
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                      const SurfelRanges& ranges);
@@ -57,10 +54,9 @@ public:
 
     shared::BvhPointers bvh_addresses() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
-    /// heuristic, m^2). read_cost() waits for the cost and returns it. It
-    /// returns nothing if no measurement was recorded. A rebuild is useful if the cost is
-    /// much higher than after the last build.
+    /// heuristic, m^2). A rebuild is useful if the cost has grown much since a build.
     void measure_cost(Stream& stream);
+    /// Waits for the cost. Returns nothing if no measurement was recorded.
     std::optional<double> read_cost(Stream& stream);
     /// For tests. Waits for the device. All recorded commands must be submitted.
     HostBvhCopy download_bvh() const;

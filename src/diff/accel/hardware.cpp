@@ -108,10 +108,9 @@ const ProxyTriangleMesh kIcosahedronMesh{
 
 constexpr std::uint32_t kBoxBytes = 6 * sizeof(float), kVertexBytes = 3 * sizeof(float);
 
-/// Returns the cull mask of the k-th moving instance. A cull mask has 8 bits. Bit 0
-/// selects all standing instances. A separate ray query tests each moving instance,
-/// because its pose depends on the time of the ray. So moving instances get different
-/// bits, which are reused after 7 instances.
+/// Returns the cull mask (8 bits) of the k-th moving instance. Bit 0 is for standing
+/// instances. A separate ray query tests each moving instance, because its pose depends
+/// on the time of the ray. So they have different bits, which are reused after 7.
 std::uint32_t moving_instance_mask(std::size_t k) {
     return RELIDAR_STANDING_MASK << (1 + k % RELIDAR_MOVING_MASKS);
 }
@@ -155,9 +154,8 @@ struct RayQueryAccel::Impl {
         {{BOXES, proxy == ProxyShape::boxes ? 1u : 0u}, {PRIMITIVE, std::uint32_t(primitive)}}};
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
     /// [1] metres, stored as the bits of a float: maximum distance between a hit on a 3D
-    /// Gaussian and a corner of the enclosing icosahedron. A ray query may find only the
-    /// far side of the icosahedron, which is behind the hit. So it searches this far
-    /// behind the farthest hit.
+    /// Gaussian and a corner of its icosahedron. A ray query searches this far behind the
+    /// farthest hit, because it may find only the far side of the icosahedron.
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.
@@ -234,30 +232,32 @@ struct RayQueryAccel::Impl {
     InstanceLists list_instances(const DeviceScene& scene) const;
 };
 
-/// Describes the proxies of one model to the driver. They are a part of the array
-/// `geometry`. The geometry is not marked as opaque, so that the shader tests every
-/// candidate hit.
+/// Sets `input` to the proxies of one model: boxes or triangles around each
+/// surfel, in a part of the array `geometry`. They are not marked as opaque, so that the
+/// shader tests every candidate hit.
 void RayQueryAccel::Impl::set_geometry(BuildInput& input, const SurfelModel& model) const {
-    const std::uint64_t first_proxy =
-        geometry.buffer().impl().address + sizeof(float) * floats_per_surfel() * model.first;
+    const std::size_t first_float = floats_per_surfel() * model.first;
+    const std::uint64_t first_proxy = geometry.buffer().impl().address + sizeof(float) * first_float;
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
-        VkAccelerationStructureGeometryAabbsDataKHR& boxes = input.geometry.geometry.aabbs;
-        boxes = {};
-        boxes.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR;
-        boxes.data.deviceAddress = first_proxy;
-        boxes.stride = kBoxBytes;
+        input.geometry.geometry.aabbs = {
+            .sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
+            .pNext = nullptr,
+            .data = {.deviceAddress = first_proxy},
+            .stride = kBoxBytes};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
-        VkAccelerationStructureGeometryTrianglesDataKHR& triangles = input.geometry.geometry.triangles;
-        triangles = {};
-        triangles.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
-        triangles.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        triangles.vertexData.deviceAddress = first_proxy;
-        triangles.vertexStride = kVertexBytes;
-        triangles.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
-        triangles.indexType = VK_INDEX_TYPE_UINT32;
-        triangles.indexData.deviceAddress = indices.buffer().impl().address;
+        const std::uint32_t n_meshes = std::max(model.count, 1u);  // avoids -1 for an empty model
+        input.geometry.geometry.triangles = {
+            .sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR,
+            .pNext = nullptr,
+            .vertexFormat = VK_FORMAT_R32G32B32_SFLOAT,
+            .vertexData = {.deviceAddress = first_proxy},
+            .vertexStride = kVertexBytes,
+            .maxVertex = mesh.n_corners * n_meshes - 1,
+            .indexType = VK_INDEX_TYPE_UINT32,
+            .indexData = {.deviceAddress = indices.buffer().impl().address},
+            .transformData = {}};
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR |
@@ -342,9 +342,8 @@ void RayQueryAccel::Impl::allocate_scratch() {
     scratch_address = align_scratch(scratch.impl().address);
 }
 
-/// Allocates memory for the bottom-level structures of all models and for the top-level
-/// structure of the instances. record_build() builds them. All builds share one scratch
-/// buffer, in which each model has a separate part.
+/// Allocates the structures of all models and of the instances, which record_build()
+/// builds, and one scratch buffer for all builds, in which each model has a part.
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy) {
     impl_ = std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive());
     Impl& a = *impl_;
@@ -366,9 +365,8 @@ void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const
     Impl& a = *impl_;
     std::uint32_t n_updated = 0;
     for (const SurfelRange& range : ranges) n_updated += range.count;
-    // `reach` and `radii` are maxima over surfels, which the kernels only increase. They
-    // are reset only if all surfels are updated. Otherwise the other surfels would be
-    // missing from the new maxima.
+    // `reach` and `radii` are maxima over surfels, which the kernels only increase. A
+    // reset requires an update of all surfels, because the maxima would miss the others.
     const bool updates_all = n_updated == scene.size();
     if (updates_all && a.reach.size() > 0) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxies(stream, scene, options, range);
@@ -391,8 +389,11 @@ void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const
     rebuild_top_level(stream, scene);
 }
 
+/// Records a full build of the top-level structure, because a refit cannot add instances.
+/// Also writes the list of moving instances, which ray queries test one by one.
 void RayQueryAccel::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
+    const bool update = false;
     Stream::Impl& s = stream.impl();
     const InstanceLists lists = a.list_instances(scene);
     a.n_moving = std::uint32_t(lists.moving.size());
@@ -400,7 +401,7 @@ void RayQueryAccel::rebuild_top_level(Stream& stream, const DeviceScene& scene) 
     a.tlas_input.range.primitiveCount = std::uint32_t(lists.all.size());
     a.tlas_input.geometry.geometry.instances.data.deviceAddress =
         s.stage_bytes(lists.all.data(), lists.all.size() * sizeof(lists.all[0])).address;
-    a.tlas_input.set_target(*a.tlas, false, a.scratch_address);
+    a.tlas_input.set_target(*a.tlas, update, a.scratch_address);
     record_builds(s, "accel/top_level", {a.tlas_input});
 }
 
@@ -408,16 +409,16 @@ void RayQueryAccel::append_model(const DeviceScene& scene) {
     Impl& a = *impl_;
     const std::vector<SurfelModel>& models = scene.layout().models;
     if (scene.size() * a.floats_per_surfel() > a.geometry.size())
-        reserve_spare(scene.size(), [&](std::size_t n) {
-            a.geometry.reserve(a.device, n * a.floats_per_surfel(), "proxies");
+        reserve_spare(scene.size(), [&](std::size_t n_surfels) {
+            a.geometry.reserve(a.device, n_surfels * a.floats_per_surfel(), "proxies");
         });
     a.reserve_indices(models.back().count);
-    // A kernel computes the radius of a model as a maximum, so new radii start at 0.
+    // Adds a radius of 0, because a kernel computes it as a maximum over the surfels.
     std::vector<std::uint32_t> radii = a.radii.download();
     radii.resize(models.size(), 0u);
     a.radii = {a.device, radii, "radii of models"};
     while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
-    // All models get new addresses, because `geometry` or `indices` may have moved.
+    // The addresses of `geometry` and `indices` may have changed for all models.
     for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
     a.allocate_scratch();
 }
@@ -439,8 +440,8 @@ AccelAddresses RayQueryAccel::addresses() const {
     addresses.tlas = {a.tlas->address};
     addresses.moving = a.moving.address();
     addresses.n_moving = a.n_moving;
-    // Other kernels compute these two lengths as maxima of integers, because atomic
-    // maxima need integers. Positive floats have the same order as their bits.
+    // Other kernels write these two lengths with atomic maxima of integers. They can be
+    // read as floats, because positive floats have the same order as their bits.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();
     return addresses;

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures of the Vulkan driver for ray queries. They contain triangles or
-// boxes that enclose the surfels. Each model has one bottom-level structure. The
-// top-level structure contains all instances of the models. Requires a device with ray
-// queries.
+// Acceleration structures of the Vulkan driver for ray queries. Each model has a
+// bottom-level structure of triangles or boxes that enclose its surfels. The top-level
+// structure contains all instances of the models.
 #pragma once
 
 #include <memory>
