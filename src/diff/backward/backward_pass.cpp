@@ -37,7 +37,7 @@ TraceConstants backward_constants(const Device& device, const ImageModel& model,
                                   const TraceOptions& options, const BackwardOptions& backward) {
     TraceConstants constants = trace_constants(device, proxy, options, model);
     const bool writes_records = uses_hit_records(device, backward.reduction, model.sh_direction);
-    constants.push_back({GATHER, writes_records ? 1u : 0u});
+    constants.push_back({GATHER, writes_records ? 1u : 0u});  // 0: atomic additions
     // With coalesced atomics, the threads of a subgroup collect gradients in shared
     // memory before the atomics. This reduces memory traffic, but needs
     // VK_KHR_shader_maximal_reconvergence.
@@ -121,8 +121,8 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
 }
 
 /// Assigns each ray a range of hit records: first_hit_[r] is the number of hits of the
-/// rays 0 to r - 1 (an exclusive prefix sum). Ray r writes its hits to the records from
-/// this index on. Also writes the total to `n_hits_`.
+/// rays 0 to r - 1 (an exclusive prefix sum), and the index of the first record of ray r.
+/// Also writes the total to `n_hits_`. Enlarges all arrays for the largest batch so far.
 void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
     const std::uint32_t n_rays = batch.rays.n_rays;
     if (n_rays > first_hit_.size()) {
@@ -131,7 +131,7 @@ void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve_scratch(device_, n_rays);
         reserve_records(std::uint64_t(n_rays) * hits_per_ray_);
     }
-    // The field `n_hits` of each RenderedRay, as offset and distance in 32-bit words.
+    // Sums the member `n_hits` of each RenderedRay: the struct is read as 32-bit words.
     const StridedCounts hit_counts{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                                    .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                                    .stride = sizeof(shared::RenderedRay) / 4};
@@ -146,26 +146,27 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.capacity = sort_->capacity();
 }
 
-/// Sorts the hit records by gradient row (a row is one surfel of one instance), and adds
-/// the records of each row to `params.d_records` and `params.d_sh`. The sort keeps the
-/// order of hits, so that the sums are the same in every run.
+/// Adds the gradients of all hits to `params.d_records` and `params.d_sh`. Sorts the hit
+/// records by gradient row (a row is one surfel of one instance), and sums each row. The
+/// sort keeps the order of hits, so that the sums are the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     // Rows are numbers from 0 to n_rows - 1. Unused records have the row n_rows.
     const auto n_key_bits = std::uint32_t(std::bit_width(params.n_rows));
     const SortBuffers sorted = sort_->run(stream, unsorted_.buffers(), sorted_.buffers(), n_key_bits,
                                           n_hits_.address().cast_tag<shared::SortCount>());
-    const shared::GatherParams gather{.scene = params.scene,
-                                      .upstream = params.upstream,
-                                      .hits = hits_.address(),
-                                      .rows = sorted.keys.cast_tag<shared::HitRows>(),
-                                      .slots = sorted.order.cast_tag<shared::HitSlots>(),
-                                      .n_hits = n_hits_.address(),
-                                      .parts = parts_.address(),
-                                      .d_records = params.d_records,
-                                      .d_sh = params.d_sh,
-                                      .most_hits = most_hits_.address(),
-                                      .capacity = sort_->capacity(),
-                                      .n_rows = params.n_rows};
+    const shared::GatherParams gather{
+        .scene = params.scene,
+        .upstream = params.upstream,
+        .hits = hits_.address(),  // not moved by the sort
+        .rows = sorted.keys.cast_tag<shared::HitRows>(),
+        .slots = sorted.order.cast_tag<shared::HitSlots>(),  // indices in `hits`, by row
+        .n_hits = n_hits_.address(),
+        .parts = parts_.address(),
+        .d_records = params.d_records,
+        .d_sh = params.d_sh,
+        .most_hits = most_hits_.address(),  // over all batches, for max_hits()
+        .capacity = sort_->capacity(),
+        .n_rows = params.n_rows};
     // A thread sums a block of sorted records, row by row. The first and the last row of
     // a block may extend into its neighbours, so their sums are stored in `parts`. The
     // second kernel adds the parts of each row.
@@ -200,6 +201,7 @@ struct BackwardPass::Impl {
     static bool marks_touched(const DeviceScene& scene, const DeviceGradients& gradients) {
         return scene.can_skip_surfels() && !gradients.zero_untouched;
     }
+    void zero_gradients(Stream& stream, const DeviceGradients& gradients, bool marks_touched) const;
     shared::BackwardParams make_params(const DeviceScene& scene, const AccelerationStructure& accel,
                                        const RenderedBatch& batch, const DeviceGradients& gradients) const;
 };
@@ -225,12 +227,12 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     impl_->gather->reserve_records(n_hits);
 }
 
-/// Returns the parameters of kernel diff/backward/trace. HitGather sets its own.
+/// Returns the parameters of kernel diff/backward/trace, except those of HitGather.
 shared::BackwardParams BackwardPass::Impl::make_params(const DeviceScene& scene,
                                                        const AccelerationStructure& accel,
                                                        const RenderedBatch& batch,
                                                        const DeviceGradients& gradients) const {
-    const StoredRayHits* stored = batch.stored_hits;
+    const StoredRayHits* stored = batch.stored_hits;  // by the forward pass, or null
     RELIDAR_ASSERT_EQ(!stored || stored->can_store_hits(batch.rays), true);
     return {.scene = trace_params(scene, accel, batch.rays, model, options, pass_cap.address()),
             .rendered = batch.rendered->address(),
@@ -242,21 +244,34 @@ shared::BackwardParams BackwardPass::Impl::make_params(const DeviceScene& scene,
             .first_hit = {},
             .hits = {},
             .rows = {},
+            // Further hits of a ray, or all without stored hits, are searched again.
             .kept = address_or_null(stored ? &stored->hits : nullptr),
             .n_kept = stored ? stored->per_ray : 0,
             .capacity = 0,
             .n_rows = scene.count_rows(),
+            // Pose gradients also need the gradient of the viewing direction.
             .with_turn = gradients.poses.size() > 0 ? 1u : 0u};
 }
 
-/// Records the backward pass: gradients of the surfel records per hit, then of the surfel
-/// parameters, and then of the poses (Eq. 9 of the paper).
+/// Sets the arrays to zero to which the kernels add.
+void BackwardPass::Impl::zero_gradients(Stream& stream, const DeviceGradients& gradients,
+                                        bool marks_touched) const {
+    const ConcurrentLaunchScope zeros(stream);  // the fills need no barriers between them
+    stream.fill(gradients.records);
+    if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
+    if (!marks_touched) return;
+    stream.fill(gradients.touched);
+    // activate_vjp() writes `d_view` only for touched surfels.
+    if (gradients.poses.size() > 0) stream.fill(gradients.pose_sums->d_view);
+}
+
+/// Records the backward pass: gradients of the surfel records (the values that the hits
+/// read), then of the surfel parameters, and then of the poses (Eq. 9 of the paper).
 void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
                                    const RenderedBatch& batch, const glm::vec3& view_origin_m,
                                    DeviceGradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
-    const ImageModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0;
     const bool marks_touched = Impl::marks_touched(scene, gradients);
     shared::BackwardParams params = impl_->make_params(scene, accel, batch, gradients);
@@ -264,24 +279,17 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
         impl_->gather->assign_records(stream, batch);
         impl_->gather->set_addresses(params);
     }
-    {
-        // The kernels add to these arrays. One barrier is enough for independent fills.
-        const ConcurrentLaunchScope zeros(stream);
-        stream.fill(gradients.records);
-        if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-        if (marks_touched) stream.fill(gradients.touched);
-        if (marks_touched && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
-    }
+    impl_->zero_gradients(stream, gradients, marks_touched);
     relidar::run(stream, impl_->trace, count_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->sum_gradients(stream, params);
-    scene.activate_vjp(stream, model, view_origin_m,
+    scene.activate_vjp(stream, impl_->model, view_origin_m,
                        {.d_records = &gradients.records,
                         .d_surfels = &gradients.surfels,
                         .touched = &gradients.touched,
                         .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
                         .zero_untouched = gradients.zero_untouched,
                         .touched_is_marked = marks_touched});
-    if (has_pose_gradients) impl_->poses.reduce(stream, scene, model, view_origin_m, gradients);
+    if (has_pose_gradients) impl_->poses.reduce(stream, scene, impl_->model, view_origin_m, gradients);
 }
 
 }  // namespace relidar

@@ -56,6 +56,7 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
+/// Creates the kernels that sum gradients over blocks, instances and the scene.
 PoseGradientKernels::PoseGradientKernels(Device& device)
     : blocks_(device, "diff/backward/pose_blocks", {kWorkgroup}),
       poses_(device, "diff/backward/poses", {kWorkgroup}),
@@ -67,7 +68,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
     const auto n_instances = std::uint32_t(scene.layout().instances.size());
     const auto n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
-    // Sums the gradients of the surfels in each block (a part of an instance).
+    // A workgroup sums the gradients of a block (up to 1024 surfels of an instance).
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),
@@ -76,7 +77,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
                   .sums = sums.sums.address(),
                   .n_blocks = n_blocks,
                   .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
-    // Sums the blocks of each instance.
+    // Sums the blocks of each instance: first_block[i] to first_block[i + 1] - 1.
     relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
                  {.instances = scene.instance_table().address(),
                   .sums = sums.sums.address(),
