@@ -19,8 +19,7 @@ namespace relidar {
 
 namespace {
 
-/// Tests whether `n_bytes` of device memory are available, by allocating and freeing
-/// them.
+/// Tests whether `n_bytes` of device memory are free, by allocating and freeing them.
 /// @return an empty string, or the reason why the allocation failed
 std::string allocation_error(Device& device, double n_bytes) {
     // Allocates in pieces, because drivers limit the size of one allocation.
@@ -41,10 +40,10 @@ struct SurfelAllocation {
     std::string error = {};       ///< the reason if they are fewer than requested
 };
 
-/// Purpose of random numbers. It is part of the seed, so that random numbers for
-/// different purposes are independent. Kernels classify and spawn use different numbers
-/// of the sequence that each surfel has.
-enum class RandomPurpose : std::uint64_t { surfels = 1, phase = 2 };
+/// Purpose of random numbers, a part of their seed, so that the numbers for different
+/// purposes are independent. Kernels classify and spawn use different numbers of the
+/// sequence that each surfel has.
+enum class RandomPurpose : std::uint64_t { surfels = 1, growth = 2 };
 
 // Opacity of a surfel after an opacity reset, divided by alpha_min (the lowest opacity
 // that the renderer blends). Above 1, because invisible surfels get no gradient.
@@ -128,12 +127,12 @@ double Densifier::Impl::count_growth_bytes(const DeviceScene& scene, std::uint32
     const std::uint32_t old_capacity = arrays.capacity();
     if (capacity <= old_capacity) return 0.0;
     constexpr double kFloatBytes = 4.0, kFloatsPerRecord = 16.0;
-    // A surfel has its parameters, two Adam moments of each, and the record for kernels.
+    // A surfel has its parameters, two Adam moments of each, and a record for kernels.
     const double scene_floats =
         3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + kFloatsPerRecord;
     const double bytes_per_surfel = double(arrays.bytes_per_surfel()) + kFloatBytes * scene_floats;
-    // The old and the new SH coefficients, the largest array, exist at the same time
-    // during the copy.
+    // Arrays are copied one by one, so only one old array, at most the SH coefficients,
+    // exists next to its copy.
     return bytes_per_surfel * (capacity - old_capacity) + kFloatBytes * kShFloats * old_capacity;
 }
 
@@ -237,29 +236,32 @@ bool Densifier::is_densify_step(int step) const {
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
-/// Adds and removes surfels. Counts first, because the host must know the new number of
-/// surfels before it allocates memory and moves the arrays.
+/// Adds and removes surfels. First counts the surfels to add and to remove, because the
+/// host must allocate the arrays before their rows can move.
 DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                          double reserved_bytes_per_surfel) {
     Impl& d = *impl_;
     const ModelCounts counts = d.choose_actions(stream, scene, step);
-    GrowthPlan plan = plan_growth(counts, d.options, d.random_key(RandomPurpose::phase, step));
-    plan = limit_growth(plan, d.memory_limit);
+    // The random number selects the surfels that get copies if not all can.
+    GrowthPlan plan = plan_growth(counts, d.options, d.random_key(RandomPurpose::growth, step));
+    plan = limit_growth(plan, d.memory_limit);  // of an earlier step
     const auto [n_possible, error] = d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel);
     std::string note;
     if (n_possible < plan.size()) {
-        // Remembers the limit, so that later steps do not try again.
         d.memory_limit = n_possible;
         plan = limit_growth(plan, n_possible);
         note = fmt::format("training stops adding surfels at {} surfels: {}", n_possible, error);
     }
     DensifyReport report = densify_report(counts, plan);
     report.note = note;
-    const bool is_unchanged = report.n_removed() == 0 && report.added == 0;
-    if (is_unchanged) d.arrays.reset_sums(stream);
-    else d.rearrange_surfels(stream, scene, adam, step, plan);
+    if (report.n_removed() == 0 && report.added == 0) {
+        d.arrays.reset_sums(stream);  // as rearrange_surfels() does
+        stream.submit_and_wait();
+        return report;
+    }
+    d.rearrange_surfels(stream, scene, adam, step, plan);
     stream.submit_and_wait();
-    if (!is_unchanged) scene.set_models(plan.assign_ranges(scene.layout().models, counts));
+    scene.set_models(plan.assign_ranges(scene.layout().models, counts));
     return report;
 }
 

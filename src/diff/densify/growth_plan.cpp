@@ -9,9 +9,9 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
     return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
-/// Returns the models with their surfel ranges after surfels were added and removed. The
-/// number of copies in a model is the difference of two sums over all surfels before its
-/// end and before its start, rounded as in kernel diff/densify/allot.
+/// Returns the models with their surfel ranges after surfels were added and removed. A
+/// model gets its kept surfels and copies. The copies are a difference of two cumulative
+/// numbers, because only these are rounded as in kernel diff/densify/allot.
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
                                                    const ModelCounts& counts) const {
     std::uint32_t first_surfel = 0;
@@ -34,9 +34,10 @@ GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::
         plan.total_weight += model[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    plan.n_new = plan.total_weight;  // each growing surfel has weight 1 and gets one copy
+    // Each growing surfel has weight 1, so the sum is their number. Each gets one copy.
     // If limit_growth() leaves fewer copies, about every n-th growing surfel gets one
-    // (systematic sampling). The random phase decides which is the first.
+    // (systematic sampling), and the random `phase` decides which is the first.
+    plan.n_new = plan.total_weight;
     plan.phase = std::uint32_t(random % plan.total_weight);
     return limit_growth(plan, std::uint32_t(o.max_surfels));
 }

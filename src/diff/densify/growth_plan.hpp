@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the number of new surfels and the new surfel range of each model, from the
-// number of surfels per action. Used only by densification.
+// Computes how many surfels a densification adds, and the new surfel range of each model.
 #pragma once
 
 #include <array>
@@ -14,9 +13,8 @@
 
 namespace relidar {
 
-/// Densification counters of one model: numbers of surfels that are kept, dropped for
-/// each reason, cloned and split. RELIDAR_DENSIFY_KEPT and the following constants are
-/// the indices.
+/// Numbers of surfels of one model that are kept, dropped for each reason, cloned and
+/// split. RELIDAR_DENSIFY_KEPT and the following constants are the indices.
 using ModelCounters = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 using ModelCounts = std::vector<ModelCounters>;  ///< one row per model
 
@@ -29,9 +27,8 @@ struct GrowthPlan {
     std::uint32_t phase = 0;
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns how many of the `n_new` copies the first k surfels get together. This is
-    /// floor((cumulative_weight * n_new + phase) / total_weight), with a random `phase`
-    /// below total_weight. Kernel diff/densify/allot must use the same formula.
+    /// Returns how many of the `n_new` copies the first k surfels get together:
+    /// floor((cumulative_weight * n_new + phase) / total_weight), like kernel allot.
     /// @param cumulative_weight sum of the weights of the first k surfels
     std::uint32_t cumulative_copies(std::uint64_t cumulative_weight) const;
     std::vector<SurfelModel> assign_ranges(std::vector<SurfelModel> models, const ModelCounts& counts) const;

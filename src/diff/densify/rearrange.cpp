@@ -9,13 +9,14 @@
 
 namespace relidar {
 
-/// Allocates all arrays for `n` surfels, and sets the statistics to zero.
+/// Allocates all arrays for `n` surfels with the parameters `used`. The statistics are 0.
+/// The kernels compute the new order of the surfels, and copy rows to it.
 SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames,
                                  SurfelParameterSet used)
-    : device_(device), allot_(device, "diff/densify/allot"), move_(device, "diff/densify/move") {
+    : device_(device), count_rows_(device, "diff/densify/allot"), copy_rows_(device, "diff/densify/move") {
     scratch_surfels_.primitive = used.primitive;
     scratch_surfels_.bends = used.bends;
-    // One bit per frame and surfel.
+    // The frames in which a surfel was visible, one bit per frame, in words of 32 bits.
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve_surfels(n);
     Stream stream(device);
@@ -59,12 +60,12 @@ std::size_t SurfelReorderer::bytes_per_surfel() const {
 void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before) {
     RELIDAR_ASSERT_LE(std::max(n_before, plan.size()), capacity());
     n_before_ = n_before;
-    // Sum of the weights of all earlier surfels, stored temporarily in `starts`.
+    // First uses `starts` for the sums of the weights of all earlier surfels.
     prefix_sum_.run(stream, {.address = weight.address().cast_tag<shared::ScanCounts>()},
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
     // Distributes `n_new` copies in proportion to the weights. Writes the number of rows
     // of each surfel: 0 if it is dropped, otherwise 1 plus its copies.
-    run(stream, allot_, n_before,
+    run(stream, count_rows_, n_before,
         {.weight = weight.address(),
          .cumulative = starts.address().cast_tag<shared::WeightsBefore>(),
          .action = action.address(),
@@ -73,18 +74,18 @@ void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, st
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
-    // Number of rows of all earlier surfels.
+    // The final `starts`: number of rows of all earlier surfels.
     prefix_sum_.run(stream, {.address = n_rows.address().cast_tag<shared::ScanCounts>()},
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
 }
 
-/// Copies the row of each surfel to its new index and to its copies.
+/// Copies the row of each surfel to its new index and, unless `zero`, to its copies.
 /// @param rows [surfels, stride], receives the new order
 /// @param spare array of the same size, receives the old order
 template <class T>
 void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
                                 NewRows new_rows) {
-    run(stream, move_, n_before_,
+    run(stream, copy_rows_, n_before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
          .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
          .action = action.address(),

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Moves the rows of all surfel arrays to their new order after a densification. Moves one
-// set of arrays at a time into spare arrays, and then swaps both sets. Used only by
-// densification.
+// set of arrays at a time into spare arrays, and then swaps both sets.
 #pragma once
 
 #include <relidar/diff/densify.hpp>
@@ -38,9 +37,8 @@ public:
     Array<std::uint32_t, shared::DensifyActions> action;
     /// [n] share of each surfel in the new copies, 0 if it does not grow
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// [n] index of each surfel after the densification. Copies of a surfel get the next
-    /// indices. Before compute_indices() computes these indices, it uses the
-    /// array for the prefix sums of `weight`.
+    /// [n] index of each surfel after the densification. Its copies get the next indices.
+    /// Before, compute_indices() uses this array for the prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
     /// [n] number of surfels that replace a surfel: 0 (dropped), 1, or more (with copies)
     Array<std::uint32_t, shared::RowCounts> n_rows;
@@ -50,8 +48,8 @@ private:
     SurfelArrays scratch_surfels_;
     Array<std::uint32_t> scratch_frames_;
     PrefixSum prefix_sum_{device_};
-    Kernel<shared::AllotParams> allot_;
-    Kernel<shared::MoveParams> move_;
+    Kernel<shared::AllotParams> count_rows_;
+    Kernel<shared::MoveParams> copy_rows_;
     std::uint32_t n_before_ = 0;  ///< number of surfels before the densification
 
     template <class T>
