@@ -33,10 +33,11 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     params.surface_gap_m = options.mode_gap_m.value_or(0.0f);
 
     Stream stream(device);
+    // Lists render most rays, and `trace` the others. Without lists, `trace` renders all.
     if (lists) lists->render(stream, batch, params, nullptr);
     run(stream, trace, count_threads(batch), params);
     stream.submit_and_wait();
-    const std::vector<std::uint32_t> sums = visits.download();
+    const std::vector<std::uint32_t> sums = visits.download();  // nodes, surfels
     return VisitCounts{.nodes = double(sums[0]) / batch.n_rays, .surfels = double(sums[1]) / batch.n_rays};
 }
 

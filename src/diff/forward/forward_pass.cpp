@@ -41,13 +41,13 @@ struct ForwardPass::Impl {
     std::optional<HitListTracer> lists = {};  ///< set if rays write their hits to lists
 };
 
-/// Creates the kernel that renders rays with a small sorted buffer of hits (a chunk) and,
-/// if the options select hit lists, the kernels that fill and blend these lists.
+/// Creates the kernel that finds the next few hits of a ray in each pass (a chunk) and
+/// blends them. Hit lists, if they are selected, need additional kernels.
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
                          const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > kMaxChunk)
         fail<UsageError>("setting trace.chunk: found {}, expected 1 to {}", options.chunk, kMaxChunk);
-    const int capacity = options.initial_list_capacity;  // hits per list
+    const int capacity = options.initial_list_capacity;  // hits per list (one list per ray)
     if (capacity < 1 || capacity > RELIDAR_MOST_ROOM)
         fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}", capacity,
                          RELIDAR_MOST_ROOM);

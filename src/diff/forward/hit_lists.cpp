@@ -66,8 +66,7 @@ void HitListTracer::reserve_hits(Stream& stream, std::size_t n_lists) {
 
 /// Returns how many rays had more hits than their lists can hold, since the last count
 /// that was read. Such rays are slow, because kernel diff/forward/trace must render them
-/// again. Returns 0 while the copy of the next count is pending, so that the host never
-/// waits here.
+/// again. Never waits: returns 0 while the copy of the next count is pending.
 std::uint32_t HitListTracer::count_overflows(Stream& stream) {
     // A stream has at most kMaxPending unfinished submissions. So the submission that
     // copied the count is finished if that many submissions followed.
@@ -85,10 +84,23 @@ void HitListTracer::grow_lists(Stream& stream) {
     overflows_before_ = 0;
 }
 
-/// Returns memory for one hit list per thread, or empty lists if it is not available. The
-/// lengths of the lists always have separate memory, which only grows.
-/// @param kept hits that the forward pass stores for the backward pass, or null. If a
-/// list fits into this memory, its hits need not be copied
+/// Ensures that `lengths_` has enough entries.
+/// @return false if there is not enough memory
+bool HitListTracer::reserve_lengths(Stream& stream, std::size_t n_lists) {
+    if (lengths_.size() >= n_lists) return true;
+    stream.submit_and_wait();
+    try {
+        lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n_lists, "lengths of lists of hits");
+    } catch (const OutOfDeviceMemory&) {
+        return false;
+    }
+    return true;
+}
+
+/// Returns memory for one hit list per thread. The lists have room for 0 hits if no
+/// memory is available.
+/// @param kept memory for hits that the backward pass reads, or null. Lists use it if
+/// possible, because their hits then need no copy
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
                                               const StoredRayHits* kept) {
     const std::size_t n_lists = StoredRayHits::round_up_threads(n_threads);
@@ -104,15 +116,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
         stream.submit_and_wait();
         hits_ = {};
     }
-    if (lengths_.size() < n_lists) {
-        stream.submit_and_wait();
-        try {
-            lengths_ =
-                Array<std::uint32_t, shared::ListLengths>(device_, n_lists, "lengths of lists of hits");
-        } catch (const OutOfDeviceMemory&) {
-            return {};
-        }
-    }
+    if (!reserve_lengths(stream, n_lists)) return {};
     return {.hits = uses_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
             .n = std::uint32_t(n_threads),
@@ -127,19 +131,21 @@ void HitListTracer::record_readback(Stream& stream) {
     readback_ticket_ = stream.impl().last_ticket + 1;
 }
 
-/// Renders the rays with hit lists: fills the lists, sorts each list, and blends its
-/// hits. Without memory for lists it does nothing, and kernel diff/forward/trace renders
-/// all rays.
+/// Renders the rays with hit lists. Without memory for lists it does nothing, and kernel
+/// diff/forward/trace renders all rays.
 void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                            const StoredRayHits* kept) {
     const std::size_t n_threads = count_threads(batch);
     const shared::HitLists lists = reserve_lists(stream, n_threads, kept);
     if (lists.room == 0) return;
     params.lists = lists;
-    params.kept_in_lists = kept && lists.hits == kept->hits.address() ? 1 : 0;
+    // If the lists use the memory of `kept`, the blending need not copy the hits to it.
+    const bool lists_are_kept = kept && lists.hits == kept->hits.address();
+    params.kept_in_lists = lists_are_kept ? 1 : 0;
+    // Each thread appends the hits of its ray to its list, in any order.
     relidar::run(stream, append_, n_threads,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
-    record_readback(stream);
+    record_readback(stream);  // of the overflows, which later decide whether lists grow
     const auto threads_per_list = std::size_t(device_.info().subgroup_size);
     relidar::run(stream, sort_, n_threads * threads_per_list, {.lists = lists});
     relidar::run(stream, blend_, n_threads, params);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass with hit lists. Each ray writes its hits to a list, and then other kernels
-// sort and blend the lists. Used only by the forward pass.
+// Forward pass in which each ray writes its hits to a list. Then kernels sort the lists.
 #pragma once
 
 #include <relidar/diff/traversal.hpp>
@@ -11,8 +10,7 @@
 namespace relidar {
 
 /// Returns true if rays write their hits to lists in global memory. On a CPU, a small
-/// sorted buffer per ray is faster, because it stays in the cache and needs no second
-/// kernel.
+/// sorted buffer per ray is faster: it stays in the cache and needs no second kernel.
 inline bool uses_hit_lists(const Device& device, const TraceOptions& options) {
     return options.order == HitSortMethod::automatic ? device.info().type != "CPU"
                                                      : options.order == HitSortMethod::lists;
@@ -33,8 +31,7 @@ public:
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
     /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.
     /// All calls must use the same stream.
-    /// @param kept memory of the hits for the backward pass. If it is large enough,
-    /// lists use it, which avoids a copy
+    /// @param kept memory of the hits for the backward pass. Lists use it if possible
     void render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                 const StoredRayHits* kept);
     std::uint32_t capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
@@ -57,6 +54,7 @@ private:
 
     bool can_grow() const { return grows_ && hits_per_list_ < max_hits_per_list_; }
     void reserve_hits(Stream& stream, std::size_t n_lists);
+    bool reserve_lengths(Stream& stream, std::size_t n_lists);
     void grow_lists(Stream& stream);
     shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept);
     std::uint32_t count_overflows(Stream& stream);

@@ -23,7 +23,7 @@ struct Renderer::Impl {
     DeviceScene scene;
     std::optional<AccelerationStructure> accel{std::in_place, device, scene, options.accel};
     ForwardPass forward{device, model, accel->proxy_shape(), options.trace};
-    bool placed = false;    ///< true if the instances have poses and the trees are built
+    bool is_ready = false;  ///< true if the instances have poses and the trees are built
     bool appended = false;  ///< true if models were added after the last full build of the trees
     glm::vec3 view_origin_m{0.0f};
     Array<DeviceRay> host_rays;  ///< rays that render_rays() uploads
@@ -38,9 +38,8 @@ struct Renderer::Impl {
     }
 
     void allocate_rays(std::size_t n_rays) {
-        // Clears the old arrays before it allocates new ones. If an allocation fails,
-        // `rendered` stays empty, so that the next call tries again. The hit storage is
-        // allocated last, because it can be made smaller to fit.
+        // If an allocation fails, `rendered` stays empty, and the next call tries again.
+        // The hit storage is allocated last, because it can be made smaller to fit.
         batch.surfaces = nullptr;
         rendered = {};
         if (options.trace.writes_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
@@ -51,8 +50,7 @@ struct Renderer::Impl {
     }
 
     /// Allocates memory for the hits that the backward pass reads. Halves the number of
-    /// hits per ray until they fit. If hits of a ray are missing, the backward pass
-    /// traces this ray again.
+    /// hits per ray until they fit, because the backward pass can search missing hits.
     void fit_hit_storage(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
@@ -79,8 +77,8 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
-    // A stream that the caller has provided may contain recorded commands that use the
-    // renderer's arrays. Submits these commands and waits for them.
+    // A stream of the caller may contain commands that use the renderer's arrays and are
+    // not submitted yet.
     try {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
@@ -104,7 +102,7 @@ void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm
     r.scene.stage_poses(r.stream, instance_poses);
     r.scene.activate(r.stream, r.model, view_origin_m);
     r.accel->record_refit(r.stream, r.scene);
-    r.placed = true;
+    r.is_ready = true;
 }
 
 /// Records new poses of unchanged surfels. Rigid models need only new poses. Models with
@@ -112,7 +110,7 @@ void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm
 /// refit.
 void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) {
+    if (!r.is_ready) {
         update(instance_poses, view_origin_m);
         return;
     }
@@ -126,17 +124,17 @@ void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, con
     else r.accel->record_top_level(r.stream, r.scene);
 }
 
-/// Records the rendering of a batch. Allocates memory if it is the largest so far, after
-/// the commands that use the old memory are finished.
+/// Records the rendering of a batch. If it is the largest so far, enlarges the arrays of
+/// the results, after the commands that use the old arrays are finished.
 void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
-    if (!r.placed)
+    if (!r.is_ready)
         throw UsageError("cannot render: the models of the scene have no poses yet; place them first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.submit_and_wait();
         r.allocate_rays(rays.n_rays);
     }
-    // An image can have more threads than rays, and each thread stores hits.
+    // Each thread stores hits. An image (complete tiles) can have more threads than rays.
     if (r.stored_hits && !r.stored_hits->can_store_hits(rays)) {
         r.stream.submit_and_wait();
         r.fit_hit_storage(count_threads(rays));
@@ -183,14 +181,14 @@ void Renderer::set_stored_hits(std::uint32_t hits_per_ray) {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
     const std::uint32_t old_hits_per_ray = r.options.keep_hits;
-    // An earlier batch may have had more threads than rays.
+    // The memory is per thread. An earlier batch may have had more threads than rays.
     const std::size_t n_old_threads = r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0;
     const std::size_t n_threads = std::max(r.rendered.size(), n_old_threads);
     r.options.keep_hits = hits_per_ray;
     try {
         r.allocate_hits(n_threads);
     } catch (const OutOfDeviceMemory&) {
-        // Restores the old size, whose memory allocate_hits() has already freed.
+        // allocate_hits() has already freed the old memory. Allocates it again, or less.
         r.options.keep_hits = old_hits_per_ray;
         r.fit_hit_storage(n_threads);
         throw;
@@ -223,21 +221,22 @@ std::uint32_t Renderer::append_model(const Scene& added) {
     // If some models of the scene walk, all models need the parameters of a gait.
     if (r.scene.surfel_parameters().bends && !model.surfels.bends) model.surfels.add_still_gait();
     r.scene.surfel_parameters().check_group(model.surfels);
-    // A model can only be appended to trees that are built.
-    if (!r.placed) update(r.scene.poses(), r.view_origin_m);
-    // The scene gets the records that kernels read, computed in a scene with this model.
+    // A model can only be appended to built trees, and update() builds them.
+    if (!r.is_ready) update(r.scene.poses(), r.view_origin_m);
+    // Computes the values that kernels read (activation) in a scene with only this model,
+    // and then copies them. The values of the other models stay valid.
     DeviceScene activated(r.device, model);
     activated.activate(r.stream, r.model, r.view_origin_m);
     r.stream.submit_and_wait();
     r.scene.append_model(r.device, activated);
-    r.appended = true;  // also if the next call fails, so that update() creates new trees
+    r.appended = true;  // before the next call, which may fail: update() creates new trees
     r.accel->append_model(r.stream, r.scene, activated);
     return std::uint32_t(r.scene.layout().models.size() - 1);
 }
 
 std::uint32_t Renderer::append_instance(const ModelInstance& instance) {
     Impl& r = *impl_;
-    if (!r.placed) update(r.scene.poses(), r.view_origin_m);
+    if (!r.is_ready) update(r.scene.poses(), r.view_origin_m);
     r.stream.submit_and_wait();
     r.scene.append_instance(r.device, instance);
     r.accel->append_instances(r.scene);
@@ -246,7 +245,7 @@ std::uint32_t Renderer::append_instance(const ModelInstance& instance) {
 
 void Renderer::release_accel() {
     impl_->accel.reset();
-    impl_->placed = false;
+    impl_->is_ready = false;
 }
 
 void Renderer::create_accel() { impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel); }
