@@ -9,19 +9,19 @@
 namespace relidar::network {
 namespace {
 
-/// Describes an image slice as one matrix [channels of a head, pixels] per image and
-/// head. `first` is the index of the first value of the slice. `batch`, `head`, `row` and
-/// `column` are the distances in memory between images, heads, rows and columns.
+/// Describes a slice (some channels of images) as one matrix [channels of a head, pixels]
+/// per image and head. `batch`, `head`, `row` and `column` are the distances in memory
+/// between images, heads, rows and columns.
 HeadMatrices head_matrices(const Slice& slice, std::uint32_t n_heads) {
     const auto n_pixels = std::uint32_t(slice.grid.n_image_pixels());
     const std::uint32_t head_channels = slice.channels / n_heads;
     return {.view = {.values = slice.view.values,
-                     .first = slice.view.first * n_pixels,
-                     .batch = slice.view.channels * n_pixels,
+                     .first = slice.view.first * n_pixels,     // view.first: first channel
+                     .batch = slice.view.channels * n_pixels,  // all channels of an image
                      .head = head_channels * n_pixels,
                      .row = n_pixels,
                      .column = 1,
-                     .unused = 0},
+                     .unused = 0},  // padding
             .rows = head_channels,
             .columns = n_pixels};
 }
@@ -52,6 +52,7 @@ float score_scale(const HeadMatrices& query) { return 1.0f / std::sqrt(float(que
 
 }  // namespace
 
+/// Creates the kernels. Each head attends with its own part of the channels.
 Attention::Attention(Device& device, std::uint32_t heads)
     : device_(device),
       heads_(heads),
@@ -67,7 +68,7 @@ AttentionState Attention::allocate_state(ImageBatchSize grid, bool with_gradient
 }
 
 /// Computes c = scale a b for each image and head. A subgroup computes a tile of c with
-/// RELIDAR_MATMUL_ROWS rows and one column per lane.
+/// RELIDAR_MATMUL_ROWS rows, and each of its threads (lanes) one column.
 void Attention::multiply(Stream& stream, std::uint32_t n_images, const HeadMatrices& a, const HeadMatrices& b,
                          const HeadMatrices& c, float scale) const {
     const std::uint32_t n_tiles = div_ceil(c.columns, lanes_) * div_ceil(c.rows, RELIDAR_MATMUL_ROWS);
@@ -79,7 +80,7 @@ void Attention::multiply(Stream& stream, std::uint32_t n_images, const HeadMatri
          .n_batch = n_images,
          .n_heads = heads_,
          .rows = c.rows,
-         .inner = a.columns,
+         .inner = a.columns,  // equals b.rows
          .columns = c.columns,
          .scale = scale});
 }
@@ -101,14 +102,15 @@ void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, 
     const std::uint32_t n_images = output.grid.n;
     const auto [query, key, value] = split_qkv(qkv, heads_);
     const HeadMatrices weights = head_matrices(state.share, heads_);  // [pixels, pixels]
-    // Scores of all pairs of pixels: one row per query, one column per key.
+    // scores = scale query^T key: one row per query pixel, one column per key pixel.
     multiply(stream, n_images, transpose(query), key, weights, score_scale(query));
-    run_softmax(stream, state.share, nullptr);
-    // Adds the values, weighted by each row of weights.
+    run_softmax(stream, state.share, nullptr);  // from scores to weights, in place
+    // output = value weights^T: the weighted sum of the values of all pixels.
     multiply(stream, n_images, value, transpose(weights), head_matrices(output, heads_), 1.0f);
 }
 
-/// Backward pass of attend(). The gradients of a product c = a b are d_a = d_c b^T and
+/// Backward pass of attend(), which computes weights = softmax(scale query^T key) and
+/// output = value weights^T. The gradients of a product c = a b are d_a = d_c b^T and
 /// d_b = a^T d_c.
 void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
                            const Slice& d_qkv) {
@@ -118,13 +120,13 @@ void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& sta
     const HeadMatrices weights = head_matrices(state.share, heads_);
     const HeadMatrices d_weights = head_matrices(state.d_share, heads_);
     const HeadMatrices d_output = head_matrices(d_out, heads_);
-    // output = value weights^T and scores = scale query^T key.
     multiply(stream, n_images, d_output, weights, d_value, 1.0f);
     multiply(stream, n_images, transpose(d_output), value, d_weights, 1.0f);
-    // Now `d_share` becomes the gradient of the scores, which gives d_query and d_key.
+    // The gradient of the softmax replaces the gradient of the weights in `d_share`.
     run_softmax(stream, state.share, &state.d_share);
-    multiply(stream, n_images, key, transpose(d_weights), d_query, score_scale(query));
-    multiply(stream, n_images, query, d_weights, d_key, score_scale(query));
+    const HeadMatrices& d_scores = d_weights;
+    multiply(stream, n_images, key, transpose(d_scores), d_query, score_scale(query));
+    multiply(stream, n_images, query, d_scores, d_key, score_scale(query));
 }
 
 }  // namespace relidar::network

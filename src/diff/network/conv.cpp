@@ -40,9 +40,8 @@ std::uint32_t check_taps(const Device& device, std::uint32_t taps) {
     return taps;
 }
 
-/// Returns how many pixels of an image row each lane computes. A lane is a thread of a
-/// subgroup. It keeps RELIDAR_CONV_OUT sums per pixel in registers. A CPU has fewer
-/// registers than a GPU, so its lanes compute fewer pixels.
+/// Returns how many pixels of an image row each lane (thread of a subgroup) computes. A
+/// CPU has fewer registers than a GPU for the sums of these pixels, so it computes fewer.
 std::uint32_t count_lane_pixels(const Device& device) {
     const bool is_gpu = should_coalesce(device);
     return is_gpu ? 8 : 4;
@@ -50,6 +49,7 @@ std::uint32_t count_lane_pixels(const Device& device) {
 
 /// Creates the kernel that computes a convolution (shaders/diff/network/conv.comp).
 /// @param taps number of weights per pair of an input and an output channel
+/// @param lanes number of threads of a subgroup
 Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t taps, std::uint32_t lanes) {
     // On a GPU, the threads of a workgroup load the weights into shared memory (STAGED).
     // On a CPU, it is faster if each lane loads some weights and the lanes exchange them.
@@ -64,16 +64,6 @@ Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t taps, 
             SubgroupRequirement::full};
 }
 
-/// Creates the kernel that computes the gradient of the weights, as sums over parts of
-/// the images (shaders/diff/network/conv_weights.comp).
-Kernel<shared::ConvWeightsParams> make_weights_kernel(Device& device, std::uint32_t taps,
-                                                      std::uint32_t lanes) {
-    return {device,
-            "diff/network/conv_weights",
-            {{TAPS, taps}, {LANES, lanes}, {WORKGROUP_SIZE, kLayerThreads}},
-            SubgroupRequirement::full};
-}
-
 }  // namespace
 
 Convolution::Convolution(Device& device, std::uint32_t taps)
@@ -81,7 +71,9 @@ Convolution::Convolution(Device& device, std::uint32_t taps)
       pixels_(count_lane_pixels(device)),
       lanes_(std::uint32_t(device.info().subgroup_size)),
       conv_(make_conv_kernel(device, taps, lanes_)),
-      conv_weights_(make_weights_kernel(device, taps, lanes_)),
+      conv_weights_(device, "diff/network/conv_weights",
+                    {{TAPS, taps}, {LANES, lanes_}, {WORKGROUP_SIZE, kLayerThreads}},
+                    SubgroupRequirement::full),
       sum_parts_(device, "diff/network/sum_parts") {}
 
 /// Runs the convolution kernel. Each subgroup computes RELIDAR_CONV_OUT output channels

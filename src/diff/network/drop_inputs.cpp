@@ -9,7 +9,6 @@ namespace {
 
 /// Uploads one array of values of all images, one image after the other.
 /// @param values array of an image: `channels` or `dropped`
-/// @param text name of the device array
 template <class DeviceArray>
 DeviceArray upload_all(Device& device, std::span<const RayDropImage> images,
                        std::vector<float> RayDropImage::*values, const std::string& text) {
@@ -57,10 +56,10 @@ std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std:
 }
 
 /// Copies the normalisation of the network to the device: scale and shift of each input
-/// channel.
+/// channel. The last channels describe the sensor, so they do not rotate with the scene.
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
-      n_fixed_(count_fixed_channels(network)),
+      n_sensor_channels_(count_fixed_channels(network)),
       logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
     const std::vector<float>& values = network.normalisation;  // [channels, 2]
@@ -72,8 +71,7 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
 
 void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> images) {
     samples_ = upload_all<decltype(samples_)>(device, images, &RayDropImage::channels, "scans to refine");
-    all_targets_ =
-        upload_all<decltype(all_targets_)>(device, images, &RayDropImage::dropped, "measured drops");
+    all_drops_ = upload_all<decltype(all_drops_)>(device, images, &RayDropImage::dropped, "measured drops");
 
     const auto is_known = [](float dropped) { return dropped >= 0.0f; };
     n_known_pixels_.clear();
@@ -89,23 +87,24 @@ void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> ch
         column_shifts.push_back(image.column_shift);
     }
     const std::size_t n_pixels = to.grid.n_pixels_total();
-    start_.reserve(stream.device(), n_pixels, "rendered logits");
+    const bool uses_uploaded = samples == Address<float, shared::DropSamples>();
+    rendered_logits_.reserve(stream.device(), n_pixels, "rendered logits");
     shared::DropInputsParams params{};
-    params.samples = samples;
-    if (samples == Address<float, shared::DropSamples>()) {
-        params.samples = samples_.address();
-        batch_targets_.reserve(stream.device(), n_pixels, "targets");
-        params.targets = all_targets_.address();
-        params.target = batch_targets_.address();
+    params.samples = uses_uploaded ? samples_.address() : samples;
+    if (uses_uploaded) {
+        // Also copies which rays were dropped in the log, the target of the training.
+        batch_drops_.reserve(stream.device(), n_pixels, "targets");
+        params.targets = all_drops_.address();
+        params.target = batch_drops_.address();
     }
     params.chosen = stream.impl().stage_values(indices).cast_tag<shared::ChosenSamples>();
     params.turn = stream.impl().stage_values(column_shifts).cast_tag<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = to.values.address();
-    params.start = start_.address();
+    params.start = rendered_logits_.address();  // receives the channel `logit_channel`
     params.n_images = to.grid.n;
     params.n_channels = n_channels_;
-    params.n_fixed = n_fixed_;
+    params.n_fixed = n_sensor_channels_;  // the last channels, which do not rotate
     params.logit_channel = logit_channel_;
     params.rows = to.grid.rows;
     params.columns = to.grid.columns;

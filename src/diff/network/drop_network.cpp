@@ -29,16 +29,17 @@ struct NetworkPreset {
     NetworkRegularisation in_training = {};
 };
 
-/// Returns the architecture that the setting refine.network selects.
+/// Returns the architecture that the setting refine.network selects: a small U-Net, a
+/// network that processes each pixel separately, or the large U-Net of the paper.
 const NetworkPreset& find_preset(const std::string& name) {
     static const NetworkPreset small{.name = "small", .width = 8, .factors = {1, 2, 4, 4}};
     static const NetworkPreset pixel{.name = "pixel", .width = 16, .factors = {1}, .taps = 1};
     static const NetworkPreset paper{.name = "paper",
                                      .width = 32,
                                      .factors = {1, 2, 4, 8, 8},
-                                     .heads = 8,
-                                     .residual = false,
-                                     .batch = 16,
+                                     .heads = 8,         // of the attention
+                                     .residual = false,  // does not add the rendered logits
+                                     .batch = 16,        // images per step
                                      .in_training = {.dropout = 0.1, .turns = true}};  // rotates scenes
     for (const NetworkPreset* preset : {&small, &paper, &pixel})
         if (name == preset->name) return *preset;
@@ -131,13 +132,13 @@ void check_image(const RayDropNetwork& network, const RayDropImage& image, const
     }
 }
 
-/// Creates the loss of batches with up to `n_pixels` pixels. A subgroup sums one part of
-/// the pixels, and the host adds the parts.
+/// Creates the loss of batches with up to `n_pixels` pixels. A subgroup (`lanes_`
+/// threads) computes two sums over a part of the pixels. The host adds the parts.
 RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
     : n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
       lanes_(std::uint32_t(device.info().subgroup_size)),
       kernel_(device, "diff/network/drop_loss", subgroup_constants(lanes_), SubgroupRequirement::full),
-      sums_(device, 2 * n_parts_, "sums of cross-entropies") {}
+      sums_(device, 2 * n_parts_, "sums of cross-entropies") {}  // and of correct predictions
 
 void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                               std::size_t n_known) {
@@ -155,14 +156,14 @@ void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDro
 }
 
 RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {
-    RayDropScore score;
-    const std::vector<float> sums = sums_.download();
+    double entropy_sum = 0.0, n_correct = 0.0;
+    const std::vector<float> sums = sums_.download();  // [parts, 2]
     for (std::size_t part = 0; part < n_parts_; ++part) {
-        score.entropy += double(sums[2 * part]);
-        score.accuracy += double(sums[2 * part + 1]);
+        entropy_sum += double(sums[2 * part]);
+        n_correct += double(sums[2 * part + 1]);
     }
     const double n = double(std::max<std::size_t>(n_known_pixels, 1));
-    return {score.entropy / n, score.accuracy / n};
+    return {.entropy = entropy_sum / n, .accuracy = n_correct / n};
 }
 
 }  // namespace network

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions for both training and inference of the ray-drop network: the shape of the
-// network, its inputs on the device, and the loss of its logits.
+// Shape, inputs on the device, and loss of the ray-drop network.
 #pragma once
 
 #include <cstdint>
@@ -16,8 +15,7 @@
 namespace relidar::network {
 
 /// Returns a network without parameters, with the shape that the options describe.
-/// @throws UsageError if the network is unknown, too wide or too deep, or the number of
-/// heads does not divide the channels
+/// @throws UsageError for an unknown network or a size that is not possible
 RayDropNetwork make_network(const RayDropNetworkOptions& options);
 
 int batch_size_of(const RayDropNetworkOptions& options);
@@ -26,17 +24,15 @@ int batch_size_of(const RayDropNetworkOptions& options);
 /// hardly helps these networks, and rotated images make them less accurate.
 struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
-    /// True: training shifts images by a random number of columns, so that the scene
-    /// rotates. Does not shift input channels that depend only on the sensor, or images
-    /// that do not cover a full turn.
+    /// True: training shifts images that cover a full turn by a random number of columns,
+    /// so that the scene rotates, but not channels that depend only on the sensor.
     bool turns = false;
 };
 NetworkRegularisation regularisation_of(const RayDropNetworkOptions& options);
 
 std::uint32_t find_drop_channel(const RayDropNetwork& network);
 
-/// Returns the number of input channels that are constant for the sensor (do not depend
-/// on the scene). They are the last channels.
+/// Returns the number of input channels that do not depend on the scene, the last ones.
 std::uint32_t count_fixed_channels(const RayDropNetwork& network);
 
 /// Checks the size and the values of an image.
@@ -72,23 +68,22 @@ public:
                     Address<float, shared::DropSamples> samples = {});
 
     /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
-    /// columns]. A network with `residual` predicts a correction that is added to these
-    /// logits.
-    const Array<float, shared::StartLogits>& rendered_logits() const { return start_; }
+    /// columns]. A network with `residual` predicts a correction of them.
+    const Array<float, shared::StartLogits>& rendered_logits() const { return rendered_logits_; }
     /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
     /// rows, columns]. Same values as RayDropImage::dropped.
-    const Array<float, shared::DropTargets>& measured_drops() const { return batch_targets_; }
+    const Array<float, shared::DropTargets>& measured_drops() const { return batch_drops_; }
     std::size_t count_known(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
 
 private:
     std::uint32_t n_channels_;
-    std::uint32_t n_fixed_;        ///< number of last channels that do not rotate with the scene
-    std::uint32_t logit_channel_;  ///< rendered drop probability p, as log(p / (1 - p))
+    std::uint32_t n_sensor_channels_;  ///< number of last channels that do not rotate with the scene
+    std::uint32_t logit_channel_;      ///< rendered drop probability p, as log(p / (1 - p))
     Kernel<shared::DropInputsParams> kernel_;
-    Array<float, shared::DropSamples> samples_;        ///< uploaded images
-    Array<float, shared::SampleTargets> all_targets_;  ///< measured drops of uploaded images
-    Array<float, shared::StartLogits> start_;
-    Array<float, shared::DropTargets> batch_targets_;
+    Array<float, shared::DropSamples> samples_;      ///< uploaded images
+    Array<float, shared::SampleTargets> all_drops_;  ///< measured drops of uploaded images
+    Array<float, shared::StartLogits> rendered_logits_;
+    Array<float, shared::DropTargets> batch_drops_;
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
 };

@@ -123,12 +123,12 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_drops(
                              input_channels.address());
     shaped.unet.run_inference(stream);
     // Computes only probabilities. Without targets, the number of known pixels is 0.
-    shaped.loss->record_loss(stream, grid.n_image_pixels(),
-                             {.logit = shaped.unet.logits().values.address().cast_tag<shared::DropLogits>(),
-                              .start = r.network.residual ? shaped.inputs.rendered_logits().address()
-                                                          : Address<float, shared::StartLogits>(),
-                              .probability = shaped.probability.address()},
-                             0);
+    shaped.loss->record_loss(
+        stream, grid.n_image_pixels(),
+        {.logit = shaped.unet.logits().values.address().cast_tag<shared::DropLogits>(),
+         .start = address_or_null(r.network.residual ? &shaped.inputs.rendered_logits() : nullptr),
+         .probability = shaped.probability.address()},
+        0);
     return shaped.probability;
 }
 

@@ -85,7 +85,6 @@ public:
     /// Computes the gradient of the input, `d_in`.
     void input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
-    /// Adds in a fixed order, so that every run gives the same result.
     void weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights);
     /// Reserves the temporary memory of weights_vjp().
     void reserve_weight_sums(Device& device, ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out);
@@ -104,8 +103,7 @@ private:
 
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
-    /// Running mean and variance of each channel [channels], averaged over many batches.
-    /// Used during inference.
+    /// [channels] mean and variance of each channel, averaged over many batches
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
@@ -133,9 +131,8 @@ class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input,
-    /// normalised with the mean and variance of the batch. Updates the running mean and
-    /// variance.
+    /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input with the
+    /// mean 0 and variance 1 in the batch. Updates the running mean and variance.
     void normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out);
     /// Uses the running mean and variance, and no dropout.
     void normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out);
@@ -207,8 +204,7 @@ public:
 
     AttentionState allocate_state(ImageBatchSize grid, bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
-    /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
-    /// columns]
+    /// @param qkv query Q, key K, value V of each pixel, [n, 3 channels, rows, columns]
     /// @param output [n, channels, rows, columns]
     void attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
     /// Computes the gradient of `qkv` from the gradient of the output.

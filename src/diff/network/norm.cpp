@@ -32,7 +32,7 @@ Norm::Norm(Device& device)
       norm_vjp_(device, "diff/network/norm_vjp", {kWorkgroup}) {}
 
 /// Returns the number of threads that process all pixels of a slice. A workgroup
-/// processes pixels of a single channel.
+/// processes pixels of a single channel, and a thread RELIDAR_NORM_PIXELS of them.
 std::size_t Norm::count_pixel_threads(const Slice& slice) const {
     constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kLayerThreads) * RELIDAR_NORM_PIXELS;
     const std::size_t workgroups_per_channel =
@@ -89,7 +89,7 @@ void Norm::compute_scale(Stream& stream, const Slice& in, const NormWeights& wei
 }
 
 /// Submits the kernel that computes out = dropout(relu(scale * in + shift)).
-/// @param dropout share of the values that become 0
+/// @param dropout share of the values that become 0, selected by `state.dropout_key`
 void Norm::apply_scale(Stream& stream, const Slice& in, const NormState& state, const Slice& out,
                        float dropout) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
@@ -115,9 +115,10 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
     apply_scale(s, in, n, out, 0.0f);
 }
 
-/// Computes the gradients of beta and gamma, which are sums over the batch, and then of
-/// the input. A pixel also changes the mean and the variance of the batch, so its
-/// gradient contains the same sums.
+/// Computes the gradients of beta and gamma, and then of the input. With the gradient g
+/// of the normalised and scaled value y = gamma x' + beta:
+///   d_beta = sum g,   d_gamma = sum g x'   (over the pixels of the batch)
+///   d_x = scale (g - mean(g) - x' mean(g x')),   because x also changes mean and variance
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);
@@ -127,7 +128,7 @@ void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, con
     sums.dropout_key = state.dropout_key;
     sums.dropout = state.dropout;
     channel_sums(stream, sums);                    // over parts of the images
-    const std::uint32_t n_sums = 2 * in.channels;  // beta and gamma of each channel
+    const std::uint32_t n_sums = 2 * in.channels;  // sum g, sum g x' of each channel
     run(stream, sum_parts_, n_sums,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),

@@ -139,16 +139,14 @@ public:
     }
 
     RayDropTrainState download_state() {
-        RayDropTrainState state;
-        state.parameters = unet_.parameters().download();
-        state.moment1 = adam_.first_moments().download();
-        state.moment2 = adam_.second_moments().download();
-        state.running = unet_.running_moments().download();
-        state.step = report.step;
-        state.entropy = entropy_;
-        state.accuracy = accuracy_;
-        state.seconds = report.seconds;
-        return state;
+        return {.step = report.step,
+                .parameters = unet_.parameters().download(),
+                .moment1 = adam_.first_moments().download(),
+                .moment2 = adam_.second_moments().download(),
+                .running = unet_.running_moments().download(),
+                .entropy = entropy_,
+                .accuracy = accuracy_,
+                .seconds = report.seconds};
     }
 
 private:
@@ -179,8 +177,7 @@ private:
         loss_.record_loss(
             stream_, grid_.n_pixels_total(),
             {.logit = unet_.logits().values.address().cast_tag<shared::DropLogits>(),
-             .start = network_.residual ? inputs_.rendered_logits().address()
-                                        : Address<float, shared::StartLogits>(),
+             .start = address_or_null(network_.residual ? &inputs_.rendered_logits() : nullptr),
              .target = inputs_.measured_drops().address(),
              .d_logit = unet_.d_logits().values.address().cast_tag<shared::DropLogitGradients>()},
             n_known_pixels);

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward and backward passes of the U-Net. Each encoder block writes its output directly
-// into some channels of the tensor that the decoder reads. Therefore the skip connection
-// needs no copy. In the backward pass, these channels keep the gradient of the skip
-// connection until the gradient from the smaller image size is added.
+// Forward and backward passes of the U-Net. The skip connections need no copy: an encoder
+// block writes into some channels of the tensor that the decoder reads. In the backward
+// pass, they keep their gradient until that from the smaller image size is added.
 #include "diff/network/unet.hpp"
 
 #include <algorithm>
@@ -27,13 +26,7 @@ Unet::Unet(Device& device, const RayDropNetwork& network)
     if (network.heads > 0) attention_.emplace(device, network.heads);
 }
 
-Slice Unet::skip(std::size_t level) const {
-    const Tensor& joined = levels_[level].joined.values;
-    return joined.channel_range(plan_.n_upsampled[level], joined.channels - plan_.n_upsampled[level]);
-}
-
-Slice Unet::d_skip(std::size_t level) const {
-    const Tensor& joined = levels_[level].joined.gradient;
+Slice Unet::skip_part(const Tensor& joined, std::size_t level) const {
     return joined.channel_range(plan_.n_upsampled[level], joined.channels - plan_.n_upsampled[level]);
 }
 
@@ -58,6 +51,7 @@ void Unet::reserve_vjp_sums(Device& device, const ConvOffsets& layer, ImageBatch
 }
 
 /// Allocates the results of a block that the backward pass needs, and temporary sums.
+/// Adds the size of the results to the maximum `most_active_`.
 void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state) {
     state.active = Tensor(device, block.conv.n_in, grid, "activations");
     state.norm = NormState(device, block.conv.n_in);
@@ -72,14 +66,13 @@ void Unet::allocate_pair(Device& device, const BlockPair& blocks, ImageBatchSize
     for (std::size_t k = 0; k < 2; ++k) allocate_block(device, blocks[k], grid, state.blocks[k]);
 }
 
-/// Allocates the images of one level. The first level has no encoder, and the smallest
-/// level has no decoder, except in a network with one level.
-/// @param grid image size of the level
+/// Allocates the input and output images of one level with the size `grid`. The output is
+/// that of the decoder, if any. The smallest level has none, unless it is the only one.
 void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid) {
     LevelImages& images = levels_[level];
     std::uint32_t n_output = 0;
     if (level > 0) {
-        const BlockPair& blocks = plan_.down[level - 1];
+        const BlockPair& blocks = plan_.down[level - 1];  // level 0 has no encoder
         allocate_pair(device, blocks, grid, encoders_[level - 1]);
         images.pooled = make_images(device, blocks[0].conv.n_in, grid, "activations");
         n_output = blocks[1].conv.n_out;
@@ -97,7 +90,7 @@ void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
     const bool is_allocated = inputs_.grid == grid && (with_gradients_ || !with_gradients);
     if (is_allocated) return;
     with_gradients_ = with_gradients;
-    most_active_ = 0;
+    most_active_ = 0;  // becomes the largest number of activations of a block
     // Frees the old arrays before it allocates new arrays, because the memory may be too
     // small for both.
     levels_.clear();
@@ -116,7 +109,8 @@ void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
         allocate_level(device, level, level_grid);
         level_grid = half_size(level_grid);
     }
-    if (attention_) allocate_attention(device);
+    if (attention_) allocate_attention(device);  // of the smallest level
+    // The backward pass computes one block at a time, so all share the memory.
     if (with_gradients)
         scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
 }

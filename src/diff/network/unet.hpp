@@ -141,10 +141,10 @@ private:
                                parameters_.address_as<float, shared::ConvBias>(*layer.bias), out, add);
     }
     std::size_t smallest_level() const { return plan_.down.size(); }
-    /// Channels of `joined` that the encoder writes and the decoder reads (skip
-    /// connection).
-    Slice skip(std::size_t level) const;
-    Slice d_skip(std::size_t level) const;
+    /// Channels that the encoder writes and the decoder reads (skip connection).
+    Slice skip_part(const Tensor& joined, std::size_t level) const;
+    Slice skip(std::size_t level) const { return skip_part(levels_[level].joined.values, level); }
+    Slice d_skip(std::size_t level) const { return skip_part(levels_[level].joined.gradient, level); }
     const Activation& level_below(std::size_t level) const;
     Activation make_images(Device& device, std::uint32_t channels, ImageBatchSize grid,
                            const std::string& text) const;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the offsets and initial values of a network's parameters. The constructor of
-// UnetLayout assigns the offsets in the order of its calls. Each group of
-// parameters starts at a multiple of four floats, because arrays on the device need this
-// alignment.
+// Computes the offsets and initial values of a network's parameters. Groups of them start
+// at multiples of four floats, because device arrays need this alignment.
 #include <cmath>
 #include <random>
 
