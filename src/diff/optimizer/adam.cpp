@@ -35,8 +35,8 @@ float moment_correction(double beta, int step_number) {
     return float(1.0 / (1.0 - std::pow(beta, step_number)));
 }
 
-/// Returns kernel parameters with the constants of Adam for one step. All factors on the
-/// learning rate are 1. The addresses and the layout of the rows are not set.
+/// Returns kernel parameters with the constants of Adam for one step. The factors on the
+/// learning rate for the start of a row are 1. All other parameters are 0.
 shared::AdamParams make_adam_params(const AdamOptions& options, int step_number) {
     shared::AdamParams params{};
     params.beta1 = float(options.beta1);
@@ -72,22 +72,24 @@ struct Adam::Impl {
 
     void set_rates(shared::AdamParams& params, const SurfelParameterGroup& group, const LearningRates& rates,
                    Stream& stream) const;
+    void select_rows(shared::AdamParams& params, Stream& stream,
+                     Address<std::uint32_t, shared::TouchedSurfels> flags);
 };
 
-/// Sets the learning rate of a parameter group, and the factors on it for parts of a row
-/// and for single models. Only the means and the harmonics have such factors.
+/// Sets the learning rate of a parameter group, and factors with which the kernel changes
+/// it for parts of a row and for single models. Only means and harmonics have them.
 void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGroup& group,
                            const LearningRates& rates, Stream& stream) const {
     double rate = rates.*group.rate;
     std::vector<float> model_factors;
     if (group.rate == &LearningRates::mean) model_factors = rates.mean_factors;
     if (group.harmonics) {
-        // A row has one block per channel: intensity, hit logit, drop logit. The first
-        // value of a block is the constant harmonic. The others have a lower rate.
+        // A row has one block per channel: intensity, hit logit, drop logit. The rate is
+        // reduced. The factor of a block's first value (constant harmonic) undoes that.
         rate *= rates.sh_rest_factor;
         params.first_value_factor = float(1.0 / std::max(rates.sh_rest_factor, 1e-12));
         params.first_block_factor = float(rates.intensity_factor);
-        params.first_model_block = 1;  // the factors of models apply only to the logits
+        params.first_model_block = 1;  // after the intensity: the factors are for logits
         model_factors = logit_factors;
     }
     params.learning_rate = float(rate);
@@ -125,8 +127,22 @@ void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_
 
 void Adam::set_logit_factors(std::vector<float> factors) { impl_->logit_factors = std::move(factors); }
 
-/// Records one Adam step for all groups of surfel parameters. Skips the fixed surfels at
-/// the start of the arrays and, if `touched_flags` is set, surfels without a gradient.
+/// Selects the surfels that have a gradient. With `list`, the kernel updates only these
+/// surfels. Without it, the other surfels get an update with a gradient of zero.
+/// @param flags [params.n_rows] 1 for a surfel with a gradient
+void Adam::Impl::select_rows(shared::AdamParams& params, Stream& stream,
+                             Address<std::uint32_t, shared::TouchedSurfels> flags) {
+    if (!list) {
+        params.touched = flags;
+        return;
+    }
+    list->compact(stream, flags, params.n_rows);
+    params.rows = list->rows_address();
+    params.n_listed = list->count_address();
+}
+
+/// Records one Adam step for all groups of surfel parameters. Does not update the fixed
+/// surfels, which are the first in the arrays.
 void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
                        const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
                        const LearningRates& learning_rates, int step_number, int sh_degree) {
@@ -135,19 +151,11 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_LE(n_rows, adam.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(adam.max_log_scale.size() == 0 || adam.max_log_scale.size() == parameters.n, true);
-    // Surfels without a gradient are skipped either by a list of the other surfels, or by
-    // a flag that each thread reads.
     shared::AdamParams all_groups = make_adam_params(adam.options, step_number);
     all_groups.first_row = first;
     all_groups.n_rows = n_rows;
+    if (touched_flags) adam.select_rows(all_groups, stream, touched_flags->address(first));
     const bool uses_list = adam.list && touched_flags;
-    if (uses_list) {
-        adam.list->compact(stream, touched_flags->address(first), n_rows);
-        all_groups.rows = adam.list->rows_address();
-        all_groups.n_listed = adam.list->count_address();
-    } else if (touched_flags) {
-        all_groups.touched = touched_flags->address(first);
-    }
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
         shared::AdamParams params = all_groups;
@@ -162,7 +170,7 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
         if (group.scales && adam.max_log_scale.size() > 0) params.bounds = adam.max_log_scale.address(first);
         const std::size_t threads_per_row = adam.thread_per_float ? params.n_blocks * params.n_active : 1;
         const std::size_t n_threads = n_rows * threads_per_row;
-        // The host does not know the length of the list, so the list limits the threads.
+        // The host does not know the length of the list, so its threads are limited.
         run(stream, adam.kernel, uses_list ? adam.list->choose_threads(n_threads) : n_threads, params);
     }
 }
