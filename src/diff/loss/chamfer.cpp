@@ -102,9 +102,8 @@ struct ChamferLoss::Impl {
                       .tile_rows = levels.tile.x,
                       .tile_columns = levels.tile.y});
     }
-    /// Submits kernels that search the nearest measured point of each simulated point,
-    /// and the nearest simulated point of each measured point. Both searches run
-    /// concurrently on the device.
+    /// Searches the nearest measured point of each simulated point, and the reverse. Both
+    /// searches run concurrently on the device.
     void find_both_ways(Stream& stream, const ImageTileLevels& levels) const {
         {
             const ConcurrentLaunchScope both(stream);

@@ -133,9 +133,8 @@ HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& ren
             .rays = download_array(gradients.rays, kRayGradientFloats * n_rays)};
 }
 
-/// Calls `change_surfels`, which adds or removes surfels. Frees the acceleration
-/// structure and the gradients before the call, so that their memory can be used during
-/// the copy.
+/// Calls `change_surfels`, which adds or removes surfels. Before, frees the acceleration
+/// structure and the gradients, whose memory can then be used for copies of the surfels.
 void DifferentiableRenderer::resize(
     const std::function<void(double reserved_bytes_per_surfel)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
@@ -144,8 +143,8 @@ void DifferentiableRenderer::resize(
     const std::uint64_t bytes_before = device.allocated_bytes();
     renderer.release_accel();
     impl_->gradients.reset();
-    // The call must leave this memory free, because it is allocated again afterwards. The
-    // size is proportional to the number of surfels, which changes.
+    // The call must leave this memory free for the new structure and gradients, whose
+    // size is proportional to the number of surfels.
     const auto freed_bytes = double(bytes_before - device.allocated_bytes());
     change_surfels(freed_bytes / std::max(renderer.scene().size(), 1u));
     impl_->allocate_gradients();

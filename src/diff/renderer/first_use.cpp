@@ -17,7 +17,6 @@ namespace relidar {
 namespace {
 
 constexpr int kRingSurfels = 300, kTestRays = 256;
-
 constexpr float kFullTurnRad = 6.2831853f;
 
 /// Returns random surfels in a ring around the origin, with ranges of 3 to 30 m. Most
@@ -68,14 +67,13 @@ RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options,
     return renderer.render_rays(make_test_rays());
 }
 
-/// Returns the largest subgroup size that gives correct results. Is called if the
-/// driver's default size gives wrong results.
-/// @param error text of the wrong result with the default size
+/// Returns the largest subgroup size that gives correct results.
+/// @param error text of the wrong result with the driver's default size
 int fallback_subgroup(const DeviceOptions& options, const Device& device, const std::string& error) {
     const std::vector<int> sizes = subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
-        // A new device uses the subgroup size of these test results.
+        // While this object exists, a new device uses its subgroup size.
         const ScopedDeviceTestResults assumed_results(DeviceTestResults{.subgroup_size = *lanes});
         Device other(options);
         if (test_subgroups(other).empty()) return *lanes;
