@@ -65,8 +65,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     : device(&owner), use(used), n_bytes(size) {
     // A device that only compiles may have no hardware, so it allocates no memory.
     if (owner.compile_only) return;
-    owner.check_process();
-    owner.free_orphans();
+    owner.check_process();  // throws in a forked process
+    owner.free_orphans();   // buffers that could not be destroyed earlier
     check_buffer_size(owner, size, text);
     // Other buffers are small or in host memory, so the budget does not apply to them.
     if (is_array()) check_budget(owner, size, text);
@@ -78,10 +78,11 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
         result = is_sparse ? allocate_sparse(needs) : allocate(needs);
     }
-    if (result != VK_SUCCESS) {
+    if (result != VK_SUCCESS) {  // of create_handle() or of the allocation
         for (const gpu::MemorySuballocation& piece : memory) owner.memory->release(piece);
         vkDestroyBuffer(owner.device, handle, nullptr);
         const std::string cause = fmt::format("the driver returned {}", gpu::vk_result_name(result));
+        // A lost device is not a lack of memory.
         if (result == VK_ERROR_DEVICE_LOST)
             gpu::vk_fail(result, fmt::format("cannot allocate {}: {}", text, cause));
         fail_allocation(owner, size, text, cause, gpu::query_budget(owner.physical));
@@ -112,8 +113,7 @@ VkResult Buffer::Impl::create_handle(bool is_sparse) {
     return vkCreateBuffer(device->device, &info, nullptr, &handle);
 }
 
-/// Adds the memory of this array to the numbers that Device::allocated_bytes() and
-/// Device::peak_bytes() return.
+/// Adds the memory of this array to Device::allocated_bytes() and Device::peak_bytes().
 void Buffer::Impl::count_array_memory() {
     for (const gpu::MemorySuballocation& piece : memory) device->allocated += piece.n_bytes;
     if (device->allocated > device->peak) device->peak = device->allocated.load();

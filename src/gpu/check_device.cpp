@@ -18,9 +18,8 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums, one per thread. Thread
-/// i adds to sum i % n_sums. Floats represent these sums exactly. Returns the largest
-/// relative error of a sum.
+/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums: thread i to sum i %
+/// n_sums. Floats represent them exactly. Returns the largest relative error of a sum.
 double run_atomic_adds(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
                        std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
                        double* elapsed_s = nullptr) {
@@ -65,8 +64,7 @@ struct SubgroupValues {
     std::uint32_t workgroup_sum = 0;  ///< sum of all its subgroups
 };
 
-/// Returns the correct results of all subgroup operations for one thread, in the order of
-/// kOperationNames.
+/// Returns a thread's correct results of subgroup operations, ordered as kOperationNames.
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const SubgroupValues& subgroup,
                                                                   std::size_t lane) {
     const Words& lanes = subgroup.lanes;

@@ -105,8 +105,7 @@ VulkanInstance::VulkanInstance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
-    // Enables VK_EXT_debug_utils even without validation, so that debuggers show the
-    // names of objects.
+    // Enables VK_EXT_debug_utils always, so that debuggers show the names of objects.
     if (validation || has_debug_utils()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
@@ -158,8 +157,7 @@ std::vector<DeviceInfo> describe_devices(const std::vector<VkPhysicalDevice>& ph
 }
 
 /// Returns the index of the requested device. If none is requested, prefers usable
-/// devices that support the traversal, then GPUs to CPU devices, then GPUs with ray
-/// queries.
+/// devices that support the traversal, then GPUs, then those with ray queries.
 int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
     if (device_infos.empty())
         throw DeviceError(
@@ -295,13 +293,14 @@ void Device::Impl::select_traversal(RayTracingBackend requested) {
     if (traversal == RayTracingBackend::automatic) traversal = RayTracingBackend::software;
 }
 
-/// Opens the physical device that was selected, with the features that it has. Creates
-/// the objects that all streams and kernels share: allocator, transfers, pipeline cache.
+/// Opens the selected physical device, or uses the lent one. Creates the objects that all
+/// streams and kernels share: allocator, transfers, pipeline cache.
 void Device::Impl::open_device(const DeviceOptions& options) {
     select_traversal(options.traversal);
     memory_limit_bytes = options.memory_limit_bytes;
     share_memory = options.share_memory;
     compile_only = options.compile_only;
+    // May change `traversal` and `info`, on which the enabled features depend.
     gpu::disable_failed(*this, gpu::check_results(*this, options));
     select_queue();
     optional = gpu::query_features(physical, lender());
@@ -312,8 +311,9 @@ void Device::Impl::open_device(const DeviceOptions& options) {
     create_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, options.pipeline_cache);
-    memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device,
-                                                          share_memory && info.type == "CPU", exports_memory);
+    // Other programs get the host address of arrays of a CPU. A GPU exports its memory.
+    const bool map_arrays = share_memory && info.type == "CPU";
+    memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device, map_arrays, exports_memory);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
     // Kernels get the address of these zeros instead of arrays that a launch leaves out.
     constexpr std::size_t kNothingBytes = 64 << 10;
@@ -447,16 +447,16 @@ void Device::Impl::create_device() {
     vkGetDeviceQueue(device, queue_family, 0, &queue);
 }
 
-/// Reads the limits of the driver: largest buffer and allocation, subgroup size, and the
-/// duration of one time stamp tick. Chooses the default workgroup size and time limit.
+/// Reads limits of the driver. Chooses how kernels are compiled and launched on this
+/// device, and computes the sizes of the largest buffer and of the largest allocation.
 void Device::Impl::query_limits() {
     const gpu::DeviceProperties properties(physical);
     const VkPhysicalDeviceLimits& limits = properties.base.properties.limits;
     const bool is_cpu = info.type == "CPU";
     timestamp_period_ns = limits.timestampPeriod;
     compiles_ahead = !is_cpu && !compile_only;
-    // Long dispatches are split (into pieces of 0.25 s) only on GPUs, because no watchdog
-    // resets a CPU device.
+    // Long dispatches are split into pieces of 0.25 s, so that the watchdog of the
+    // operating system does not reset the GPU. CPU devices have no watchdog.
     if (!is_cpu) launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
     if (traversal == RayTracingBackend::ray_query)
@@ -467,9 +467,9 @@ void Device::Impl::query_limits() {
     const auto limit_buffer = [&](const DriverMemoryLimit& limit) {
         if (limit.n_bytes < largest_buffer.n_bytes) largest_buffer = limit;
     };
-    if (info.memory_bytes) limit_buffer({info.memory_bytes, "the device memory"});
-    // Only a sparse buffer can consist of several allocations. lavapipe reports a limit
-    // of 2 GiB for sparse buffers, but larger buffers work.
+    if (info.memory_bytes) limit_buffer({info.memory_bytes, "the device memory"});  // 0: unknown
+    // Only a sparse buffer can consist of several allocations. lavapipe ("llvmpipe")
+    // reports a limit of 2 GiB for sparse buffers, but larger buffers work.
     if (!binds_sparse) limit_buffer(largest_allocation);
     else if (!info.driver.starts_with("llvmpipe"))
         limit_buffer({limits.sparseAddressSpaceSize, "sparseAddressSpaceSize"});

@@ -114,8 +114,6 @@ bool loses_float_adds([[maybe_unused]] const VkPhysicalDeviceDriverProperties& d
 #endif
 }
 
-constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
-
 /// Returns the missing features that the software traversal needs, as one text.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroups,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
@@ -224,6 +222,8 @@ std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& exte
 
 }  // namespace
 
+/// Describes a device, and tells what relidar can use it for. Each text why_not_... lists
+/// what the device lacks for a use. It is empty if nothing is missing.
 DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const LentVulkan* lent) {
     const DeviceProperties properties(physical);
     const VkPhysicalDeviceProperties& base = properties.base.properties;
@@ -251,11 +251,13 @@ DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const L
 
     info.why_not_usable = missing_for_kernels(properties, features);
     info.why_not_ray_query = missing_for_ray_query(extensions, features);
-    info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.why_not_software = is_swiftshader(info) ? kNoCompiler
-                                                 : missing_for_software(properties.subgroups,
-                                                                        properties.subgroup_sizes, optional);
-    info.software = info.why_not_software.empty() && info.why_not_usable.empty();
+    info.why_not_software =
+        is_swiftshader(info)
+            ? "a driver that can compile the tracing kernels (SwiftShader cannot)"
+            : missing_for_software(properties.subgroups, properties.subgroup_sizes, optional);
+    const bool is_usable = info.why_not_usable.empty();
+    info.ray_query = is_usable && info.why_not_ray_query.empty();
+    info.software = is_usable && info.why_not_software.empty();
     return info;
 }
 

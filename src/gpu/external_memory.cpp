@@ -110,8 +110,7 @@ int find_device(const ComputeLibrary& library, const Device::Impl& device) {
     VkPhysicalDeviceIDProperties id{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &id};
     vkGetPhysicalDeviceProperties2(device.physical, &properties);
-    // The second argument of check() is the index of the function in
-    // LibraryNames::functions.
+    // The second argument of check() is an index in LibraryNames::functions.
     int n_devices = 0;
     library.check(library.count_devices(&n_devices), 1);
     for (int index = 0; index < n_devices; ++index) {

@@ -98,8 +98,7 @@ gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std:
                                               constants.size() * sizeof(SpecialisationConstant),
                                               constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    // Large launches are split into several dispatches. This flag lets a dispatch begin
-    // at any workgroup.
+    // Lets a dispatch begin at any workgroup, because large launches are split.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.layout = device.pipeline_layout;
@@ -151,8 +150,7 @@ std::string format_constants(std::span<const std::uint32_t> words, KernelConstan
 
 /// Returns the pipeline of a kernel. Creates it if no kernel with the same name and
 /// constants exists.
-/// @param mode create at the first use (deferred), or immediately in another thread
-/// (async)
+/// @param mode create at the first use (deferred), or now in another thread (async)
 std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, const KernelBase::Impl& kernel,
                                                         std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
@@ -212,12 +210,13 @@ KernelBase::KernelBase(Device& owner, std::span<const std::uint32_t> spirv_words
     impl_->loaded_words =
         std::make_shared<const std::vector<std::uint32_t>>(spirv_words.begin(), spirv_words.end());
     impl_->words = *impl_->loaded_words;
-    // Without `speed`, launches are never split, so the kernel may read thread_count().
-    start_compilation(owner, {});
+    // Without a measured `speed`, launches are never split. So thread_count() in the
+    // kernel counts all threads.
+    start_compilation(owner, KernelConstants{});
 }
 
 /// Sets the members that both constructors share, and finds or creates the pipeline. On a
-/// GPU, another thread compiles it now, otherwise the first launch.
+/// GPU, another thread compiles it now (async), otherwise the first launch (deferred).
 void KernelBase::start_compilation(Device& owner, const KernelConstants& constants) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
@@ -226,10 +225,11 @@ void KernelBase::start_compilation(Device& owner, const KernelConstants& constan
     const auto size = std::ranges::find(constants, kSizeId, &SpecialisationConstant::id);
     impl_->workgroup_size = size == constants.end() ? device.workgroup_size : size->value;
     if (size == constants.end()) impl_->constants.push_back({kSizeId, device.workgroup_size});
+    // Byte offsets of the addresses in the parameters. A launch replaces null addresses.
     impl_->addresses = gpu::list_pointers(impl_->words);
-    impl_->made_ =
-        find_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
-    if (device.compile_only) compile_pipeline();
+    const std::launch mode = device.compiles_ahead ? std::launch::async : std::launch::deferred;
+    impl_->made_ = find_pipeline(device, *impl_, mode);
+    if (device.compile_only) compile_pipeline();  // there is no launch that would compile it
 }
 
 VkPipeline KernelBase::Impl::wait_for_pipeline() {

@@ -104,8 +104,9 @@ std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t type) const {
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns the memory types to try for a buffer, best first. Device memory that the host
-/// can access may be scarce, so only small parameter buffers may use it.
+/// Returns the memory types to try for a buffer, best first: at most one for each list of
+/// preferred flags. Device memory that the host can access may be scarce, so only small
+/// parameter buffers may use it.
 std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequirements& requirements,
                                                              BufferPurpose purpose) const {
     std::vector<std::uint32_t> suitable_types;
@@ -118,7 +119,7 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequi
                                       (flags & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
                                       requirements.size > new_block_bytes(type);
             if (!is_too_large) suitable_types.push_back(type);
-            break;  // Vulkan lists types with equal flags from fast to slow.
+            break;  // Vulkan lists types from fast to slow, so the first one is enough.
         }
     return suitable_types;
 }
@@ -140,9 +141,9 @@ std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
 VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
                                             MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
-    const bool is_array = purpose == BufferPurpose::device;
-    const bool exports = is_array && export_arrays_;  // other programs can use the memory
-    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;   // Result if no memory type is suitable.
+    const bool is_array = purpose == BufferPurpose::device;  // large, used by kernels only
+    const bool exports = is_array && export_arrays_;         // other programs can use the memory
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;          // Result if no memory type is suitable.
     for (const std::uint32_t type : find_types(requirements, purpose)) {
         std::optional<MemorySuballocation> free_piece = place_in_block(requirements, type, exports);
         result = free_piece ? VK_SUCCESS : place_in_new_block(requirements, type, exports, free_piece);
@@ -220,7 +221,7 @@ void DeviceMemoryAllocator::release_empty(std::uint32_t type, std::size_t n_bloc
             --n_blocks_to_keep;
             return false;
         }
-        block->imported.reset();
+        block->imported.reset();  // CUDA or HIP must release the memory before it is freed
         vkFreeMemory(device_, block->memory, nullptr);
         return true;
     });

@@ -63,8 +63,7 @@ std::string read_cache(const std::filesystem::path& path, const VkPhysicalDevice
 void write_cache_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    // Makes the names of temporary files unique, because one process may close several
-    // devices simultaneously.
+    // Distinguishes temporary files, because a process may close devices simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     std::ofstream file(temporary, std::ios::binary);

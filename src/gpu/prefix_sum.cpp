@@ -34,8 +34,10 @@ void PrefixSum::run(Stream& stream, const StridedCounts& counts,
                  0);
 }
 
-/// Computes the sums of tiles, then their prefix sums (recursively, one level higher),
-/// and then the prefix sums within the tiles. A single tile needs only the last step.
+/// Records the kernels that compute prefix sums of `params.n` numbers. The first sums
+/// each tile. Then these sums become prefix sums, which is the same task one level
+/// higher. The last kernel adds them to the prefix sums within tiles; one tile needs only
+/// this kernel.
 void PrefixSum::record_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
     if (params.n == 0) return;
     const std::size_t n_tiles = count_tiles(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
@@ -44,6 +46,7 @@ void PrefixSum::record_level(Stream& stream, shared::ScanParams params, std::siz
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, params);
+        // In place: input and output are the array of the sums.
         record_level(stream,
                      {.counts = params.tile_sums.cast_tag<shared::ScanCounts>(),
                       .tile_sums = {},

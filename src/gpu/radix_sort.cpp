@@ -28,6 +28,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
                SubgroupRequirement::full),
       counts_(device, RELIDAR_SORT_DIGITS * count_tiles(max_keys), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
+    // The kernels count and rank keys with operations of full subgroups of a known size.
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         fail<DeviceError>("cannot sort on the device {}: it has subgroups of {} lanes, expected 4 to 64",
                           device.info().name, lanes);
@@ -41,8 +42,9 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
 SortBuffers RadixSort::run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
                            Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
-    // Each pass sorts by 8 bits, from the lowest to the highest, and keeps the order of
-    // equal digits.
+    // Each pass sorts by 8 bits (a digit), from the lowest to the highest. Its kernels
+    // count the keys of each tile by their digit, sum these counts over the tiles, and
+    // move the keys. Equal digits keep their order.
     for (std::uint32_t pass = 0; pass < pass_count(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,

@@ -128,27 +128,28 @@ private:
 
 /// Returns the target that a conditional branch always takes. Returns nothing if its
 /// condition is not known, or if the other target cannot be removed.
-/// @param block,merge blocks in which the branch is and in which both paths join
+/// @param block,join_block blocks in which the branch is and in which both paths join
 std::optional<std::uint32_t> find_only_target(SpirvInstruction branch, const SpirvConstantValues& values,
                                               const ControlFlowGraph& blocks, std::uint32_t block,
-                                              std::uint32_t merge) {
+                                              std::uint32_t join_block) {
     const std::optional<std::uint32_t> condition = values.find_value(branch[1]);
     if (!condition) return std::nullopt;
     const std::uint32_t if_true = branch[2], if_false = branch[3];
     const std::uint32_t taken = *condition ? if_true : if_false, removed = *condition ? if_false : if_true;
-    return blocks.can_remove(block, removed, merge) ? std::optional(taken) : std::nullopt;
+    return blocks.can_remove(block, removed, join_block) ? std::optional(taken) : std::nullopt;
 }
 
 }  // namespace
 
-/// Replaces conditional branches whose condition is known by unconditional ones. The
-/// blocks that become unreachable stay in the module.
+/// Replaces conditional branches whose condition is known by unconditional ones. Also
+/// removes the selection merge: the instruction before such a branch, which names the
+/// block in which both paths join. Blocks that become unreachable stay in the module.
 SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     SpirvConstantValues values(constants);
     const ControlFlowGraph blocks(words);
     std::uint32_t block = 0;     // id of the current block
-    SpirvInstruction merge;      // last instruction if it is a selection merge, which precedes a branch
+    SpirvInstruction merge;      // the last instruction if it is a selection merge
     std::size_t last_start = 0;  // position of the last instruction in `result`
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         values.evaluate(opcode, instruction);
@@ -157,7 +158,7 @@ SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvCons
         if (opcode == kOpBranchConditional && !merge.empty())
             target = find_only_target(instruction, values, blocks, block, merge[1]);
         if (target) {
-            result.resize(last_start);  // removes the merge, which has no branch now
+            result.resize(last_start);  // removes the merge
             append_instruction(result, kOpBranch, {*target});
             merge = {};
             return;

@@ -225,8 +225,9 @@ private:
 
 }  // namespace
 
-/// Replaces loads of parameters in all functions by loads of private variables. Returns
-/// the module unchanged if it loads no parameter that can be copied.
+/// Replaces loads of parameters in all functions by loads of private variables, to which
+/// the entry point copies the parameters. Returns the module unchanged if it loads no
+/// parameter that can be copied.
 SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     const SpirvModule module(words);
     ParameterLoadHoister hoister(module);
@@ -234,16 +235,16 @@ SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     bool in_functions = false, has_hoisted = false;
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         in_functions = in_functions || opcode == kOpFunction;
-        // make_module() copies the declarations, which precede all functions.
-        if (!in_functions) return;
-        // Words 1 to 3 of a load are its type, its result, and the pointer.
+        if (!in_functions) return;  // make_module() copies the declarations before the functions
+        // Words 1 to 3 of a load are its type, the id of its result, and the pointer.
         const auto parameter =
             opcode == kOpLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
         if (parameter == module.parameter_paths.end() || !hoister.is_copyable(instruction[1])) {
             append_instruction(code, instruction);
             return;
         }
-        hoister.append_load(code, instruction[1], parameter->second, instruction[2]);
+        const MemberPath& path = parameter->second;
+        hoister.append_load(code, instruction[1], path, instruction[2]);
         has_hoisted = true;
     });
     return has_hoisted ? hoister.make_module(words, code) : SpirvWords(words.begin(), words.end());

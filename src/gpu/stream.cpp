@@ -72,8 +72,7 @@ VkCommandBuffer Stream::Impl::open_commands() {
     return slot.commands;
 }
 
-/// Begins another command buffer of a slot. Allocates one only if all buffers of the
-/// slot are in use.
+/// Begins another command buffer of a slot. Allocates one if all buffers are in use.
 void Stream::Impl::begin_commands(SubmissionSlot& slot) {
     if (slot.n_buffers == slot.buffers.size()) {
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
@@ -89,7 +88,7 @@ void Stream::Impl::begin_commands(SubmissionSlot& slot) {
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     gpu::vk_check(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
-    recorded_s = 0.0;
+    recorded_s = 0.0;  // expected duration of the commands in this buffer
 }
 
 /// Submits the commands recorded so far without a ticket, so that a slow launch is split
@@ -135,6 +134,7 @@ void Stream::Impl::merge_lanes() {
     std::size_t n_steps = 0;
     for (const CommandSequence& steps : lanes) n_steps = std::max(n_steps, steps.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
+        // The step has the name of the first lane that is so long.
         const auto has_step = [k](const CommandSequence& steps) { return k < steps.size(); };
         const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
         begin_timing(name);
@@ -276,18 +276,20 @@ struct Stream::Impl::Dispatch {
 
 namespace {
 
-/// Arranges the workgroups of a launch in rows, and divides the rows into dispatches.
-/// @param max_groups number of workgroups that one dispatch may have, from the time limit
+/// Arranges the workgroups of a launch in rows, and divides the rows into pieces.
+/// @param max_groups number of workgroups that one piece may have, from the time limit
 Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push,
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
-    // Number of workgroups per dimension that every Vulkan device supports.
-    constexpr std::uint32_t kMaxGroups = 65535;
-    // A row is as long as a dispatch may be, but there must not be too many rows.
-    const std::uint32_t min_columns = (n_workgroups - 1) / kMaxGroups + 1;
-    const std::uint32_t max_columns = std::clamp(std::min(n_workgroups, max_groups), min_columns, kMaxGroups);
-    const std::uint32_t rows = (n_workgroups - 1) / max_columns + 1;
+    // Number of rows and of columns that every Vulkan device supports.
+    constexpr std::uint32_t kMaxDimension = 65535;
+    const auto divide_up = [](std::uint32_t a, std::uint32_t b) { return (a - 1) / b + 1; };
+    // A row is as long as a piece may be, but not so short that there are too many rows.
+    const std::uint32_t min_columns = divide_up(n_workgroups, kMaxDimension);
+    const std::uint32_t max_columns =
+        std::clamp(std::min(n_workgroups, max_groups), min_columns, kMaxDimension);
+    const std::uint32_t rows = divide_up(n_workgroups, max_columns);
     // Equal rows, so that the last row has few superfluous workgroups.
-    const std::uint32_t columns = (n_workgroups - 1) / rows + 1;
+    const std::uint32_t columns = divide_up(n_workgroups, rows);
     const bool is_one_piece = max_groups >= n_workgroups;
     const std::uint32_t rows_per_piece = is_one_piece ? rows : std::max(1u, max_groups / columns);
     return {pipeline, push, rows, columns, rows_per_piece};
@@ -304,8 +306,7 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().wait_for_pipeline();
-    // The push constants: addresses of the parameters, and of the zeros that replace
-    // optional arrays.
+    // Push constants: addresses of the parameters, and of zeros for missing arrays.
     const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, params, n_bytes),
                                               device->nothing->address};
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
@@ -323,18 +324,18 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
                    });
 }
 
-/// Records the dispatches of a launch. Starts a new submission whenever the expected
-/// duration of the recorded commands would exceed `piece_s` seconds.
+/// Records the dispatches (pieces) of a launch. Starts a new submission whenever the
+/// expected duration of the recorded commands would exceed the time limit.
 void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
-    const double piece_s = device->launch_limit.piece_s;
+    const double limit_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.rows_of_piece(row) * dispatch.columns;
-        double expected_s = kernel.speed->estimate_s(n_groups);
-        // The time is 0 if the kernel was not measured yet. Each piece of a split launch
-        // then gets a separate submission, because two times `piece_s` exceed the limit.
-        if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
+        const bool is_split = n_groups < dispatch.rows * dispatch.columns;
+        double expected_s = kernel.speed->estimate_s(n_groups);  // 0: not measured yet
+        // Each piece of a split launch then gets a separate submission.
+        if (expected_s == 0.0 && is_split) expected_s = limit_s;
         open_commands();
-        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit();
+        if (recorded_s > 0.0 && recorded_s + expected_s > limit_s) submit();
         begin_timing(kernel.name, kernel.speed, n_groups, row > 0);
         begin_debug_label(kernel.name);
         dispatch.record_piece(open_commands(), device->pipeline_layout, row);
@@ -435,8 +436,7 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
 ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     if (stream_.impl().device->is_forked()) return;
     Stream::Impl& s = stream_.impl();
-    // After an exception, the commands are dropped, because the arrays that they use may
-    // be destroyed.
+    // Drops the commands after an exception, because their arrays may be destroyed.
     if (std::uncaught_exceptions() == 0) s.merge_lanes();
     s.lanes.clear();
 }

@@ -81,7 +81,8 @@ void BufferTransfers::copy_buffer(const Buffer::Impl& source, const Buffer::Impl
 }
 
 /// Copies and waits until the copy is complete. Needs no barrier before the copy, because
-/// every submission of a stream ends with one.
+/// every submission of a stream ends with one. The barrier after the copy makes the bytes
+/// visible to the host and to all later commands.
 void BufferTransfers::copy_now(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) create_commands();
     vk_check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

@@ -135,16 +135,19 @@ void report_note(const std::string& text) {
 
 /// Disables features that failed the test of the device, and notes alternatives. Floats
 /// are added with float atomics or, without these, with compare-and-swap (`float_swaps`).
+/// Software replaces wrong hardware ray queries if it can trace on this device.
 void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) { report_note(fmt::format("{}: {}", info.name, text)); };
-    if (!results.float_atomics && info.float_atomics) {
+    const bool has_wrong_atomics = info.float_atomics && !results.float_atomics;
+    if (has_wrong_atomics) {
         info.float_atomics = false;
         note(
             "atomic additions of floats give wrong sums on this device, so relidar adds gradients without "
             "them");
     }
-    if (!results.float_swaps && !info.float_atomics) {
+    const bool has_wrong_swaps = !info.float_atomics && !results.float_swaps;
+    if (has_wrong_swaps) {
         device.wrong_sums = true;
         note(
             "all methods of adding floats give wrong sums on this device; relidar can render on it, but "
@@ -159,8 +162,9 @@ void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
         info.subgroup_size = results.subgroup_size;
         device.forced_lanes = true;
     }
-    const bool uses_ray_query = device.traversal == RayTracingBackend::ray_query;
-    if (results.ray_query != CheckVerdict::wrong || !uses_ray_query) return;
+    const bool has_wrong_rays =
+        device.traversal == RayTracingBackend::ray_query && results.ray_query == CheckVerdict::wrong;
+    if (!has_wrong_rays) return;
     note(fmt::format(
         "hardware ray queries of this device find other surfels than a search through all surfels; {}",
         info.software ? "relidar uses software traversal instead"
