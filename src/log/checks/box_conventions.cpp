@@ -114,8 +114,7 @@ PointCounts count_points(const std::vector<glm::dvec3>& points_m, const Pose& bo
     return counts;
 }
 
-/// Returns evenly chosen returns of a scan, at most about kMaxPoints, in the sensor
-/// frame.
+/// Returns evenly chosen returns of a scan in the sensor frame, at most about kMaxPoints.
 std::vector<glm::dvec3> choose_points_m(const Scan& scan) {
     std::vector<glm::dvec3> points_m;
     const std::size_t step = 1 + scan.count_returns() / kMaxPoints;
@@ -143,6 +142,26 @@ double find_facing_time_s(const Log& sequence, const Frame& frame, const BoxTrac
     return time_s;
 }
 
+/// Counts the points of a scan that a box gains and loses by the correction of a fault.
+/// Points that show nothing about this fault do not count.
+PointCounts count_evidence(const Log& sequence, const BoxTrack& box, double time_s, BoxFault fault,
+                           const std::vector<glm::dvec3>& points_m, const Pose& world_from_sensor) {
+    // A box whose position is its bottom side has the ground at height 0. To lose points
+    // of the ground shows nothing.
+    const double highest_lost_m = fault == kBottomPosition ? -0.5 * kGroundHeight_m : INFINITY;
+    const Pose world_from_box = box.world_from_box.pose_at(time_s),
+               world_from_corrected = correct_box(sequence, box, time_s, fault);
+    PointCounts counts =
+        count_points(points_m, inverse(world_from_box) * world_from_sensor,
+                     inverse(world_from_corrected) * world_from_sensor, 0.5 * box.size_m, highest_lost_m);
+    // A mirrored box moves far, so it can hit a larger object, such as a wall, by chance.
+    // The shell then has many points, too.
+    const bool can_hit_wall = fault == kMirroredInWorld || fault == kMirroredInVehicle;
+    const bool is_isolated = double(counts.in_shell) < kMaxShellShare * double(counts.gained);
+    if (can_hit_wall && !is_isolated) counts.gained = 0;
+    return counts;
+}
+
 /// Adds the points that the boxes of a frame gain and lose by the correction of each
 /// fault. The corrections are tried one at a time.
 void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
@@ -150,23 +169,13 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_observed(frame.time_s)) continue;
         const double time_s = find_facing_time_s(sequence, frame, box);
-        const Pose world_from_sensor = inverse(sensor_from_world_at(sequence, frame, time_s)),
-                   box_from_sensor = inverse(box.world_from_box.pose_at(time_s)) * world_from_sensor;
+        const Pose world_from_sensor = inverse(sensor_from_world_at(sequence, frame, time_s));
         for (std::size_t fault = 0; fault < kFaultCount; ++fault) {
             // Turning a box shows nothing unless the box is elongated.
             if (fault == kTurned && !is_elongated(box.size_m)) continue;
-            // A box whose position is its bottom side has the ground at height 0. To lose
-            // points of the ground shows nothing.
-            const double highest_lost_m = fault == kBottomPosition ? -0.5 * kGroundHeight_m : INFINITY;
-            const Pose corrected_from_sensor =
-                inverse(correct_box(sequence, box, time_s, fault)) * world_from_sensor;
-            const PointCounts counts = count_points(points_m, box_from_sensor, corrected_from_sensor,
-                                                    0.5 * box.size_m, highest_lost_m);
-            // A mirrored box moves far, so it can hit a larger object, such as a wall, by
-            // chance. The shell then has many points, too.
-            const bool can_hit_wall = fault == kMirroredInWorld || fault == kMirroredInVehicle;
-            const bool is_isolated = double(counts.in_shell) < kMaxShellShare * double(counts.gained);
-            gains[fault].add_view(can_hit_wall && !is_isolated ? 0 : counts.gained, counts.lost);
+            const PointCounts counts =
+                count_evidence(sequence, box, time_s, BoxFault(fault), points_m, world_from_sensor);
+            gains[fault].add_view(counts.gained, counts.lost);
         }
     }
 }
@@ -195,10 +204,18 @@ PointGains compare_boxes(const Log& sequence) {
     return sum;
 }
 
+/// True if most elongated boxes are wider than long, as no vehicle is.
+bool are_sizes_swapped(const std::vector<BoxTrack>& boxes) {
+    int n_wider_minus_longer = 0;
+    for (const BoxTrack& box : boxes)
+        if (is_elongated(box.size_m)) n_wider_minus_longer += box.size_m.y > box.size_m.x ? 1 : -1;
+    return n_wider_minus_longer > 0;
+}
+
 /// True if a box contains a LiDAR or the origin of the vehicle.
 bool is_around_vehicle(const Log& sequence, const glm::dvec3& box_size_m, const Pose& world_from_vehicle,
                        const Pose& world_from_box) {
-    // A LiDAR on the roof may be above the box.
+    // A LiDAR on the roof may be above the box. More height below does not matter.
     const glm::dvec3 half_m = 0.5 * box_size_m + glm::dvec3(0, 0, kAboveVehicle_m);
     const auto is_inside = [&](const Pose& vehicle_from_sensor) {
         const glm::dvec3 local_m =
@@ -239,7 +256,7 @@ void remove_ego_boxes(Log& sequence) {
 
 std::string describe_fault(const Log& sequence) {
     const PointGains gains = compare_boxes(sequence);
-    // 0 if too few points or views show the fault
+    // Points gained minus lost if all boxes had this fault; 0 if too few points show it.
     const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };
@@ -248,17 +265,16 @@ std::string describe_fault(const Log& sequence) {
         if (net_gain(fault) > net_gain(best)) best = fault;
     if (net_gain(best) <= 0) return "";
 
-    // If most boxes are wider than long, their sizes are wrong instead of their angles.
-    int n_wider_minus_longer = 0;
-    for (const BoxTrack& box : sequence.boxes)
-        if (is_elongated(box.size_m)) n_wider_minus_longer += box.size_m.y > box.size_m.x ? 1 : -1;
-    const char* turned = n_wider_minus_longer > 0 ? "length and width seem to be swapped"
-                                                  : "the yaw seems to be turned by 90 degrees";
-    const std::array<const char*, kFaultCount> descriptions{
-        "the positions seem to be the centres of the bottom sides, expected the centres of the boxes", turned,
-        "y and yaw seem to have the opposite sign in the world, as in left-handed coordinates (CARLA)",
+    std::array<const char*, kFaultCount> descriptions;
+    descriptions[kBottomPosition] =
+        "the positions seem to be the centres of the bottom sides, expected the centres of the boxes";
+    descriptions[kTurned] = are_sizes_swapped(sequence.boxes) ? "length and width seem to be swapped"
+                                                              : "the yaw seems to be turned by 90 degrees";
+    descriptions[kMirroredInWorld] =
+        "y and yaw seem to have the opposite sign in the world, as in left-handed coordinates (CARLA)";
+    descriptions[kMirroredInVehicle] =
         "y and yaw seem to have the opposite sign in the frame of the vehicle, as in left-handed coordinates "
-        "(CARLA)"};
+        "(CARLA)";
     return fmt::format("{}: boxes that are corrected in this way gain {} points and lose {}",
                        descriptions[best], gains[best].gained, gains[best].lost);
 }

@@ -71,8 +71,7 @@ void test_poses(const CheckedLog& log, const FaultReport& report) {
         test_track(fmt::format("box '{}'", box.id), box.world_from_box);
 }
 
-/// Tests that all arrays of a scan have one entry for each ray, or, if optional, are
-/// empty.
+/// Tests that arrays of a scan have an entry per ray or, if optional, are empty.
 void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
     for (const Frame& frame : log.sequence.frames) {
         const Scan& scan = frame.scan;

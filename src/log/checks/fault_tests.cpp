@@ -15,8 +15,7 @@
 namespace relidar::checks {
 namespace {
 
-// A time step is a gap if it is longer than both. A gap above kMaxGap_s is a jump of the
-// clock.
+// A time step is a gap if it is longer than both; above kMaxGap_s, the clock has jumped.
 constexpr double kMinGap_s = 1.0, kMinGapSteps = 10.0, kMaxGap_s = 60.0;
 // A vehicle that moves faster, and farther in one step, has wrong poses or times.
 constexpr double kMaxSpeed_mps = 100.0, kMinJump_m = 2.0;
@@ -113,9 +112,10 @@ struct RotationFit {
     double nominal = 0.0, opposite = 0.0;  ///< 1: perfect
 };
 
-/// Returns |mean of exp(i (azimuth -+ 2 pi t / period))| over the returns of a scan. It
-/// is 1 for the direction in which the head turns, because azimuth and time then differ
-/// by a constant angle.
+/// Returns how well the returns of a scan fit each direction of rotation. If the head
+/// turns in a direction, azimuth minus rotation since time 0 is the same for all rays.
+/// The fit is the length of the mean of unit vectors with these angles.
+/// @param n_returns  number of returns of the scan
 RotationFit measure_rotation(const Scan& scan, const SpinningSensor& sensor, std::size_t n_returns) {
     std::complex<double> nominal, opposite;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
@@ -188,10 +188,11 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
 }
 
 /// Reports x or y coordinates that were rounded to single precision. Each is then a
-/// multiple of the distance between neighbouring floats of its size.
+/// multiple of the distance between neighbouring floats of its size. Few different
+/// coordinates show nothing. Reports the step of the last and the largest coordinate.
 void test_float_positions(const CheckedLog& log, const FaultReport& report) {
     for (int axis = 0; axis < 2 && log.sequence.has_poses; ++axis) {
-        std::set<double> different_m;
+        std::set<double> coordinates_m;  // rounded to multiples, without duplicates
         double step_m = 0.0;
         bool is_rounded = true;
         for (const Pose& pose : log.sequence.world_from_vehicle.pose) {
@@ -200,10 +201,10 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
             const double n_steps = value_m / step_m;
             is_rounded = is_rounded && step_m > kMinFloatStep_m &&
                          std::abs(n_steps - std::round(n_steps)) < kMaxStepError;
-            different_m.insert(std::round(n_steps) * step_m);
+            coordinates_m.insert(std::round(n_steps) * step_m);
         }
-        if (is_rounded && different_m.size() >= kMinCoordinates)
-            return report.add(axis == 0 ? "x" : "y", step_m, *different_m.rbegin());
+        if (is_rounded && coordinates_m.size() >= kMinCoordinates)
+            return report.add(axis == 0 ? "x" : "y", step_m, *coordinates_m.rbegin());
     }
 }
 

@@ -55,8 +55,7 @@ int to_semantic_kitti(SurfaceClass surface) {
     return kLabels[std::size_t(surface)];
 }
 
-/// Returns the class of a category of nuScenes: the first prefix that matches, or
-/// `unknown`.
+/// Returns the class of a nuScenes category: the first prefix that matches, or `unknown`.
 SurfaceClass from_nuscenes(std::string_view category) {
     using enum SurfaceClass;
     static constexpr std::pair<std::string_view, SurfaceClass> kClasses[] = {

@@ -25,8 +25,7 @@ struct VoxelAddress {
     std::uint32_t word, bit;
 };
 
-/// Returns the block of a cell, and the bit of the cell in the words (16 bits) of the
-/// block.
+/// Returns the block of a cell, and its bit in the words (16 bits) of the block.
 VoxelAddress locate_cell(const glm::ivec3& cell) {
     const glm::ivec3 within = cell & 7;
     const auto index = std::uint32_t(within.x + kBlockEdgeCells * (within.y + kBlockEdgeCells * within.z));
@@ -51,8 +50,7 @@ void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit&
     const glm::ivec3 last_cell(glm::floor(start + displacement));
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 cell_step;
-    // Per axis, as fractions of the segment: position of the next cell border, and
-    // distance between two borders.
+    // Per axis, in segment lengths: the next cell border, and the border spacing.
     glm::dvec3 next_border, border_step;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {

@@ -27,8 +27,7 @@ using scatter::RayFeatures;
 
 constexpr std::size_t kMaxReturns = 2000000, kMinReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain in log-likelihood of a split. About 1 in 100 nodes of random intensities
-// is split by chance.
+// Minimum gain of log-likelihood. Of random intensities, it splits about 1 in 100 nodes.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -56,8 +55,7 @@ std::vector<float> find_quantiles(std::vector<float> values, std::size_t n_parts
     return quantiles;
 }
 
-/// Returns the bin of a value. Bin b has the values above quantile b - 1 and up to
-/// quantile b.
+/// Returns the bin of a value. Bin b is above quantile b - 1, up to quantile b.
 std::uint8_t find_bin(const std::vector<float>& quantiles, float value) {
     return std::uint8_t(std::lower_bound(quantiles.begin(), quantiles.end(), value) - quantiles.begin());
 }
@@ -136,8 +134,7 @@ ScatterSamples make_samples(std::span<const PairedIntensities> images, const std
     return samples;
 }
 
-/// Returns a table of k ln k for the integers k. The entropy of a tree node consists of
-/// such terms.
+/// Returns a table of k ln k for the integers k: the terms of the entropy of a node.
 std::vector<double> make_entropy_terms(std::size_t max_count) {
     std::vector<double> terms(max_count + 1, 0.0);
     for (std::size_t k = 1; k <= max_count; ++k) terms[k] = double(k) * std::log(double(k));
@@ -261,8 +258,7 @@ void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_tab
             return sample.bins[std::size_t(split.feature)] <= split.bin;
         });
     });
-    // Appends the children of one node after the other, so that their order does not
-    // depend on threads.
+    // Appends the children in the order of nodes, so that threads do not change it.
     for (std::size_t k = 0; k < splits.size(); ++k) {
         const TreeNodeSplit& split = splits[k];
         if (split.feature < 0) continue;

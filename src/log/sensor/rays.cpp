@@ -105,7 +105,8 @@ std::vector<int> fired_columns(const SpinningSensor& sensor) {
         const double rad = direction * (azimuth_rad - first_rad) + kSlack_rad;
         return rad - kTurn_rad * std::floor(rad / kTurn_rad);
     };
-    // A column does not fire if the head passes it after the last ray.
+    // A column does not fire if the head passes it after the last ray. Column numbers
+    // increase clockwise, also if the head turns the other way.
     std::erase_if(columns, [&](int column) {
         const double azimuth_rad = sensor.first_azimuth_rad - column * kTurn_rad / sensor.columns;
         return turned_rad(azimuth_rad) > turned_rad(last_rad) + kSlack_rad;

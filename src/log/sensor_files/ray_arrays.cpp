@@ -46,7 +46,8 @@ void check_array_values(const std::vector<double>& values, const ArrayLimits& li
                  limits.min, limits.max);
 }
 
-/// Checks the number of rays, the lengths of the arrays, and the limits of their values.
+/// Checks the number of rays, the lengths of the arrays (optional ones may be empty), and
+/// the limits of their values.
 void check_ray_arrays(const RayFileArrays& ray_arrays, const std::string& where) {
     const std::size_t n = ray_arrays.direction.size() / 3;
     if (n == 0 || n > kMaxRays || n * 3 != ray_arrays.direction.size())

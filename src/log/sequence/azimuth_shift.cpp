@@ -63,13 +63,15 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
     const RayTable& rays = scan.rays;
     if (table.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() || rays.columns != sensor.columns)
         return {};
+    // Azimuth of each returned ray minus its nominal azimuth.
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
     visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
         if (scan.range_m[ray] > 0.0f)
             shifts_by_firing[firing].push_back(
                 static_cast<float>(azimuth_between_rad(table.direction[ray], rays.direction[ray])));
     });
-    std::vector<float> shift_rad(shifts_by_firing.size(), NAN), deviations_rad;
+    std::vector<float> shift_rad(shifts_by_firing.size(), NAN);  // [firings] NAN: unknown
+    std::vector<float> deviations_rad;                           // of rays from their firing
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
         if (shifts_by_firing[firing].size() < kMinFiringReturns) continue;
         shift_rad[firing] = compute_median(shifts_by_firing[firing]);
@@ -77,12 +79,12 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
             deviations_rad.push_back(std::abs(shift - shift_rad[firing]));
     }
     if (deviations_rad.empty()) return {};  // no firing has enough returns
+    const double max_deviation_rad = kMaxMismatch_columns * 2.0 * kPi / sensor.columns;
+    const bool rotate_together = compute_median(deviations_rad) <= max_deviation_rad;
+    if (!rotate_together) return {};
     fill_nan_shifts(shift_rad);
-    const bool rotate_together =
-        compute_median(deviations_rad) <= kMaxMismatch_columns * 2.0 * kPi / sensor.columns;
-    const bool has_shift =
-        std::ranges::any_of(shift_rad, [](float shift) { return std::abs(shift) >= kRounding_rad; });
-    return rotate_together && has_shift ? shift_rad : std::vector<float>{};
+    const auto is_shifted = [](float shift) { return std::abs(shift) >= kRounding_rad; };
+    return std::ranges::any_of(shift_rad, is_shifted) ? shift_rad : std::vector<float>{};
 }
 
 RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor,

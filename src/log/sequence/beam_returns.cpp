@@ -30,8 +30,8 @@ struct ReturnPoint {
     CellReturn cell_return;
 };
 
-/// Lists the returns of a frame in the world frame, without the range offsets of beams.
-/// compute_cosines() and collect_cells() set their cosines and cells.
+/// Lists the returns of a frame. Points (in the world) and ranges are without the range
+/// offsets of beams. compute_cosines() and collect_cells() set their cosines and cells.
 std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnPoint> result;
     const double max_range_m = sequence.lidar_of(frame).sensor.max_range_m;
@@ -95,7 +95,7 @@ CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
     std::vector<ReturnPoint> returns =
         concatenate(map_frames(sequence, frames, kMostCompared,
                                [&](const Frame& frame) { return collect_returns(sequence, frame); }));
-    compute_cosines(returns);
+    compute_cosines(returns);  // also drops returns
     const ItemCellIndices cell_numbers = cells_of_returns(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);
     std::vector<CellReturn> returns_by_cell;

@@ -61,8 +61,10 @@ struct CellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;
 };
-/// Collects returns that hit the same grid cell in several sweeps or with several beams,
-/// because only their intensities can be compared.
+/// Collects the returns of all grid cells with at least two returns, because only
+/// intensities in the same cell can be compared. Leaves out returns that are not on a
+/// plane. If there are too many rays, uses only every n-th frame.
+/// @param frames  indices in sequence.frames
 CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
 
 }  // namespace relidar

@@ -124,34 +124,32 @@ std::pair<std::size_t, double> locate_range(double range_m) {
 /// Returns the derivatives and the error of one return by the model
 ///   intensity = gain * albedo * rho * kappa + offset
 ///   rho = (1 - s) factor[knot] + s factor[knot + 1],  kappa = 1 - incidence (1 - cosine)
-/// where knot and s are the position of the range.
-JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
-                         const CellReturn& measured_return) {
-    const BeamGainOffset& beam = model.beams[measured_return.beam];
-    const auto [knot, s] = locate_range(measured_return.range_m);
-    const double rho = model.shared.range_factor(measured_return.range_m),
-                 kappa = model.shared.incidence_factor(measured_return.cosine),
-                 albedo = model.albedo[measured_return.cell];
+/// where knot and s are the position of the range. Variables that are not fitted now have
+/// no derivative.
+JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variables,
+                         const CellReturn& measured) {
+    const BeamGainOffset& beam = model.beams[measured.beam];
+    const auto [knot, s] = locate_range(measured.range_m);
+    const double rho = model.shared.range_factor(measured.range_m),
+                 kappa = model.shared.incidence_factor(measured.cosine), albedo = model.albedo[measured.cell];
     const double intensity_at_gain_1 = albedo * rho * kappa;
-    JacobianRow row{
-        .by = {},
-        .n = 0,
-        .by_albedo = beam.gain * rho * kappa,
-        .error = double(measured_return.intensity) - beam.gain * intensity_at_gain_1 - beam.offset};
+    JacobianRow row{.by = {},
+                    .n = 0,
+                    .by_albedo = beam.gain * rho * kappa,
+                    .error = double(measured.intensity) - beam.gain * intensity_at_gain_1 - beam.offset};
     const auto append = [&](Eigen::Index variable, double derivative) {
         row.by[row.n++] = {variable, derivative};
     };
-    if (variable_indices.parts.shared) {
-        const auto first_factor = Eigen::Index(knot);  // variable k is the factor of knot k
-        append(first_factor, beam.gain * albedo * kappa * (1.0 - s));
-        append(first_factor + 1, beam.gain * albedo * kappa * s);
-        append(VariableIndices::kIncidence,
-               -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
+    if (variables.parts.shared) {
+        const auto factor = Eigen::Index(knot);  // variable k is the factor of knot k
+        append(factor, beam.gain * albedo * kappa * (1.0 - s));
+        append(factor + 1, beam.gain * albedo * kappa * s);
+        append(VariableIndices::kIncidence, -beam.gain * albedo * rho * (1.0 - double(measured.cosine)));
     }
-    if (variable_indices.parts.beams) {
-        const Eigen::Index gain = variable_indices.gain_variable(measured_return.beam);
+    if (variables.parts.beams) {
+        const Eigen::Index gain = variables.gain_variable(measured.beam), offset = gain + 1;
         append(gain, intensity_at_gain_1);
-        append(gain + 1, 1.0);  // the offset
+        append(offset, 1.0);
     }
     return row;
 }
@@ -176,8 +174,7 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
-    /// Adds the returns of one cell, and eliminates the albedo of the cell (Schur
-    /// complement).
+    /// Adds the returns of a cell, and eliminates its albedo (Schur complement).
     /// @param cell_returns all returns of the cell
     void add_cell(const IntensityFit& model, const VariableIndices& variable_indices,
                   std::span<const CellReturn> cell_returns) {
@@ -394,8 +391,7 @@ IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<
     const auto is_clearly_better = [](const IntensityFit& complex, const IntensityFit& simple) {
         return complex.rms < kMaxErrorRatio * simple.rms;
     };
-    // Compares fits without terms, with each part, and with both. A more complex model
-    // must reduce the error clearly.
+    // Compares fits with neither part, each, and both. More terms must clearly help.
     IntensityFit best = fit_intensity(returns, n, {.shared = false, .beams = false});
     result.rms_before = best.rms;
     const IntensityFit shared = fit_intensity(returns, n, {.shared = true, .beams = false}),

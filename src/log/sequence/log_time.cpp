@@ -22,13 +22,15 @@ void set_log_start(Log& sequence, std::int64_t unix_ns, const std::string& clock
 
 std::int64_t time_shift_of(const Log& sequence, double first_s) {
     const std::int64_t log_start_ns = sequence.start_unix_ns;
-    if (first_s == INFINITY)
+    // Rays precede the time of their frame by up to a sweep, packets by slightly more.
+    constexpr double kSweepsBeforeFrame = 1.01;
+    if (first_s == INFINITY)  // the default
         for (const Frame& frame : sequence.frames)
-            // Rays are fired up to a sweep before the time of their frame. The first
-            // packet can begin slightly earlier.
-            first_s = std::min(first_s, frame.time_s - 1.01 * sequence.lidar_of(frame).sweep_period_s());
+            first_s = std::min(first_s,
+                               frame.time_s - kSweepsBeforeFrame * sequence.lidar_of(frame).sweep_period_s());
+    if (first_s == INFINITY) return log_start_ns;                     // the log has no frames
     const double earliest_s = 1e-9 * double(log_start_ns) + first_s;  // since 1970
-    const double missing_s = std::max(0.0, -earliest_s);              // infinite `first_s`: no frames, 0
+    const double missing_s = std::max(0.0, -earliest_s);
     return log_start_ns + kNsPerSecond * std::int64_t(std::ceil(missing_s));
 }
 

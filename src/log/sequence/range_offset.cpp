@@ -135,8 +135,8 @@ struct BeamResiduals {
     }
 };
 
-/// Sums the returns of all cells, in parallel but in a fixed order. The prior of a beam
-/// is kPriorReturns returns at normal incidence and distance 0.
+/// Sums the returns of all cells, in parallel but in a fixed order. The sums of each beam
+/// also contain a prior: kPriorReturns returns with c = 1 and d = 0 (BeamOffsetSums).
 BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
                             const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kCellsPerBlock = 2048;
@@ -159,8 +159,7 @@ RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& f
     RangeCalibrationResult result;
     if (cells.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
-    // Alternates: planes are fitted with the current offsets, then offsets to these
-    // planes.
+    // Alternates: fits planes with the current offsets, then offsets to the planes.
     for (int round = 0; round < kMaxRounds; ++round) {
         const BeamResiduals residuals = sum_residuals(cells, offset_m);
         double weighted_sum_m = 0.0, weight_sum = 0.0;

@@ -199,11 +199,11 @@ bool BoxTrack::is_moving() const {
                      kTimeTolerance_s = 1e-6;
     const std::vector<double>& t = world_from_box.time_s;
     if (t.size() < 2) return false;
-    // Positions are averaged over windows of this duration. `last_s`: the last start.
-    const double window_s = std::min(kAveraging_s, 0.5 * (t.back() - t.front())),
-                 last_s = t.back() - window_s;
-    // An object may stand if its averages differ from the first one by at most this, and
-    // successive ones by at most max_step_m.
+    // Positions are averaged over windows of this duration.
+    const double window_s = std::min(kAveraging_s, 0.5 * (t.back() - t.front()));
+    const double last_start_s = t.back() - window_s;  // the last window ends with the track
+    // Largest distances of an object that may stand: between the first average and any
+    // other one, and between averages of successive windows.
     const double max_drift_m =
         std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double max_step_m = std::max(kMaxJitter_m, kMaxDrift_mps * window_s);
@@ -218,13 +218,14 @@ bool BoxTrack::is_moving() const {
     };
     const std::optional<glm::dvec3> start = compute_window_mean(t.front());
     for (const double time_s : t) {
-        // The last window ends with the track.
-        const double first_s = std::min(time_s, last_s);
+        const double first_s = std::min(time_s, last_start_s);
+        const double next_s = std::min(first_s + window_s, last_start_s);
+        // The window of `here` contains at least the pose at `time_s`.
         const std::optional<glm::dvec3> here = compute_window_mean(first_s),
-                                        next = compute_window_mean(std::min(first_s + window_s, last_s));
+                                        next = compute_window_mean(next_s);
         if (glm::distance(*here, *start) > max_drift_m || (next && glm::distance(*next, *here) > max_step_m))
             return true;
-        if (time_s >= last_s) break;
+        if (time_s >= last_start_s) break;
     }
     return false;
 }
@@ -302,14 +303,14 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
 }
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
-    if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
+    if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);  // a rotating head
+    // Other patterns have no head, so their start has only a time.
     const double period_s = lidar.sweep_period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first_s, last_s] = std::ranges::minmax(rays.time_offset_s);
-    // In a motion-compensated scan, all rays have the same time. So the time at which the
-    // sweep starts is unknown.
-    if (first_s == last_s || is_default_start(double(first_s), period_s)) return {};
-    return SweepStart{.azimuth_rad = 0.0, .time_s = double(first_s)};  // it has no head
+    const bool is_unknown = first_s == last_s;  // all rays of a motion-compensated scan
+    if (is_unknown || is_default_start(double(first_s), period_s)) return {};
+    return SweepStart{.azimuth_rad = 0.0, .time_s = double(first_s)};
 }
 
 void set_sensor(Lidar& lidar, const SensorModel& sensor) {
@@ -340,17 +341,18 @@ namespace {
 /// patterns, it is the middle of the sweep.
 double pattern_facing_time_s(const SensorPattern& pattern, double azimuth_rad, const SweepTiming& sweep) {
     const ScanPatternSummary summary = summarise_pattern(pattern);
-    // Middle of the sweep, relative to its reference time. By default, the reference time
-    // is the middle. Otherwise `start` has the time of the first column.
+    // Middle of the sweep, relative to sweep.time_s, which is the middle by default.
+    // Otherwise `start` has the time of the first column.
     const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * summary.period_s : 0.0;
-    // A rosette and a table of rays have no columns.
-    if (!summary.sweep || summary.sweep->columns < 2) return sweep.time_s + middle_s;
+    const bool has_columns = summary.sweep && summary.sweep->columns >= 2;
+    if (!has_columns) return sweep.time_s + middle_s;  // for example, a rosette
     const auto [first_rad, last_rad, columns] = *summary.sweep;
     // Position of the azimuth between the first (0) and the last column (1).
     const double share = glm::clamp((azimuth_rad - first_rad) / (last_rad - first_rad), 0.0, 1.0);
     // Each column takes period / columns, so the first and the last one are
     // period * (columns - 1) / columns apart.
-    return sweep.time_s + (middle_s + (share - 0.5) * summary.period_s * (columns - 1) / columns);
+    const double after_middle_s = (share - 0.5) * summary.period_s * (columns - 1) / columns;
+    return sweep.time_s + (middle_s + after_middle_s);
 }
 
 /// Returns the time at which a rotating head reaches an azimuth.

@@ -74,8 +74,7 @@ Split split_frames(const Log& sequence, int test_every_nth_frame, const std::str
     for (const Frame& frame : sequence.frames)
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
     std::set<int> held_out;
-    // The list of the user takes precedence over the published split, and the published
-    // split over every n-th frame.
+    // Precedence: the list of the user, the published split, every n-th frame.
     if (!test_frame_list.empty()) held_out = parse_frame_list(test_frame_list, sweeps);
     else if (test_every_nth_frame == kPublishedEvery && !sequence.test_frames.empty())
         held_out = {sequence.test_frames.begin(), sequence.test_frames.end()};

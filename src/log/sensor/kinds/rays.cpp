@@ -44,8 +44,7 @@ SensorModel sensor::parse_ray_table(const JsonField& field, const std::string& d
     const auto read_number = [&](const char* key, double default_value) {
         return field.has_member(key) ? field.at(key).number() : default_value;
     };
-    // Keeps directions of length 1 bit by bit, because relidar itself writes such
-    // objects.
+    // Keeps directions of length 1 to the bit, because relidar writes such objects.
     sensor_files::RayFileArrays arrays{.direction = field.at("directions").flat_numbers(kMaxListNesting),
                                        .origin = read_list("origin"),
                                        .time_s = read_list("time"),
