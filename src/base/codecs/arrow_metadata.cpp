@@ -78,8 +78,7 @@ public:
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) fail_arrow("name");
         return text->str();
     }
-    /// A vector of structs: its length (4 bytes), then the structs, which may be
-    /// unaligned.
+    /// A vector of structs: its length (4 bytes), then the structs, maybe unaligned.
     template <class Struct>
     std::vector<Struct> read_structs(int field_number) const {
         const std::uint8_t* vector = verified_vector(field_number, sizeof(Struct));
@@ -108,8 +107,7 @@ private:
     FlatbufferTable(AlignedFlatbuffer& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) fail_arrow("table");
-        // VerifyTableStart() has increased the depth. This parser reads a fixed number of
-        // levels.
+        // VerifyTableStart() has increased the depth. This parser reads a fixed depth.
         bytes.verifier.EndTable();
     }
 

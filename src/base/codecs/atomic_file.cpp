@@ -243,8 +243,7 @@ StagedFolder::~StagedFolder() {
 
 void StagedFolder::publish_folder() const {
     ::unlink((path_ / kMarkerFile).c_str());
-    // rename() replaces an empty folder. It fails if anything else exists at the
-    // destination.
+    // rename() replaces an empty folder. It fails if anything else exists there.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
     const int error = errno;
     const bool destination_exists = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;

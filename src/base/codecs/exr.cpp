@@ -97,8 +97,7 @@ void parse_compression(std::string_view bytes, ImageHeader& image_header) {
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
-/// Reads the list of channels: name, type, linearity and sampling of each channel. An
-/// empty name ends the list.
+/// Reads the list of channels: name, type, linearity and sampling, until an empty name.
 void parse_channels(std::string_view bytes, ImageHeader& image_header) {
     ByteReader items(bytes);
     std::vector<std::string>& channels = image_header.channels;
@@ -188,8 +187,7 @@ void check_file_size(const ImageHeader& image_header, std::size_t file_size_byte
              image_header.channels.size());
     if (rows > std::int64_t(kMaxPixels) / columns)
         fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
-    // Rows are compressed in blocks of rows_at_once rows, of which the last may be
-    // shorter.
+    // Rows are compressed in blocks of rows_at_once rows. The last may be shorter.
     const std::int64_t n_blocks = (rows + image_header.rows_at_once - 1) / image_header.rows_at_once;
     const std::int64_t n_block_rows = n_blocks * image_header.rows_at_once;
     constexpr std::size_t kMinBytesPerValue = 2;  // half precision

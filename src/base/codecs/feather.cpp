@@ -174,8 +174,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-/// Replaces each index into a dictionary by its text. Limits the repetition of long
-/// texts.
+/// Replaces each index into a dictionary by its text. Limits repeated long texts.
 std::vector<std::string> look_up_texts(const std::vector<std::string>& dictionary_texts,
                                        const std::vector<std::int64_t>& indices, std::size_t max_bytes) {
     std::vector<std::string> texts;
@@ -219,8 +218,7 @@ std::vector<Batch> read_batches(std::string_view file_bytes,
 Feather::Feather(std::string where, std::string bytes) : name_(std::move(where)), bytes_(std::move(bytes)) {
     try {
         const codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
-        // A batch lists one node per column, and the buffers of all columns in their
-        // order.
+        // A batch lists one node per column, and the buffers of all columns in order.
         std::size_t first_buffer = 0;
         for (const ArrowField& field : footer.fields) {
             columns_.push_back({.field = field, .node = columns_.size(), .buffer = first_buffer});

@@ -65,8 +65,7 @@ void append_be32(std::string& bytes, std::uint32_t value) {
 /// ourselves, because the simplified interface of libpng cannot write text.
 std::string make_text_chunk(const std::string& keyword, const std::string& text) {
     constexpr std::string_view kChunkType = "iTXt";
-    // The zero bytes: end of the name, not compressed, method 0, no language, no
-    // translation.
+    // Zero bytes: end of the name, not compressed, method 0, no language or translation.
     const std::string body = std::string(kChunkType) + keyword + std::string(5, '\0') + text;
     const auto checksum =
         crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()));
@@ -136,8 +135,7 @@ Image stack_images(const std::vector<Image>& images, int vertical_scale) {
     return result;
 }
 
-/// Encodes an image with libpng, then inserts a text chunk for each entry of the
-/// metadata.
+/// Encodes an image with libpng, then inserts a text chunk per entry of the metadata.
 std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)

@@ -154,16 +154,14 @@ std::string McapWriter::encode_statistics() const {
                                 n_metadata_, n_chunks_, first_ns, last_ns_, counts));
 }
 
-/// Writes the last chunk and the end of the file: the summary, which repeats schemas and
-/// channels and lists the chunks for seeking, the positions in the summary, and the
-/// footer.
+/// Writes the last chunk and the end of the file: summary, positions in it, and footer.
+/// The summary repeats schemas and channels, and lists the chunks for seeking.
 void McapWriter::finish() {
     write_chunk();
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     const std::uint32_t no_checksum = 0;
     append(encode_record(kDataEnd, encode(no_checksum)));
-    // Records of the summary with the same code form a group. The positions of the groups
-    // follow the summary.
+    // Records with the same code form a group, whose positions follow the summary.
     const std::uint64_t summary_begin = written_;
     std::string group_positions;
     for (const auto& [code, records] : {std::pair(kSchema, schemas_),

@@ -39,8 +39,7 @@ std::vector<Out> convert_elements(const NamedArray& array) {
 template <class Out>
 using Converter = std::vector<Out> (*)(const NamedArray&);
 
-/// Returns the function that converts elements of a NumPy type to `Out`, or null if the
-/// type is unknown.
+/// Returns the function that converts elements of a NumPy type to `Out`; null if unknown.
 template <class Out>
 Converter<Out> find_converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{

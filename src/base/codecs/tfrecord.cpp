@@ -17,8 +17,7 @@ namespace relidar {
 namespace {
 
 using codecs::number_at;
-// The header has the length (8 bytes) and its CRC (4 bytes), the footer the CRC of the
-// data.
+// The header has the length (8 bytes) and its CRC (4), the footer the CRC of the data.
 constexpr std::uint64_t kLengthBytes = 8, kHeaderBytes = kLengthBytes + 4, kFooterBytes = 4;
 
 constexpr std::array<std::uint32_t, 256> make_crc_table() {

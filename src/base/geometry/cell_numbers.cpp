@@ -52,6 +52,7 @@ std::vector<std::uint32_t> find_first_items(std::span<const std::uint64_t> cell_
 
 /// Gives equal keys the same cell number, in the order in which the keys first occur.
 ItemCellIndices number_cells(std::span<const std::uint64_t> cell_key_per_item) {
+    // For each item, the first item with the same key, which can be the item itself.
     const std::vector<std::uint32_t> first_items = find_first_items(cell_key_per_item);
     ItemCellIndices cells;
     std::vector<std::uint32_t> cell_of_first_item(first_items.size());

@@ -20,8 +20,7 @@ namespace fs = std::filesystem;
 
 // Farther boxes have hardly any returns.
 constexpr double kMaxBoxDistance_m = 100.0;
-// A frame counts for an actor up to this distance, because farther boxes have few
-// returns.
+// Farther boxes have few returns, so the frame does not count for the actor.
 constexpr double kMaxActorDistance_m = 60.0;
 
 /// @return [frames] metres, world frame
@@ -32,8 +31,7 @@ std::vector<glm::dvec3> list_positions(const Log& sequence) {
     return positions_m;
 }
 
-/// Returns true if the box exists at the time of the frame within `max_distance_m` of the
-/// vehicle.
+/// Returns true if the box is within `max_distance_m` of the vehicle in a frame.
 bool is_near_box(const BoxTrack& box, const Log& sequence, int frame_index, double max_distance_m) {
     const double time_s = sequence.frames[std::size_t(frame_index)].time_s;
     return box.is_observed(time_s) &&
@@ -223,6 +221,7 @@ void keep_best_models(const Run& block_run, const Log& full_sequence, const Traj
             return is_near_box(*box, full_sequence, position, kMaxActorDistance_m);
         }));
         ActorModelCandidate& candidate = best_actors[instance.track];
+        // It has no surfels if no earlier block has trained this actor.
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
         const SurfelModel& model = block_run.scene.models[instance.model];
         candidate = {sightings, model, block_run.scene.surfels.slice(model.first, model.count), *box};

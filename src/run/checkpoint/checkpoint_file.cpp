@@ -28,8 +28,7 @@ std::string checksum(const Texts& metadata, const std::vector<NamedArray>& array
         // zlib restarts the checksum if the pointer is null
         if (n_bytes > 0) crc = ::crc32_z(crc, static_cast<const Bytef*>(bytes), n_bytes);
     };
-    // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
-    // different checksums.
+    // With the terminating zero, "ab","c" and "a","bc" have different checksums.
     const auto add_text = [&](const std::string& text) { add_bytes(text.c_str(), text.size() + 1); };
     for (const auto& [key, value] : metadata) {
         if (key == kChecksumKey) continue;
@@ -66,12 +65,10 @@ std::optional<int> parse_iteration(std::string_view text) {
     return iteration >= 0 ? iteration : std::nullopt;
 }
 
-/// Checks format, version and checksum of a file's contents, and that all numbers are
-/// finite.
+/// Checks format, version and checksum of a file, and that all numbers are finite.
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     check_equal("metadata format", metadata["format"], kCheckpointFormat);
-    // Checks the version before the checksum, because other versions may compute the
-    // checksum differently.
+    // First the version, because other versions may have another checksum.
     check_equal("metadata version", metadata["version"], kCheckpointVersion);
     const std::string computed_checksum = checksum(metadata, arrays);
     check_equal("checksum of the metadata and arrays", computed_checksum, pop_value(metadata, kChecksumKey));
@@ -85,8 +82,7 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     return checkpoint;
 }
 
-/// Returns the iteration number in the name of a checkpoint file, or nothing if the file
-/// is not a checkpoint.
+/// Returns the iteration in the name of a checkpoint file; nothing for other files.
 std::optional<int> iteration_of_file(const std::filesystem::path& path) {
     const std::string name = path.stem().string(), start = "iteration_";
     if (path.extension() != ".safetensors" || !name.starts_with(start)) return std::nullopt;

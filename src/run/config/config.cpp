@@ -161,8 +161,7 @@ ParsedValue scalar_text(const toml::node& node, const std::string& key) {
     fail<UsageError>("setting {}: found a TOML {}, expected a single value", quote(key), kind.str());
 }
 
-/// Adds all values of a TOML table and its nested tables to `flat`. The keys are full
-/// names such as "table.key".
+/// Adds all values of a TOML table to `flat`, with full names such as "table.key".
 void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, ParsedValue>& flat) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());

@@ -76,8 +76,7 @@ Config default_preset() {
     config.image.transmittance_min = 1e-3f;
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // Huber loss; its RMSE is lower than with L1
-    // Divides ranges by the sum of the blending weights. Otherwise, a sum of 0.97 would
-    // shift surfaces by 3 %.
+    // Divides ranges by the sum of weights. A sum of 0.97 would shift surfaces by 3 %.
     config.loss.normalised_depth = true;
     config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes that remain with the normalised range
@@ -107,8 +106,7 @@ Config default_preset() {
     return config;
 }
 
-/// Returns settings for training on a CPU in minutes: fewer rays per step and fewer
-/// steps.
+/// Returns settings for training on a CPU in minutes: fewer rays and fewer steps.
 Config quick_preset() {
     Config config = default_preset();
     config.preset = "quick";

@@ -35,7 +35,7 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
 }
 
 /// Compares the model with the rays of the sweep in which the actor is nearest to the
-/// LiDAR. Counts 0 rays at an infinite distance if no frame has both.
+/// LiDAR. Counts 0 rays at an infinite distance if it is in no frame of this LiDAR.
 /// @throws UsageError if the scene has no such actor
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
@@ -57,6 +57,7 @@ ActorModelResolution model_resolution(const SceneWithLog& edited, const std::str
     }
     if (!nearest) return {.nearest_m = std::numeric_limits<double>::infinity(), .surfels = n_surfels};
     const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar)], nearest->time_s);
+    // Counts the rays that hit the box.
     ActorModelResolution detail =
         model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, n_surfels);
     detail.time_s = nearest->time_s;

@@ -91,8 +91,7 @@ std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& 
     return fmt::format("{}-{}", id_prefix, n);
 }
 
-/// Returns a track that moves straight ahead at constant speed, with one pose for each
-/// sweep of the log.
+/// Returns a track straight ahead at constant speed, with a pose per sweep of the log.
 PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
     const std::vector<double> times_s = list_sweep_times_s(sequence);
@@ -167,9 +166,9 @@ void replace_surfels(Scene& scene, std::uint32_t model_index, const Surfels& new
 
 /// Fills the unobserved sides of a vehicle by symmetry, because after an edit they can
 /// face a sensor. Does nothing if the surfels are not in memory.
-/// @param is_shared  true if actors that were not moved have the same model; they keep
-/// it, and this actor gets a completed copy
-void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
+/// @param needs_copy  true if another actor keeps the incomplete model, so that a copy is
+/// completed; false: completes the model itself
+void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool needs_copy) {
     Scene& scene = scene_and_log.scene;
     const SurfelModel model = scene.models[instance.model];
     const bool can_mirror =
@@ -177,17 +176,17 @@ void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, b
     const bool is_in_memory = std::size_t(model.first) + model.count <= scene.surfels.size();
     if (!can_mirror || !is_vehicle(mutable_box(scene_and_log, instance.track)) || !is_in_memory) return;
 
-    const auto earlier_copy = is_shared ? find_mirrored_model(scene, model) : std::nullopt;
+    const auto earlier_copy = needs_copy ? find_mirrored_model(scene, model) : std::nullopt;
     if (earlier_copy) {
         instance.model = *earlier_copy;
         return;
     }
-    // Adds mirrored surfels and marks their side in `surface` as completed.
-    ObservedBoxSurface surface = *model.surface;
+    // mirror_unobserved() changes both: it appends surfels and marks the completed side.
     Surfels completed = scene.surfels.slice(model.first, model.count);
+    ObservedBoxSurface surface = *model.surface;
     const std::size_t n_mirrored = mirror_unobserved(completed, surface);
     if (n_mirrored == 0) return;
-    if (is_shared) instance.model = append_model(scene, scene, instance.model);
+    if (needs_copy) instance.model = append_model(scene, scene, instance.model);
     scene.models[instance.model].surface = surface;
     replace_surfels(scene, instance.model, completed);
 }
@@ -292,22 +291,22 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
 }
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
-    std::set<std::string> moved;  // ids of tracks
+    std::set<std::string> changed;  // ids of tracks that were moved or added
     for (BoxTrack& box : scene_and_log.sequence.boxes) {
         const auto before = std::ranges::find(boxes_before, box.id, &BoxTrack::id);
         if (before == boxes_before.end() || !is_same_track(box.world_from_box, before->world_from_box))
-            moved.insert(box.id);
+            changed.insert(box.id);
         // Without the rounding errors of an actor that was moved there and back.
         else box.world_from_box = before->world_from_box;
     }
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
     for (ModelInstance& instance : instances) {
-        if (!moved.contains(instance.track)) continue;
-        // Actors that were not moved keep a shared model; moved actors then get a copy.
-        const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {
-            return other.model == instance.model && !moved.contains(other.track);
+        if (!changed.contains(instance.track)) continue;
+        // Actors can have the same model. Those with unchanged tracks keep it as it is.
+        const bool needs_copy = std::ranges::any_of(instances, [&](const ModelInstance& other) {
+            return other.model == instance.model && !changed.contains(other.track);
         });
-        mirror_unseen_sides(scene_and_log, instance, is_shared);
+        mirror_unseen_sides(scene_and_log, instance, needs_copy);
     }
     return scene_and_log;
 }

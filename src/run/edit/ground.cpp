@@ -190,8 +190,7 @@ private:
             const glm::dvec3 a = random_point(), b = random_point(), c = random_point();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // Rejects steep planes. Also rejects three points on a line, because they
-            // define no plane.
+            // Rejects steep planes, and points on a line, which define no plane.
             if (!(std::abs(normal.z) > kMinPlaneNormalZ * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -294,8 +293,7 @@ std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_v
     return heights_m.empty() ? std::nullopt : std::optional(compute_median(heights_m));
 }
 
-/// Returns the rotation of an actor that stands on a plane and faces the direction
-/// `yaw_rad`.
+/// Returns the rotation of an actor on a plane that faces the direction `yaw_rad`.
 glm::dquat rotate_to_plane(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
@@ -464,6 +462,7 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
                           const std::string& actor_track) {
     const BoxTrack& box = find_actor_box(actor_scene, actor_track);
     const glm::dvec3 offset_m = target_scene.sequence.world_offset_m;
+    // In the world frame of the log: that of the dataset minus `offset_m`.
     const std::vector<PathPoint> points = list_path_points(path, offset_m);
     const GroundFinder finder(target_scene, points);
     const std::vector<PathGround> ground = finder.follow_path(points, box.size_m);
@@ -475,7 +474,8 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
             actor_track, start_m.x + offset_m.x, start_m.y + offset_m.y,
             finder.surfels().describe_nearest(start_m));
     if (!clearance_m) clearance_m = median_clearance_m(actor_scene, box);
-    // Distance of the box centre from the ground plane, along its normal.
+    // Distance of the box centre from the ground plane, along its normal. Without ground
+    // in the scene of the actor, the box stands on the ground.
     const double centre_height_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     NewActorMotion motion;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -485,7 +485,7 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
         const double z_m = plane.height_at(position_m) + centre_height_m / plane.normal.z;
         motion.dataset_path.append(path.time_s[i], {rotate_to_plane(plane, points[i].yaw_rad),
                                                     glm::dvec3(position_m, z_m) + offset_m});
-        // The first point is observed, so an unobserved point has a predecessor.
+        // Adds up the way over ground that was not observed. The first point is observed.
         if (!ground[i].is_observed) motion.unseen_m += glm::distance(position_m, points[i - 1].position_m);
     }
     motion.dataset_from_box = motion.dataset_path.pose.front();

@@ -98,8 +98,7 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
     for (std::size_t node = 0; node < n_nodes; ++node) {
         const bool is_leaf = feature[node] == -1.0;
         const bool has_feature = feature[node] >= 0.0 && feature[node] < double(count_features());
-        // Both children (child and child + 1) are stored behind their parent. This makes
-        // cycles impossible.
+        // Children (child, child + 1) follow their parent, so there are no cycles.
         const bool has_children = child[node] > double(node) && child[node] + 1.0 < double(n_nodes);
         const bool has_values =
             first[node] >= 0.0 && count[node] > 0.0 && first[node] + count[node] <= double(values.size());

@@ -36,8 +36,7 @@ void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surf
     fail("{}: array {}: row {} contains {}, expected finite numbers", file, group.name, row, *bad);
 }
 
-/// Reads which parts of an actor's box surface the log has observed. Returns nothing if
-/// the file does not contain them.
+/// Reads which parts of a box surface the log has observed, if the file contains them.
 std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     if (!model.has_member(kSurfaceKey)) return {};
     const JsonField field = model.at(kSurfaceKey);
@@ -140,8 +139,7 @@ void parse_blocks(const std::string& json_text, const std::string& where,
     }
 }
 
-/// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
-/// contains it.
+/// Reads the ray-drop probabilities [channels, bins] of the sensor, if the file has them.
 void read_drop_table(const files::ArrayFile& file, Scene& scene) {
     using files::kAnyLength;
     if (!find_array(file.arrays, kSensorDrop)) return;

@@ -52,8 +52,7 @@ void link_file(const fs::path& source_file, const fs::path& target_file) {
     });
 }
 
-/// Links or copies the files of the background blocks to `target`. Returns the blocks
-/// with the new file paths.
+/// Links or copies the block files to `target`. Returns the blocks with the new paths.
 /// @param skip_linked  true: skips files that are already in the folder of the run
 std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target, bool skip_linked) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
@@ -86,8 +85,7 @@ void save_run_config(const Run& run, const fs::path& folder) {
 /// Writes the model of a run, and links the files of its background blocks.
 void save_scene(const Run& run, const fs::path& folder, bool keep_block_files) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    // The scene contains only the actors, because the background surfels are in block
-    // files.
+    // The scene has only the actors. Background surfels are in block files.
     Scene scene = run.scene;
     scene.blocks = link_blocks(run, folder, keep_block_files);
     save_model(folder / kModelFile, scene);

@@ -111,8 +111,7 @@ Pose read_pose(const JsonField& field) {
         field.reject(fmt::format("found a quaternion of length {}", length),
                      "expected a quaternion of length 1");
     check_magnitude(field, {v[0], v[1], v[2]}, kMaxCoordinate_m);
-    // Does not normalise the quaternion again, because rounding would change its last
-    // digits.
+    // Does not normalise the quaternion again, which would change its last digits.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -275,8 +274,7 @@ std::string format_scene(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the new text once, to reject values that cannot be read again, for example
-    // NaN in a pose.
+    // Rejects values that could not be read again, for example NaN in a pose.
     parse_scene(text, "writing scene.json");
     return text + "\n";
 }
