@@ -55,8 +55,7 @@ struct RenderedFrame {
     std::vector<bool> discovered;
 };
 
-/// Returns the measured image of a frame and the masks of its moving boxes, without a
-/// rendering.
+/// Returns the measured image of a frame and the masks of its moving boxes.
 RenderedFrame make_real_frame(const Config& config, const Log& log, const Frame& frame, const Pose& offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
@@ -209,8 +208,8 @@ void release_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// Renders all frames and computes their metrics. The images of at most kScoredAtOnce
-/// frames are in memory.
+/// Renders all frames and computes their metrics. Works in batches, so that the images of
+/// few frames are in memory. Only the middle frame keeps its images, as an example.
 /// @param render_one_frame  renders a frame, or predicts it for a baseline
 std::vector<ScoredFrame> score_frames(
     const FrameBatch& all, const char* progress_text,
@@ -223,17 +222,17 @@ std::vector<ScoredFrame> score_frames(
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
             if (all.progress) all.progress(progress_text, double(i) / double(n));
             const int position = all.positions[i];
-            ScoredFrame& frame =
-                batch.emplace_back(render_one_frame(position, all.log.frames.at(std::size_t(position))))
-                    .frame;
+            const Frame& measured = all.log.frames.at(std::size_t(position));
+            RenderedFrame& rendered = batch.emplace_back(render_one_frame(position, measured));
+            ScoredFrame& frame = rendered.frame;
             frame.metrics.merge(score_repeat(all.config, all.log, position, frame.real));
         }
         for (ScoredFrame& frame : score_rendered(std::move(batch), all.config, all.log, lpips.get())) {
             add_actor_scores(frame, all.log, all.config);
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (all.on_frame) all.on_frame(frame);
-            // Only the middle frame keeps its images, as an example.
-            if (scored.size() != n / 2) release_images(frame);
+            const bool is_example = scored.size() == n / 2;
+            if (!is_example) release_images(frame);
             scored.push_back(std::move(frame));
         }
     }

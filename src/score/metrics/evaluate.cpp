@@ -64,7 +64,8 @@ void add_published(MetricValues& row, const RangeImage& rendered, const RangeIma
     add_image_metrics(row, "peer/", rendered, real, threshold, options.max_range_m, options.lpips);
     const auto distances = compare_clouds(rendered, return_mask(rendered, threshold), real,
                                           return_mask(real, kRealDropThreshold));
-    if (!distances) return;
+    if (!distances) return;  // neither image has points
+    // Not if only one image has points.
     if (!distances->empty()) row["peer/cd_sq_m2"] = distances->squared_chamfer();
     row["peer/f_score"] = distances->compute_f_score(kPeerThreshold_m);
 }
@@ -100,8 +101,8 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
     add_cloud_metrics(row, name_prefix, rendered, rendered_returns, real, real_returns);
 }
 
-/// Adds metrics that separate errors of ranges and intensities from errors of ray-drop.
-/// Most values are compared only where both images have a return.
+/// Adds metrics that separate errors of ranges and intensities from errors of ray-drop:
+/// most values are compared only where both images have a return. Leaves out LPIPS.
 void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold);

@@ -15,8 +15,7 @@ namespace {
 constexpr double kClampLow = 1e-6;
 constexpr double kFineThreshold_m = 0.05;
 
-/// Checks that all arrays of an image have one value per pixel, and that its values are
-/// finite.
+/// Checks that all arrays of an image have one finite value per pixel.
 /// @param image_name for error messages: "rendered" or "real"
 void check_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
@@ -155,8 +154,8 @@ std::optional<CloudDistances> compare_clouds(const RangeImage& rendered, const P
 void add_cloud_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
                        const PixelMask& rendered_mask, const RangeImage& real, const PixelMask& real_mask) {
     const auto distances = compare_clouds(rendered, rendered_mask, real, real_mask);
-    if (!distances) return;
-    if (!distances->empty()) {
+    if (!distances) return;     // neither image has points
+    if (!distances->empty()) {  // both images have points
         row[name_prefix + "cd_mean_m"] = distances->chamfer();
         row[name_prefix + "cd_sq_m2"] = distances->squared_chamfer();
     }

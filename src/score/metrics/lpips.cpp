@@ -51,8 +51,7 @@ Matrix im2col(const FeatureMap& input, const ConvLayerShape& layer, int output_r
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
                                   Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
-        // Row k has the same pixel of all windows: a channel and an offset from the
-        // centre.
+        // Row k: the same pixel of all windows (a channel, an offset from the centre).
         const float* channel = input.values.row(k / (layer.edge * layer.edge)).data();
         const int row_offset = int(k) / layer.edge % layer.edge - layer.padding;
         const int column_offset = int(k) % layer.edge - layer.padding;

@@ -71,8 +71,7 @@ double elevation_rad(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
-/// In double precision, because the cosine of 0.02 degrees rounds to 1 in single
-/// precision.
+/// In double precision, because in single the cosine of 0.02 degrees is 1.
 struct RayTableNeighbours {
     const RayTable& rays;
     const bool circular = is_full_turn(rays.rows, rays.columns, rays.direction);
@@ -199,7 +198,7 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
 }
 
 Scan assign_points(const RayTable& rays, const Scan& points) {
-    // find_nearest() compares this number of columns, which must differ.
+    // find_nearest() compares this number of columns; in a full turn, they wrap around.
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         fail(
             "cannot project points into an image of {} rows and {} columns, expected the rays of a spinning "

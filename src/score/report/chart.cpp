@@ -165,8 +165,7 @@ ReportCurve running_mean(const ReportCurve& curve) {
 std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
                        const std::string& style) {
     std::string path, dots;
-    // The path starts with M (move), also after a gap. Other points continue it with L
-    // (line).
+    // The path starts with M (move), also after a gap, and continues with L (line).
     bool connected = false;
     const std::vector<std::size_t> point_indices = thin_out(curve);
     for (std::size_t i : point_indices) {

@@ -95,8 +95,7 @@ std::pair<std::string, std::string> split_metric(const std::string& metric_name)
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
-/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
-/// and 0 if this is unknown.
+/// Returns +1 if larger values of a metric are better, -1 if smaller ones, 0 if unknown.
 int improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -139,8 +138,7 @@ std::string cells_html(const Report& report, const std::string& metric_name) {
     return cells;
 }
 
-/// Returns a table of all metrics. The names are sorted, so that the metrics of a group
-/// are next to each other.
+/// Returns a table of all metrics, sorted by name, so that groups stay together.
 std::string metrics_html(const Report& report) {
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
