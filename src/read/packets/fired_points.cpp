@@ -30,9 +30,10 @@ struct FiringInstant {
     double ahead_deg_us;
 };
 
-/// Returns the columns of the scan of a sensor that fires at fixed azimuths: those with
-/// received measurements, and long runs of others at which the sensor fires, because
-/// their rays had no return. A scan repeats the columns next to a short run.
+/// Returns the columns (fixed azimuths) that the scan of a revolution has: those with
+/// received measurements, and long runs of columns at which the sensor fires but no ray
+/// had a return. A short run is left out. The scan repeats the columns next to it.
+/// @param received  azimuths of the head, by column
 /// @param fires, is_lost  [columns per revolution] true if the sensor fires at the
 /// column, and if its packet was lost
 std::vector<bool> choose_columns(const std::map<int, double>& received, const std::vector<bool>& fires,
@@ -41,9 +42,10 @@ std::vector<bool> choose_columns(const std::map<int, double>& received, const st
     const std::size_t n = fires.size();
     std::vector<bool> is_chosen(n, false);
     for (const auto& [column, head_rad] : received) is_chosen[std::size_t(column)] = true;
-    std::size_t run = 0;  // number of columns before c without a measurement
+    std::size_t run = 0;  // length of the run of columns without returns that ends before c
     for (std::size_t c = 0; c <= n; ++c) {
-        if (c < n && fires[c] && !is_chosen[c] && !is_lost[c]) {
+        const bool has_no_returns = c < n && fires[c] && !is_lost[c] && !is_chosen[c];
+        if (has_no_returns) {
             ++run;
             continue;
         }
@@ -94,27 +96,31 @@ void add_points(RevolutionPoints& fired, const FiringInstant& firing,
     }
 }
 
-/// Creates the scan of a sensor that fires at fixed azimuths (columns).
+/// Creates the scan of a sensor that fires at fixed azimuths (columns). The points know
+/// the column that measured them.
 /// @param fires, is_lost  [columns per revolution] true if the sensor fires at the
 /// column, and if its packet was lost. Rays of lost packets are unknown and left out
 Scan make_fixed_scan(RevolutionPoints& fired, const std::vector<bool>& fires,
                      const std::vector<bool>& is_lost, SpinningSensor sensor) {
     const std::vector<bool> is_in_scan = choose_columns(fired.head_rad, fires, is_lost);
     const std::size_t n = fires.size();
-    // A sweep counts the azimuths of the sensor (ticks) counterclockwise from the rear,
-    // columns count clockwise.
+    // Columns and ticks (the steps of a sweep) are the same n azimuths from the rear.
+    // Columns count clockwise, ticks counterclockwise.
     SweepFirings sweep{.lattice = {.n_ticks = int(n), .zero_rad = kPi}, .firings = {}};
-    std::vector<std::uint32_t> firing_of_column(n);  // only of columns in the scan
+    std::vector<std::uint32_t> firing_of_column(n);  // index in `sweep.firings`, for columns in the scan
     for (std::size_t column = 0; column < n; ++column) {
         if (!is_in_scan[column]) continue;
         firing_of_column[column] = std::uint32_t(sweep.firings.size());
-        sweep.firings.push_back(int((n - column) % n));
+        const std::size_t tick = (n - column) % n;
+        sweep.firings.push_back(int(tick));
     }
     for (const int column : fired.firing_numbers)
         fired.points.firing.push_back(firing_of_column[std::size_t(column)]);
     const auto count = [](const std::vector<bool>& columns) {
         return int(std::ranges::count(columns, true));
     };
+    // If no packet was lost, the scan is as wide as the sensor's. It repeats columns for
+    // those that choose_columns() left out.
     sensor.columns = int(sweep.firings.size());
     if (count(is_lost) == 0) sensor.columns = std::max(sensor.columns, count(fires));
     return spinning_scan(fired.points, sensor, sweep);
@@ -138,19 +144,21 @@ DecodedPacket PacketIndex::decode_entry(
 }
 
 /// Returns for each column of a revolution whether its packet was lost, for a sensor that
-/// fires at fixed azimuths.
+/// fires at fixed azimuths (columns). Columns at which it never fires are not lost.
 std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
+    // Columns of packets count over all revolutions. This one has [begin, end).
     const std::int64_t begin = column_at(revolution.begin_deg), end = begin + std::ssize(fires);
     // The packet after the revolution shows the losses at the end.
     const std::size_t last_tested = std::min(revolution.last + 1, packets_.size() - 1);
     for (std::size_t i = revolution.first + 1; i <= last_tested; ++i) {
         if (packets_[i].n_lost_before == 0) continue;
-        const std::int64_t first_lost = std::max(first_column(packets_[i - 1]) + n_slots_, begin);
+        const std::int64_t end_of_before = first_column(packets_[i - 1]) + slots_per_packet_;
+        const std::int64_t first_lost = std::max(end_of_before, begin);
         const std::int64_t end_of_lost = std::min(first_column(packets_[i]), end);
-        for (std::int64_t column = first_lost; column < end_of_lost; ++column)
-            is_lost[std::size_t(column - begin)] = fires[std::size_t(column - begin)];
+        for (std::int64_t column = first_lost - begin; column < end_of_lost - begin; ++column)
+            is_lost[std::size_t(column)] = fires[std::size_t(column)];
     }
     return is_lost;
 }
@@ -178,12 +186,12 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
     for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > revolution.first && !has_columns)
-            n_before += std::size_t(packets_[p - 1].n_slots) + entry.n_lost_before * std::size_t(n_slots_);
+            n_before +=
+                std::size_t(packets_[p - 1].n_slots) + entry.n_lost_before * std::size_t(slots_per_packet_);
         DecodedPacket packet = decode_entry(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
-        // Sensors with fixed azimuths are timed by their clock, others by the time of
-        // receipt.
+        // Sensors with fixed azimuths are timed by their clock, others by receipt.
         const std::int64_t begin_ns =
             has_columns ? entry.clock_ns + revolution.stamp_less_clock_ns : entry.stamp_ns;
         const double begin_s = 1e-9 * double(begin_ns - time_origin_ns);
@@ -199,13 +207,11 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
             const double column_deg = azimuth_deg - late_us * mean_deg_us;
             const int slot = int(n_before) + firing.slot - entry.first_slot;
             // Number of the column. Its first firing has the slot `slot - sequence`,
-            // which is negative if the first column lacks firings; + n_sequences makes
-            // it positive.
+            // negative if the first column lacks firings; + n_sequences prevents it.
             const int number = has_columns
                                    ? column_in(revolution, azimuth_deg)
                                    : (slot - firing.sequence + timing.n_sequences) / timing.n_sequences;
-            // Tests only the first firing of a column, because all its firings belong to
-            // the same revolution.
+            // All firings of a column are in the revolution of the first one.
             if (number != previous_number)
                 is_inside = has_columns ? number >= 0 && number < int(timing.fires.size())
                                         : column_deg >= revolution.begin_deg &&
@@ -226,19 +232,22 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
 }
 
 /// Assigns the points of a revolution to rays.
+/// @param fired  number of the firing (all lasers at one azimuth) that measured each
+/// point, and azimuth of the head at each received firing. The points get their firings
 Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& fired,
                             const SpinningSensor& sensor) const {
     if (fired.points.size() == 0) return scan_of_points(fired.points);
     const FiringTiming& timing = decoder_->timing();
+    // The firing numbers of a sensor with fixed azimuths are columns.
     if (timing.has_fixed_columns())
         return make_fixed_scan(fired, timing.fires, find_lost_columns(revolution), sensor);
     const SweepFirings sweep = sort_firings(fired.points, fired.firing_numbers, fired.head_rad);
     // If packets were lost, the scan has only the received columns. Otherwise it has all
     // columns, except in the sector in which the sensor never fires.
+    const double fired_share = 1.0 - skipped_sector_.width_deg / 360.0;  // of a revolution
     SpinningSensor scan_sensor = sensor;
-    scan_sensor.columns = revolution.has_gaps
-                              ? int(sweep.firings.size())
-                              : int(std::ceil(sensor.columns * (1.0 - skipped_.width_deg / 360.0)));
+    scan_sensor.columns =
+        revolution.has_gaps ? int(sweep.firings.size()) : int(std::ceil(sensor.columns * fired_share));
     return spinning_scan(fired.points, scan_sensor, sweep);
 }
 

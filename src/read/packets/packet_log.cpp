@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 #include <numeric>
+#include <ranges>
 #include <span>
 #include <utility>
 
@@ -26,6 +27,7 @@ constexpr double kMostLost = 1e9;  // packets between two packets, if their time
 constexpr double kRear_deg = 180.0;
 // Largest 16-bit reflectivity, in units of 1/255: bin of the histogram of intensities.
 constexpr double kMaxIntensityBin = 65535.0;
+constexpr std::size_t kNormalBins = 256;  // bins of the intensities 0 to 1
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kMinAzimuthJump_deg = 5.0;
 // The user gets a note about an incomplete revolution at the start or end of the
@@ -43,6 +45,8 @@ void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::i
     for (std::size_t i = 0; i < packets.size(); ++i) {
         const std::string_view bytes = packets[i].bytes;
         if (!product_) set_product(packets, calibration);
+        // `calibration_` is that of the first message, which all packets must match. The
+        // calibration of this message may name another product.
         if (find_product(bytes, calibration_) != product_) {
             const LidarProduct* other = find_product(bytes, calibration);
             fail("found a packet of {} bytes from {}, expected packets of a {} like before", bytes.size(),
@@ -71,7 +75,7 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
         ++n_empty_;
         return;
     }
-    n_slots_ = packet.n_slots;
+    slots_per_packet_ = packet.n_slots;
     const std::size_t n = packet.firings.size();
     const bool may_skip = !decoder_->timing().has_fixed_columns();
     // azimuth step from firing f to the next firing
@@ -95,7 +99,7 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
         const bool is_last_entry = last + 1 == n;
         const LaserFiring& begin = packet.firings[first];
         const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
-        const int end_slot = is_last_entry ? n_slots_ : packet.firings[last + 1].slot;
+        const int end_slot = is_last_entry ? slots_per_packet_ : packet.firings[last + 1].slot;
         Entry entry{.stamp_ns = packet_view.stamp_ns + after_ns,
                     .clock_ns = packet.clock_ns + after_ns,
                     .azimuth_deg = begin.azimuth_deg,
@@ -130,8 +134,7 @@ void PacketIndex::unwrap_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
-/// Adds the returns of a packet to the histogram of intensities, whose bins are 1/255
-/// wide.
+/// Adds the returns of a packet to the histogram of intensities with bins of 1/255.
 void PacketIndex::count_intensities(const DecodedPacket& packet) {
     for (const auto& returns : packet.echoes)
         for (const DecodedReturn& echo : returns) {
@@ -146,13 +149,15 @@ void PacketIndex::count_intensities(const DecodedPacket& packet) {
 
 void PacketIndex::finish() {
     if (packets_.empty()) return;
-    // Azimuths can only be unwrapped in the order of sending. All later steps need
-    // continuous azimuths.
+    // Azimuths become continuous in the order of sending, which all later steps need.
     faults_ = sort_packets(packets_);
+    // A packet with two entries counts once: its second entry begins at a later firing.
     n_packets_ = std::size_t(std::ranges::count(packets_, 0, &Entry::first_firing));
     const FiringTiming& timing = decoder_->timing();
-    deg_us_ = unwrap_azimuths(packets_, timing);
-    if (!timing.has_fixed_columns() && deg_us_ > 0.0) skipped_ = find_skipped_sector(packets_, cycle_deg());
+    mean_deg_us_ = unwrap_azimuths(packets_, timing);
+    // A sensor with fixed columns (azimuths) states at which of them it fires.
+    if (!timing.has_fixed_columns() && mean_deg_us_ > 0.0)
+        skipped_sector_ = find_skipped_sector(packets_, firing_step_deg());
     for (std::size_t p = 1; p < packets_.size(); ++p) {
         const Entry& before = packets_[p - 1];
         packets_[p].n_lost_before = timing.has_fixed_columns() ? count_lost_by_column(before, packets_[p])
@@ -162,19 +167,19 @@ void PacketIndex::finish() {
 }
 
 /// Returns the mean rotation of the head from one firing to the next.
-double PacketIndex::cycle_deg() const { return deg_us_ * decoder_->timing().cycle_us; }
+double PacketIndex::firing_step_deg() const { return mean_deg_us_ * decoder_->timing().cycle_us; }
 
 /// Returns how many packets were lost between two packets of a sensor that fires at any
-/// azimuth. Such a sensor sends a packet for every n_slots_ firings.
+/// azimuth. Such a sensor sends a packet after a fixed number of firings.
 std::uint32_t PacketIndex::count_lost_by_time(const Entry& before, const Entry& entry) const {
     // Times are counted in firing cycles (slots). The sensor does not fire while the head
     // passes the skipped sector.
-    const double skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
-    const double skipped_slots = skipped_deg > 0.0 ? skipped_deg / cycle_deg() : 0.0;
+    const double skipped_deg = skipped_sector_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
+    const double skipped_slots = skipped_deg > 0.0 ? skipped_deg / firing_step_deg() : 0.0;
     const double elapsed_slots =
         1e-3 * double(entry.clock_ns - before.clock_ns) / decoder_->timing().cycle_us;
     const double lost_slots = elapsed_slots - skipped_slots - before.n_slots;
-    return std::uint32_t(std::clamp(std::round(lost_slots / double(n_slots_)), 0.0, kMostLost));
+    return std::uint32_t(std::clamp(std::round(lost_slots / double(slots_per_packet_)), 0.0, kMostLost));
 }
 
 /// Returns the column at an azimuth, for a sensor that fires at fixed azimuths. Columns
@@ -183,71 +188,80 @@ std::int64_t PacketIndex::column_at(double azimuth_deg) const {
     return std::llround((azimuth_deg - kRear_deg) / (360.0 / double(decoder_->timing().fires.size())));
 }
 
-/// Returns the first of the n_slots_ columns of a packet, with or without a firing.
+/// Returns the first column of a packet. Its other columns (slots) follow.
 std::int64_t PacketIndex::first_column(const Entry& packet) const {
     return column_at(packet.azimuth_deg) - packet.first_slot;
 }
 
 /// Returns how many packets were lost between two packets of a sensor that fires at fixed
-/// azimuths. Each packet has the next n_slots_ columns. The sensor may not send packets
-/// without a firing, so they do not count.
+/// azimuths. Its packets divide all columns into groups of equal size. The sensor may not
+/// send a packet for a group without a firing, so such a packet is not lost.
 std::uint32_t PacketIndex::count_lost_by_column(const Entry& before, const Entry& entry) const {
     const FiringTiming& timing = decoder_->timing();
-    const double n_sent = std::round(double(first_column(entry) - first_column(before)) / double(n_slots_));
-    const auto n_between = std::uint32_t(std::clamp(n_sent, 1.0, kMostLost)) - 1;
+    const std::int64_t group = slots_per_packet_;  // columns per packet
+    const double n_groups = std::round(double(first_column(entry) - first_column(before)) / double(group));
+    const auto n_between = std::uint32_t(std::clamp(n_groups, 1.0, kMostLost)) - 1;
     // After a pause of more than two revolutions, the loop below would be slow.
-    if (std::size_t(n_between) * std::size_t(n_slots_) > 2 * timing.fires.size()) return n_between;
+    if (std::size_t(n_between) * std::size_t(group) > 2 * timing.fires.size()) return n_between;
     std::uint32_t n_with_firing = 0;
-    std::int64_t column = first_column(before);
-    for (std::uint32_t k = 0; k < n_between; ++k) {
-        column += n_slots_;
-        bool has_firing = false;
-        for (int slot = 0; slot < n_slots_; ++slot) has_firing = has_firing || timing.fires_at(column + slot);
-        if (has_firing) ++n_with_firing;
+    for (std::uint32_t k = 1; k <= n_between; ++k) {
+        const auto columns =
+            std::views::iota(first_column(before) + k * group, first_column(before) + (k + 1) * group);
+        if (std::ranges::any_of(columns, [&](std::int64_t column) { return timing.fires_at(column); }))
+            ++n_with_firing;
     }
-    // A packet without a firing that was received is not lost.
-    return std::min(n_with_firing, n_between - std::min<std::uint32_t>(n_between, entry.n_empty_before));
+    // Packets without a firing that were received are not lost either.
+    const std::uint32_t n_received = std::min<std::uint32_t>(n_between, entry.n_empty_before);
+    return std::min(n_with_firing, n_between - n_received);
 }
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
 /// counts only the part that belongs to this revolution.
 void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
+    const double end_deg = revolution.begin_deg + 360.0;
     double n_missing = 0.0;
     // The packet after the revolution shows the losses at the end.
     const std::size_t last_tested = std::min(revolution.last + 1, packets_.size() - 1);
     for (std::size_t i = revolution.first + 1; i <= last_tested; ++i) {
-        // The lost packets are evenly spread over the azimuths between the two packets.
-        const Entry& before = packets_[i - 1];
-        const double from_deg = before.azimuth_deg + double(before.turned_deg) + cycle_deg();
-        const double to_deg = packets_[i].azimuth_deg, gap_deg = std::max(to_deg - from_deg, 1e-6);
-        const double within_deg =
-            std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
-        n_missing += double(packets_[i].n_lost_before) * std::clamp(within_deg / gap_deg, 0.0, 1.0);
+        const Entry &before = packets_[i - 1], &after = packets_[i];
+        // Head azimuths of the gap: from one step after the last firing before it to the
+        // first firing after it. The lost packets are evenly spread over it.
+        const double from_deg = before.azimuth_deg + double(before.turned_deg) + firing_step_deg();
+        const double to_deg = after.azimuth_deg, gap_deg = std::max(to_deg - from_deg, 1e-6);
+        const double within_deg = std::min(to_deg, end_deg) - std::max(from_deg, revolution.begin_deg);
+        n_missing += double(after.n_lost_before) * std::clamp(within_deg / gap_deg, 0.0, 1.0);
     }
     revolution.n_missing = std::size_t(std::llround(n_missing));
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the range of head azimuths that was recorded. Includes azimuths just before
-/// and after it at which the sensor never fires, because no packets are missing there.
+/// Returns the range of head azimuths that was recorded. If the sensor never fires just
+/// before or after it, includes these azimuths, because no packets are missing there.
 std::pair<double, double> PacketIndex::azimuth_range_deg() const {
     const FiringTiming& timing = decoder_->timing();
-    const double first_deg = packets_.front().azimuth_deg, begin_of_last_deg = packets_.back().azimuth_deg;
-    const double last_deg = begin_of_last_deg + double(packets_.back().turned_deg);
+    const Entry &first = packets_.front(), &last = packets_.back();
+    const double last_firing_deg = last.azimuth_deg + double(last.turned_deg);
     if (timing.has_fixed_columns()) {
+        // The sensor fires at some columns (fixed azimuths) of a revolution. Adds the
+        // columns without firings on both sides, at most n.
         const std::size_t n = timing.fires.size();
-        std::int64_t begin = column_at(first_deg), end = column_at(last_deg) + 1;
+        std::int64_t begin = column_at(first.azimuth_deg), end = column_at(last_firing_deg) + 1;
         for (std::size_t k = 0; k < n && !timing.fires_at(begin - 1); ++k) --begin;
         for (std::size_t k = 0; k < n && !timing.fires_at(end); ++k) ++end;
-        const double step_deg = 360.0 / double(n);
-        return {kRear_deg + step_deg * double(begin), kRear_deg + step_deg * double(end)};
+        const double column_deg = 360.0 / double(n);
+        return {kRear_deg + column_deg * double(begin), kRear_deg + column_deg * double(end)};
     }
-    // The skipped sector begins one cycle after the last firing before it. One more cycle
-    // is a margin.
-    const bool starts_behind_sector = skipped_.overlap_deg(first_deg - cycle_deg(), first_deg) > 0.0;
-    const bool ends_before_sector = skipped_.overlap_deg(last_deg, last_deg + 2.0 * cycle_deg()) > 0.0;
-    return {starts_behind_sector ? first_deg - skipped_.width_deg : first_deg,
-            ends_before_sector ? last_deg + skipped_.width_deg : begin_of_last_deg};
+    // The skipped sector begins one step after the last firing before it, and ends at the
+    // first firing after it. The second step is a margin.
+    const double step_deg = firing_step_deg();
+    const bool starts_behind_sector =
+        skipped_sector_.overlap_deg(first.azimuth_deg - step_deg, first.azimuth_deg) > 0.0;
+    const bool ends_before_sector =
+        skipped_sector_.overlap_deg(last_firing_deg, last_firing_deg + 2.0 * step_deg) > 0.0;
+    // Otherwise ends where the last packet begins. So after each revolution, there is a
+    // packet that shows losses at its end.
+    return {starts_behind_sector ? first.azimuth_deg - skipped_sector_.width_deg : first.azimuth_deg,
+            ends_before_sector ? last_firing_deg + skipped_sector_.width_deg : last.azimuth_deg};
 }
 
 /// Returns the index of the first packet that begins after an azimuth.
@@ -268,36 +282,42 @@ PacketRevolution PacketIndex::make_revolution(double begin_deg) const {
     return revolution;
 }
 
-/// Divides the recording into revolutions that begin when the head faces backward, and
-/// keeps the usable ones. Counts the others by reason for the notes.
+/// Keeps a revolution if it is usable. Otherwise counts it by reason, for the notes.
+void PacketIndex::keep_if_usable(PacketRevolution revolution) {
+    store_lost_packets(revolution);
+    set_times(revolution);
+    const std::size_t n_received = revolution.last - revolution.first;
+    // Half as many lost as received packets means that a third of all is missing.
+    if (2 * revolution.n_missing >= n_received) ++left_out_.n_lost;
+    else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
+    else revolutions_.push_back(revolution);
+}
+
+/// Divides the recording into revolutions, which begin at the rear, and keeps the usable
+/// ones. Revolution t extends from the azimuth kRear_deg + 360 t to that of t + 1.
 void PacketIndex::find_revolutions() {
     const auto [first_deg, end_deg] = azimuth_range_deg();
     const auto begin_of = [](double turn) { return kRear_deg + 360.0 * turn; };
-    // Returns true if a recorded part of an incomplete revolution is not negligible.
+    // Returns true if a recorded part of an incomplete revolution is not negligible. No
+    // packets are sent in the skipped sector.
     const auto is_cut_off = [&](double from_deg, double to_deg) {
-        return to_deg - from_deg - skipped_.overlap_deg(from_deg, to_deg) > 360.0 * kCutOff;
+        return to_deg - from_deg - skipped_sector_.overlap_deg(from_deg, to_deg) > 360.0 * kCutOff;
     };
-    double turn = std::ceil((first_deg - kRear_deg) / 360.0);
+    double turn = std::ceil((first_deg - kRear_deg) / 360.0);  // the first complete revolution
     if (is_cut_off(first_deg, begin_of(turn))) ++left_out_.n_cut_off;
-    for (; begin_of(turn + 1.0) <= end_deg; ++turn) {
-        PacketRevolution revolution = make_revolution(begin_of(turn));
+    while (begin_of(turn + 1.0) <= end_deg) {
+        const PacketRevolution revolution = make_revolution(begin_of(turn));
+        double next_turn = turn + 1.0;
         const bool are_all_lost = revolution.first == revolution.last;
         if (are_all_lost) {
-            // Continues with the turn of the next packet, because a pause can be long.
-            const std::size_t next = std::min(packet_behind(begin_of(turn + 1.0)), packets_.size() - 1);
-            const double next_turn =
-                std::max(turn + 1.0, std::floor((packets_[next].azimuth_deg - kRear_deg) / 360.0));
+            // A pause can be long, so continues with the turn of the next packet.
+            const std::size_t next = std::min(packet_behind(begin_of(next_turn)), packets_.size() - 1);
+            next_turn = std::max(next_turn, std::floor((packets_[next].azimuth_deg - kRear_deg) / 360.0));
             left_out_.n_lost += std::size_t(next_turn - turn);
-            turn = next_turn - 1.0;
-            continue;
+        } else {
+            keep_if_usable(revolution);
         }
-        store_lost_packets(revolution);
-        set_times(revolution);
-        // Half as many lost as received packets means that a third of all packets is
-        // missing.
-        if (2 * revolution.n_missing >= revolution.last - revolution.first) ++left_out_.n_lost;
-        else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
-        else revolutions_.push_back(revolution);
+        turn = next_turn;
     }
     if (is_cut_off(begin_of(turn), end_deg)) ++left_out_.n_cut_off;
 }
@@ -309,8 +329,8 @@ std::string PacketIndex::describe_faults() const {
     };
     add(faults_.n_repeated, "packets were received twice");
     add(faults_.n_late, "packets were received out of order and are sorted by the clock of the sensor");
-    const double all_deg =
-        packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
+    const Entry &first = packets_.front(), &last = packets_.back();
+    const double all_deg = last.azimuth_deg + double(last.turned_deg) - first.azimuth_deg;
     const bool is_short = revolutions_.empty() && all_deg < 360.0;
     if (is_short) {
         texts.push_back(fmt::format("the packets cover only {:.0f} degrees of a revolution, expected 360",
@@ -322,17 +342,18 @@ std::string PacketIndex::describe_faults() const {
     add(left_out_.n_jumps,
         "revolutions are skipped, because the clock of the sensor jumps during them, or because packets of "
         "two sensors are mixed");
-    if (skipped_.width_deg > 0.0)
+    if (skipped_sector_.width_deg > 0.0)
         texts.push_back(fmt::format(
             "the sensor fires in {:.0f} degrees of a revolution, so the other {:.0f} degrees have no rays",
-            360.0 - skipped_.width_deg, skipped_.width_deg));
+            360.0 - skipped_sector_.width_deg, skipped_sector_.width_deg));
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
 /// Sets the times of a revolution. A sensor that fires at fixed azimuths is timed by its
 /// clock, any other sensor by the receive times of its packets.
 void PacketIndex::set_times(PacketRevolution& revolution) const {
-    // Interpolates the clock between the packets before and after the head faces forward.
+    // The revolution begins at the rear, so the head faces forward half a turn later.
+    // Interpolates the clock between the packets before and after.
     const double forward_deg = revolution.begin_deg + 180.0;
     const std::size_t k = std::clamp(packet_behind(forward_deg), std::size_t(1), packets_.size() - 1);
     const Entry &before = packets_[k - 1], &after = packets_[k];
@@ -349,7 +370,8 @@ void PacketIndex::set_times(PacketRevolution& revolution) const {
     revolution.forward_ns = forward_clock_ns + stamp_less_clock_ns;
     revolution.log_ns = messages_[before.message].log_ns;
     revolution.stamp_less_clock_ns = stamp_less_clock_ns;
-    // The clock restarts at 0, so the difference is only known up to full periods.
+    // If the clock restarts at 0 after each period of `wrap_us`, the difference is only
+    // known up to full periods. Keeps the remainder nearest to 0.
     if (const double wrap_us = decoder_->timing().wrap_us; wrap_us > 0.0)
         revolution.stamp_less_clock_ns =
             std::llround(std::remainder(double(stamp_less_clock_ns), 1e3 * wrap_us));
@@ -385,41 +407,44 @@ std::vector<PacketIndex::MessageSource> PacketIndex::messages_of(const PacketRev
 double PacketIndex::mean_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
     for (std::size_t i = revolution.first; i < revolution.last; ++i)
-        n += std::size_t(packets_[i].n_slots) + packets_[i + 1].n_lost_before * std::size_t(n_slots_);
+        n +=
+            std::size_t(packets_[i].n_slots) + packets_[i + 1].n_lost_before * std::size_t(slots_per_packet_);
     const double first_deg = packets_[revolution.first].azimuth_deg,
                  last_deg = packets_[revolution.last].azimuth_deg;
-    return std::max(last_deg - first_deg - skipped_.overlap_deg(first_deg, last_deg), 1.0) /
+    return std::max(last_deg - first_deg - skipped_sector_.overlap_deg(first_deg, last_deg), 1.0) /
            double(std::max<std::size_t>(n, 1));
 }
 
 SpinningSensor PacketIndex::make_sensor() const {
-    const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
+    // 360 degrees divided by the rate in degrees per microsecond, which may be damaged.
+    const double period_s = std::clamp(360e-6 / std::max(mean_deg_us_, 1e-9), 0.02, 1.0);
     const FiringTiming& timing = decoder_->timing();
     if (timing.has_fixed_columns()) return decoder_->make_sensor(int(timing.fires.size()), 1.0 / period_s);
     // All firings of the revolution with the most firings must fit into the scan, whose
     // columns have one firing of each sequence. One column more is a margin.
-    double n_firings = 1e6 * period_s / timing.cycle_us;
+    double n_firings = 1e6 * period_s / timing.cycle_us;  // in a turn
     for (const PacketRevolution& revolution : revolutions_)
         n_firings = std::max(n_firings, 360.0 / mean_step_deg(revolution));
     const int n_columns = int(std::ceil(n_firings / double(timing.n_sequences))) + 1;
     return decoder_->make_sensor(std::min(n_columns, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the value by which intensities are divided: 1 if none exceeds 1, which is bin
-/// 255. Otherwise the 99.5th percentile of the intensities of all returns.
+/// Returns the value by which intensities are divided: 1 if none exceeds 1. Otherwise the
+/// 99.5th percentile of the intensities of all returns, by a histogram.
 double PacketIndex::full_scale() const {
-    if (n_returns_of_bin_.size() <= 256) return 1.0;
+    if (n_returns_of_bin_.size() <= kNormalBins) return 1.0;
     const auto n_returns =
         std::accumulate(n_returns_of_bin_.begin(), n_returns_of_bin_.end(), std::uint64_t(0));
-    // number of darker returns than the percentile
-    auto n_darker = std::uint64_t(0.995 * double(n_returns - 1));
+    // index of the percentile in the returns, darkest first
+    const auto percentile = std::uint64_t(0.995 * double(n_returns - 1));
     std::size_t bin = 0;
-    for (; n_returns_of_bin_[bin] <= n_darker; ++bin) n_darker -= n_returns_of_bin_[bin];
+    std::uint64_t n_up_to_bin = n_returns_of_bin_[0];  // returns in the bins 0 to `bin`
+    while (n_up_to_bin <= percentile) n_up_to_bin += n_returns_of_bin_[++bin];
     return std::max(double(bin), 1.0) / 255.0;
 }
 
 std::string PacketIndex::describe_product() const {
-    if (n_returns_of_bin_.size() <= 256) return decoder_->describe_product();
+    if (n_returns_of_bin_.size() <= kNormalBins) return decoder_->describe_product();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
                        decoder_->describe_product(), double(n_returns_of_bin_.size() - 1),
                        255.0 * full_scale());

@@ -23,8 +23,7 @@ namespace relidar::packets {
 /// the packet has two entries, one for each side of the sector.
 struct PacketIndexEntry {
     /// Time of the first firing: `stamp_ns` by the receiver's clock, `clock_ns` by the
-    /// sensor's clock. If the sensor's clock restarts at 0, `clock_ns` continues without
-    /// a jump.
+    /// sensor's clock. If the sensor's clock restarts at 0, `clock_ns` continues.
     std::int64_t stamp_ns, clock_ns;
     double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
@@ -82,8 +81,7 @@ struct PacketRevolution {
     /// recorder received the packet that was sent then.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
-    /// Head angle at the start of the revolution. It is continuous over the full
-    /// recording.
+    /// Head angle at the start, continuous over the full recording.
     double begin_deg = 0.0;
     /// number of lost packets, including those at the start and the end of the revolution
     std::size_t n_missing = 0;
@@ -101,16 +99,14 @@ public:
     /// packets came from another product
     void add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
                      const bag::MessagePosition& message_position, const DecoderCalibration& calibration);
-    /// Sorts the packets and finds the complete revolutions. Call it once, after the last
-    /// add_packets().
+    /// Sorts the packets and finds the complete revolutions. Call it once, at the end.
     void finish();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
     const std::vector<PacketRevolution>& revolutions() const { return revolutions_; }
     /// Returns true if the sensor's clock restarts after a fixed time, such as an hour.
     bool has_clock_wraps() const { return decoder_ && decoder_->timing().wrap_us > 0.0; }
-    /// Describes late and repeated packets, and why revolutions were skipped. May be
-    /// empty.
+    /// Describes late and repeated packets, and skipped revolutions. May be empty.
     std::string describe_faults() const;
     /// Position of a message in the recording, and time of recording.
     struct MessageSource {
@@ -123,8 +119,7 @@ public:
     SpinningSensor make_sensor() const;
     std::string describe_product() const;
     /// Decodes a revolution to a scan with ray times relative to `time_origin_ns`.
-    /// @param packets_of_message  packets of each message that
-    /// messages_of() returns
+    /// @param packets_of_message  packets of each message that messages_of() returns
     Scan decode(const PacketRevolution& revolution,
                 const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
                 const SpinningSensor& sensor, std::int64_t time_origin_ns) const;
@@ -140,7 +135,7 @@ private:
     std::shared_ptr<const PacketDecoder> decoder_;
     const LidarProduct* product_ = nullptr;
     DecoderCalibration calibration_;
-    int n_slots_ = 1;            ///< slots per packet
+    int slots_per_packet_ = 1;
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
     std::uint16_t n_empty_ = 0;  ///< packets without a firing since the last one with firings
     std::vector<Entry> packets_;
@@ -148,9 +143,9 @@ private:
     std::vector<PacketRevolution> revolutions_;
     PacketFaultCounts faults_;
     SkippedRevolutions left_out_;
-    double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
+    double mean_deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
     /// sector in which the sensor never fires, although it could fire at any azimuth
-    SkippedSector skipped_;
+    SkippedSector skipped_sector_;
     /// Number of returns by intensity in units of 1/255, up to the highest intensity of
     /// all packets. Used only for sensors whose intensities can exceed 1.
     std::vector<std::uint32_t> n_returns_of_bin_;
@@ -159,7 +154,7 @@ private:
     void index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
     void unwrap_clock(Entry& entry) const;
     void count_intensities(const DecodedPacket& packet);
-    double cycle_deg() const;
+    double firing_step_deg() const;
     std::int64_t column_at(double azimuth_deg) const;
     std::int64_t first_column(const Entry& packet) const;
     int column_in(const PacketRevolution& revolution, double azimuth_deg) const;
@@ -170,6 +165,7 @@ private:
     std::size_t packet_behind(double azimuth_deg) const;
     PacketRevolution make_revolution(double begin_deg) const;
     void find_revolutions();
+    void keep_if_usable(PacketRevolution revolution);
     std::uint32_t count_lost_by_time(const Entry& before, const Entry& entry) const;
     std::uint32_t count_lost_by_column(const Entry& before, const Entry& entry) const;
     void store_lost_packets(PacketRevolution& revolution) const;
