@@ -11,8 +11,7 @@ namespace relidar::packets {
 namespace {
 
 constexpr double kMaxEncoderNoise_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
-// Maximum network delay of a packet. If the sensor's clock decreases by more, it was set
-// back.
+// Maximum network delay. If the sensor's clock decreases by more, it was set back.
 constexpr std::int64_t kMaxDelay_ns = 100000000;
 // If two packets are farther apart in time than this, the recording was paused.
 constexpr std::int64_t kMinPause_ns = 200000000;
@@ -75,6 +74,7 @@ void correct_late_stamp(std::vector<PacketIndexEntry>& packets, std::size_t n, s
 }
 
 /// Returns for each azimuth bin whether the sensor has fired in it.
+/// @param packets  with the first azimuth and the rotation up to the last firing of each
 std::array<bool, kSectorBins> mark_fired_bins(const std::vector<PacketIndexEntry>& packets,
                                               double firing_step_deg) {
     constexpr double kTestStep_deg = 0.4;  // narrower than a bin, so that no bin is missed
@@ -97,12 +97,13 @@ double rotation_deg(double from_azimuth_deg, double to_azimuth_deg) {
 }
 
 PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
+    // An insertion sort: packets[0, n) are already sorted. Most packets stay last.
     PacketFaultCounts faults;
-    std::size_t n = 0;  // packets[0, n) are already sorted
+    std::size_t n = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketIndexEntry entry = packets[p];
         const std::size_t at = find_sorted_index(packets, n, entry);
-        // A packet with two entries is counted only once.
+        // A packet can have two entries. Counts only that with its first firing.
         const bool is_first_entry = entry.first_firing == 0;
         if (is_repeated(packets, at, entry)) {
             if (is_first_entry) ++faults.n_repeated;
@@ -111,9 +112,8 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
         const bool is_late = at < n;
         if (is_late) correct_late_stamp(packets, n, at, entry);
         if (is_late && is_first_entry) ++faults.n_late;
-        // Inserts the packet at its place.
-        std::move_backward(packets.begin() + std::ptrdiff_t(at), packets.begin() + std::ptrdiff_t(n),
-                           packets.begin() + std::ptrdiff_t(n) + 1);
+        const auto place = packets.begin() + std::ptrdiff_t(at), end = packets.begin() + std::ptrdiff_t(n);
+        std::move_backward(place, end, end + 1);
         packets[at] = entry;
         ++n;
     }
@@ -181,27 +181,28 @@ SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, 
     const CircularGap gap = find_widest_gap(kSectorBins, [&](std::size_t bin) { return has_firings[bin]; });
     if (double(gap.length) * kBin_deg < kLeastSector_deg || gap.length >= kSectorBins) return {};
 
-    // Bins are coarse. Measures the exact ends from the middle of the sector. before_deg:
-    // from the last firing before the sector. behind_deg: to the first firing after it.
+    // Bins are coarse, so measures the exact ends from the middle of the sector.
     const double middle_deg = (double(gap.end) - 0.5 * double(gap.length)) * kBin_deg;
-    double before_deg = 360.0, behind_deg = 360.0;
-    // Number of revolutions in which the head passes the middle of the sector.
-    std::size_t n_skips = 0;
+    double before_deg = 360.0;  // from the last firing before the middle to the middle
+    double behind_deg = 360.0;  // from the middle to the first firing behind it
+    std::size_t n_skips = 0;    // number of times that the head passes the middle
+    // Number of full turns of the head since the middle.
     const auto turn_of = [&](const PacketIndexEntry& entry) {
         return std::floor((entry.azimuth_deg - middle_deg) / 360.0);
     };
     const auto wrap = [](double angle_deg) { return angle_deg - 360.0 * std::floor(angle_deg / 360.0); };
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const PacketIndexEntry& entry = packets[p];
-        const double last_deg = entry.azimuth_deg + double(entry.turned_deg);
+        const double first_deg = entry.azimuth_deg, last_deg = first_deg + double(entry.turned_deg);
         before_deg = std::min(before_deg, wrap(middle_deg - last_deg));
-        behind_deg = std::min(behind_deg, wrap(entry.azimuth_deg - middle_deg));
+        behind_deg = std::min(behind_deg, wrap(first_deg - middle_deg));
         if (p > 0 && turn_of(entry) > turn_of(packets[p - 1])) ++n_skips;
     }
     // The sector begins one step after the last firing before it.
+    const double begin_deg = middle_deg - before_deg + firing_step_deg;
     const double width_deg = before_deg + behind_deg - firing_step_deg;
     if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
-    return {.begin_deg = middle_deg - before_deg + firing_step_deg, .width_deg = width_deg};
+    return {.begin_deg = begin_deg, .width_deg = width_deg};
 }
 
 }  // namespace relidar::packets
