@@ -54,8 +54,7 @@ std::size_t count_bytes(const OusterProfile& profile, int pixels_per_column, int
     return profile.is_legacy ? n_columns * (16 + pixels + 4) : 32 + n_columns * (12 + pixels) + 32;
 }
 
-/// Returns the value of a key, which is in the root object or in one of its direct
-/// members.
+/// Returns the value of a key in the root object or in one of its direct members.
 std::optional<JsonField> find_value(const JsonField& root, const std::string& key) {
     return root.find(key,
                      {"data_format", "lidar_data_format", "config_params", "sensor_info", "beam_intrinsics"});
@@ -80,8 +79,7 @@ const OusterProfile& find_profile(const JsonField& root) {
          fmt::join(names, ", "));
 }
 
-/// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
-/// first.
+/// Returns the ring of each pixel in a column: the rank of its beam, highest first.
 std::vector<std::size_t> rank_pixels(const JsonField& root) {
     const std::vector<double> altitude_deg =
         find_value(root, "beam_altitude_angles").value_or(root).numbers();
@@ -92,8 +90,7 @@ std::vector<std::size_t> rank_pixels(const JsonField& root) {
     return ring_of;
 }
 
-/// Returns for each column whether the sensor fires at it. The window can continue at
-/// column 0.
+/// Returns whether the sensor fires at each column. The window can pass column 0.
 std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
     const auto window = find_value(root, "column_window");
     std::vector<bool> fires(std::size_t(n_columns), !window);
@@ -109,8 +106,7 @@ std::vector<bool> mark_columns(const JsonField& root, int n_columns) {
     }
 }
 
-/// Checks that values which the metadata contain twice are equal, and that the packets
-/// are valid.
+/// Checks that values which the metadata contain twice are equal. Checks packet sizes.
 void check_sizes(const OusterMetadata& metadata, const JsonField& root) {
     const int columns = metadata.sensor.columns;
     const auto check_equal = [&](const char* key, int expected) {
@@ -129,8 +125,7 @@ void check_sizes(const OusterMetadata& metadata, const JsonField& root) {
              metadata.where, metadata.describe(), kMostDatagram);
 }
 
-/// Returns 7502 for "192.168.1.201:7502", the topic of a network capture. Returns 0 for a
-/// topic of a bag.
+/// Returns 7502 for the topic "192.168.1.201:7502" of a capture, 0 for one of a bag.
 int parse_port(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
     if (colon == std::string_view::npos || topic.starts_with('/')) return 0;
@@ -142,8 +137,7 @@ std::string_view find_namespace(std::string_view topic) {
     return topic.starts_with('/') ? topic.substr(0, topic.rfind('/')) : std::string_view();
 }
 
-/// Returns true if a packet contains the serial number of the sensor. Legacy packets have
-/// none.
+/// Returns true if a packet has the serial number of the sensor. Legacy ones have none.
 bool has_serial(std::string_view packet, const OusterMetadata& metadata) {
     if (metadata.serial == 0 || metadata.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
@@ -367,27 +361,30 @@ MetadataList read_metadata_files(const fs::path& recording, std::vector<std::str
 std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata_list, std::string_view topic,
                                                     std::string_view packet) {
     const int port = parse_port(topic);
-    // If only one sensor has metadata, accepts its LEGACY packets on any UDP port,
-    // because they have no serial number and users may change the port.
-    const bool is_alone = std::ranges::all_of(
+    const bool is_of_one_sensor = std::ranges::all_of(
         metadata_list, [&](const auto& format) { return format->text == metadata_list.front()->text; });
+    // Candidates have the size of the packet and, if it is known, the UDP port. Users may
+    // change the port after the metadata was stored. A sensor is then known by its serial
+    // number. LEGACY packets have none, so the sensor must be the only one.
     MetadataList candidates;
     for (const auto& format : metadata_list) {
         const bool is_duplicate =
             std::ranges::any_of(candidates, [&](const auto& other) { return other->text == format->text; });
         if (format->packet_bytes != packet.size() || is_duplicate) continue;
         const bool has_other_port = port > 0 && format->port > 0 && port != format->port;
-        const bool may_change_port = has_serial(packet, *format) || (is_alone && format->profile->is_legacy);
+        const bool may_change_port =
+            has_serial(packet, *format) || (is_of_one_sensor && format->profile->is_legacy);
         if (!has_other_port || may_change_port) candidates.push_back(format);
     }
-    // Keeps only the candidates that meet a condition, if any candidate meets it. So an
-    // earlier condition counts more than a later one.
+    // Of several candidates, keeps those that meet a condition, unless none meets it. So
+    // an earlier condition counts more than a later one: namespace, port, serial number.
     const auto prefer = [&](auto meets_condition) {
         if (candidates.size() > 1 && std::ranges::any_of(candidates, meets_condition))
             std::erase_if(candidates, [&](const auto& format) { return !meets_condition(format); });
     };
+    const std::string_view topic_namespace = find_namespace(topic);  // empty for a capture
     prefer([&](const auto& format) {
-        return !find_namespace(topic).empty() && find_namespace(format->where) == find_namespace(topic);
+        return !topic_namespace.empty() && find_namespace(format->where) == topic_namespace;
     });
     prefer([&](const auto& format) { return format->port > 0 && format->port == port; });
     prefer([&](const auto& format) { return has_serial(packet, *format); });
@@ -403,9 +400,9 @@ bool is_ouster_size(std::size_t n_bytes) {
 
 std::string ouster_error(const MetadataList& metadata_list, const fs::path& recording_path,
                          std::string_view topic, std::size_t packet_size) {
-    const int port = parse_port(topic);
-    const std::string found = fmt::format("found packets of {} bytes {}", packet_size,
-                                          port > 0 ? fmt::format("on port {}", port) : "of " + quote(topic));
+    const int port = parse_port(topic);  // 0 if the packets come from a bag
+    const std::string source = port > 0 ? fmt::format("on port {}", port) : "of " + quote(topic);
+    const std::string found = fmt::format("found packets of {} bytes {}", packet_size, source);
     if (metadata_list.empty())
         return fmt::format(
             "{}, probably from an Ouster; expected the metadata of the sensor "
@@ -418,11 +415,12 @@ std::string ouster_error(const MetadataList& metadata_list, const fs::path& reco
                                metadata_list[k]->where);
     if (metadata_list.size() > kMaxListedFormats)
         formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
-    const bool fits = std::ranges::any_of(
+    // Metadata of this packet size is not enough: several sensors have it.
+    const bool has_size = std::ranges::any_of(
         metadata_list, [&](const auto& format) { return format->packet_bytes == packet_size; });
     std::string expected = "metadata of the same sensor and configuration";
-    if (fits && port > 0) expected = fmt::format("exactly one file with \"udp_port_lidar\": {}", port);
-    else if (fits) expected = "exactly one metadata topic in the namespace of the packet topic";
+    if (has_size && port > 0) expected = fmt::format("exactly one file with \"udp_port_lidar\": {}", port);
+    else if (has_size) expected = "exactly one metadata topic in the namespace of the packet topic";
     return fmt::format("{}, but the metadata describes {}; expected {}", found, formats, expected);
 }
 
