@@ -272,7 +272,8 @@ private:
 }  // namespace
 
 std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
-    // Times count from the first laser of all firing sequences.
+    // A layout can state the time of each laser in each firing sequence, -1 if it does
+    // not fire in it. These times then count from the first laser of all sequences.
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
     for (const LaserFiringTimes& times : layout.sequences)
         for (const std::int32_t time_ns : times)
@@ -282,13 +283,14 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     for (std::size_t line = 0; line < table.size(); ++line) {
         const auto laser = std::size_t(table[line].channel - layout.first_channel);
         for (std::size_t sequence = 0; sequence < layout.n_sequences(); ++sequence) {
-            double offset_us = table[line].offset_us;
+            PacketBeam beam{
+                .laser = laser, .sequence = sequence, .line = line, .offset_us = table[line].offset_us};
             if (!layout.sequences.empty()) {
                 const std::int32_t time_ns = layout.sequences[sequence][laser];
-                if (time_ns < 0) continue;  // the laser does not fire in this sequence
-                offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(sequence);
+                if (time_ns < 0) continue;
+                beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(sequence);
             }
-            beams.push_back({laser, sequence, line, 0.0, offset_us});
+            beams.push_back(beam);
         }
     }
     return beams;

@@ -26,9 +26,8 @@ constexpr std::uint8_t kSingleReturn = 0x37, kTwoReturns = 0x39, kFactory = 0x42
 constexpr std::uint8_t kRangeUnit_mm = 4;
 constexpr std::int64_t kNsPerSecond = 1'000'000'000, kNsPerHour = 3600 * kNsPerSecond;
 
-/// Throws if the beam angles of a sensor differ from those of the product. Drivers
-/// compute points with the angles of the product, so other angles would give wrong
-/// points.
+/// Throws if the beam angles of a sensor differ from those of the product. Drivers would
+/// compute wrong points, because they use the product's.
 void check_beams(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
                  const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in(layout.sensor)->pattern);
@@ -201,8 +200,7 @@ private:
 
     std::size_t count_blocks() const { return layout_.banks * std::size_t(returns_) * layout_.n_sequences(); }
 
-    /// Appends the range and the reflectivity of each laser of a block. A laser without a
-    /// return gets zeros.
+    /// Appends range and reflectivity of each laser of a block, 0 without a return.
     void append_returns(std::string& bytes, const FiringColumn& firing, const BlockIndex& block_position,
                         double range_unit_m) const {
         for (std::size_t k = 0; k < layout_.block_lasers; ++k) {

@@ -34,8 +34,7 @@ bool is_angle_file(const fs::path& file) {
     return header.size() >= 3 && find_name(header[1], {"elevation"}) && find_name(header[2], {"azimuth"});
 }
 
-/// Reads all angle correction files in a folder. A damaged file is added with its error
-/// instead of lasers.
+/// Reads the angle correction files in a folder. A damaged one has an error, no lasers.
 void add_angle_files(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;

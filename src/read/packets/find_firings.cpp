@@ -118,8 +118,7 @@ FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firi
 }
 
 /// Sets the times of firings without returns, because a log has no measured times of
-/// them. Uses the nearest firing with a return, and the rotation of the head between the
-/// two.
+/// them. Uses the nearest firing with a return, and the rotation between the two.
 void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
     std::vector<std::ptrdiff_t> timed;  // indices of the firings with returns
     for (std::size_t i = 0; i < firings.size(); ++i)
@@ -163,17 +162,19 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             "motion-compensated scans have no firing times",
             sensor.name, last - first, sensor.period_s);
     // In a recorded scan, ray times include the firing delay of each laser. In a rendered
-    // scan, all lasers fire simultaneously. Uses what fits this scan better.
+    // scan, all lasers fire simultaneously. Uses what gives firings of one time.
     const std::vector<double> no_delays(beam_delays_us.size(), 0.0);
-    const bool has_laser_times =
+    const bool is_recorded =
         time_spread_us(scan, image, beam_delays_us) < time_spread_us(scan, image, no_delays);
-    const std::vector<double>& delays_us = has_laser_times ? beam_delays_us : no_delays;
+    const std::vector<double>& delays_us = is_recorded ? beam_delays_us : no_delays;
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(join_rays(scan, image, firing, beams, delays_us));
+    // Firings outside the field of view have no rays. Those without a return have no
+    // measured time in a recorded scan.
     std::erase_if(columns, [](const FiringColumn& column) { return !column.is_measured; });
-    if (has_laser_times) time_empty_firings(columns, sensor.period_s);
+    if (is_recorded) time_empty_firings(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
     // A log may contain the same firing in two columns. Removes the second copy.
     const auto repeats = std::ranges::unique(columns, [](const FiringColumn& a, const FiringColumn& b) {

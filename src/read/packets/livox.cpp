@@ -107,8 +107,7 @@ std::string join_livox_packets(std::string_view packed_packets, std::string_view
             first_stamp_ns = stamp_ns;
             first_clock_ns = clock_ns;
         }
-        // Time since the first packet by the clock of the sensor, or if it has jumped, by
-        // the receive times.
+        // Time since the first packet by the sensor's clock, or after a jump, by receipt.
         const std::int64_t passed_ns = clamped_step_ns(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = clamped_step_ns(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;

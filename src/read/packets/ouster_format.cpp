@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder
 // first creates the metadata and parses them. Then it writes packets in the format that
-// the metadata describe. Signal and ambient light are 0, because a scan does not store
-// them.
+// the metadata describe. Signal and ambient light are 0, which no scan stores.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -160,9 +159,8 @@ private:
         }
     }
 
-    /// Writes the range and the reflectivity of a return into a pixel. Ouster measures
-    /// ranges from the axis of rotation, so the distance of the beam origin from the axis
-    /// is added.
+    /// Writes the range and the reflectivity of a return into a pixel. Ouster's ranges
+    /// begin at the axis of rotation, so adds the beam's distance from it.
     void write_pixel(char* pixel, const DecodedReturn& laser_return, double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
         if (laser_return.range_m <= 0.0f) return;
@@ -170,8 +168,7 @@ private:
             std::round((double(laser_return.range_m) + beam_origin_offset_m) / profile.range_unit_m);
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
-        // Writes only bytes that are not 0, because the next byte can belong to another
-        // value.
+        // Leaves bytes that are 0, because they can belong to another value.
         for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[k] = char(number >> (8 * k));
         pixel[profile.reflectivity_at] = char(to_reflectivity(laser_return));
     }

@@ -17,8 +17,7 @@ namespace {
 using packets::FiringColumn;
 using packets::PacketFormat;
 
-// Maximum relative difference between the time per column of a simulated sensor and of
-// the real product.
+// Maximum relative difference of the time per column from that of the real product.
 constexpr double kMostStepError = 0.02;
 // Some sensors fire only at fixed azimuths. Limit for |azimuth of a firing - nearest
 // fixed azimuth| / step between two fixed azimuths.
@@ -47,8 +46,7 @@ struct PacketEncoder::Impl {
     std::unique_ptr<PacketFormat> format;
     std::vector<double> offsets_us;  ///< [rings] delay of each beam, see PacketFormat
 
-    /// A firing whose time and azimuth are known. Those of other firings are computed
-    /// from it.
+    /// A firing with known time and azimuth, from which others are computed.
     struct FiringClockAnchor {
         std::int64_t position;
         double time_s, azimuth_deg;
@@ -82,8 +80,7 @@ struct PacketEncoder::Impl {
 
     /// Returns the rounded number of firing periods from `anchor` to `firing`; 0 or
     /// negative if `firing` is not in a later period. If possible, uses azimuths, which
-    /// are more exact than recorded times. The time then only gives the number of full
-    /// turns.
+    /// are more exact than times. The time then only counts full turns.
     double count_steps(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double steps_by_time = (firing.time_s - anchor.time_s) / firing_period_s();
         if (has_fixed_columns()) {
@@ -142,8 +139,7 @@ struct PacketEncoder::Impl {
             clock_start
                 ? clock_start->time_s + double(firing_index - clock_start->position) * firing_period_s()
                 : 0.0;
-        // Starts a new even clock if it has drifted from the log by more than a
-        // revolution.
+        // Starts a new even clock if it has drifted by more than a revolution.
         if (!clock_start || std::abs(even_s - firing.time_s) > sensor.period_s)
             clock_start = {firing_index, firing.time_s, firing.azimuth_deg};
         else firing.clock_s = even_s;
@@ -165,8 +161,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Adds firings without returns between the last firing and `next_firing`. Assumes
-    /// that the head rotates evenly between them. Only for sensors that fire at any
-    /// azimuth.
+    /// even rotation between them. Only for sensors that fire at any azimuth.
     void fill_gap(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
         const double n_steps = double(next_firing_index - last->position);
@@ -235,8 +230,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Encodes the pending packet, or several packets if each firing sequence has a
-    /// packet. With fixed azimuths, packet numbers also count packets that the sensor
-    /// does not send.
+    /// packet. With fixed azimuths, packet numbers also count packets that are not sent.
     void write_packet() {
         fill_packet();
         for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)
@@ -245,8 +239,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Writes the pending packet, then an extra packet without returns, from which
-    /// drivers detect the end of the scan. Not needed for sensors that fire at fixed
-    /// azimuths.
+    /// drivers detect the end of the scan. Not for sensors with fixed azimuths.
     void finish_packets() {
         if (pending.empty()) return;
         write_packet();

@@ -68,8 +68,7 @@ constexpr LidarProduct kProducts[] = {
 constexpr LidarProduct kOusterProduct{"Ouster", {}, make_ouster_decoder},
     kLivoxProduct{"Livox", {}, nullptr, "livox_ros_driver2"};
 
-/// Returns true if a packet has the size, the first bytes and two other bytes that
-/// identify a product.
+/// Returns true if a packet has the size and the bytes that identify a product.
 bool has_signature(string_view packet, const PacketSignature& signature) {
     const auto has_byte = [&](const PacketSignature::Byte& byte) {
         if (byte.value < 0) return true;  // the signature has no such byte
