@@ -59,8 +59,7 @@ const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std:
 
 /// Returns the known difference between clocks (leap seconds since 1999, or a time zone)
 /// that causes a measured offset, or the measured offset if there is none. The offset is
-/// the difference minus a delay: how much later a cloud is recorded than a pose of the
-/// same time.
+/// the difference minus the delay by which a cloud is recorded later than a pose.
 std::int64_t round_offset(std::int64_t measured_ns) {
     constexpr std::int64_t kMinDelay_ns = -50 * kNsPerMs, kUsualDelay_ns = 100 * kNsPerMs,
                            kMaxDelay_ns = 250 * kNsPerMs;
@@ -70,7 +69,7 @@ std::int64_t round_offset(std::int64_t measured_ns) {
         return n >= least && n <= most;
     };
     // GPS minus UTC is 13 s (1999) to 18 s; TAI minus GPS is 19 s; TAI minus UTC is their
-    // sum. Time zones are whole quarters of an hour.
+    // sum. Time zones are whole quarters of an hour. So is 0, which means one clock.
     const bool are_leap_seconds = is_between(13, 19) || is_between(32, 37);
     const bool is_time_zone = difference_s % 900 == 0;
     const bool is_possible_delay = delay_ns >= kMinDelay_ns && delay_ns <= kMaxDelay_ns;
@@ -78,9 +77,9 @@ std::int64_t round_offset(std::int64_t measured_ns) {
 }
 
 /// Returns true if messages and reference have one clock, because most messages have the
-/// time stamp of a reference message. An example are poses that were computed from
-/// clouds. The measured offset is then a delay. If as many stamps or more are equal after
-/// the offset is subtracted, it is the difference of two clocks.
+/// time stamp of a reference message, such as poses that were computed from clouds. Then
+/// fewer stamps are equal after the measured offset, a delay, is subtracted. If as many
+/// or more are equal, the offset is the difference of two clocks.
 bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
                   std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
@@ -112,11 +111,12 @@ std::vector<ClockRun> split_at_jumps(std::span<const CloudEntry> clouds, LogCloc
         const std::int64_t log_step_ns = cloud.log_ns - before.log_ns;
         if (!can_use_log) return std::abs(step_ns) >= kDay_ns;
         if (std::abs(step_ns - log_step_ns) < kMinJump_ns) return false;
-        // If the time stamps have the more usual step, a message was recorded late. But
-        // time stamps only decrease without a jump if the recording times decrease too.
+        // The steps differ, so the time stamps jump or a message was recorded late. In
+        // the second case, the time stamps have the more usual step. They then only
+        // decrease if the recording times decrease too.
         const bool is_stamp_regular = std::abs(step_ns - period_ns) <= std::abs(log_step_ns - period_ns);
-        const bool is_late = is_stamp_regular && (step_ns > 0 || log_step_ns < 0);
-        return !is_late;
+        const bool is_order_plausible = step_ns > 0 || log_step_ns < 0;
+        return !(is_stamp_regular && is_order_plausible);
     };
     std::vector<ClockRun> runs;
     std::size_t begin = 0;
@@ -128,21 +128,24 @@ std::vector<ClockRun> split_at_jumps(std::span<const CloudEntry> clouds, LogCloc
     return runs;
 }
 
-/// Sets by how much the clouds of each run are ahead of the recorder and the reference.
-/// @param can_use_log  false: the recording times come from a conversion and count as 0,
-/// so that both values are the median time stamp
+/// Sets by how much the clouds of each run are ahead of the recorder (median of time
+/// stamp minus recording time), and by how much more than the messages of the reference
+/// that were recorded at the same time.
+/// @param can_use_log  false: the recording times come from a conversion, so that both
+/// values are the median time stamp
 void measure_runs(std::vector<ClockRun>& runs, LogClock clock, const std::vector<MessageTimes>& reference,
                   bool can_use_log) {
-    const auto ahead_recorder_ns = [&](const CloudEntry& cloud) {
-        return cloud.time_ns(clock) - (can_use_log ? cloud.log_ns : 0);
-    };
+    const auto time_ns = [&](const CloudEntry& cloud) { return cloud.time_ns(clock); };
+    const auto ahead_recorder_ns = [&](const CloudEntry& cloud) { return time_ns(cloud) - cloud.log_ns; };
     const auto ahead_ns = [&](const CloudEntry& cloud) {
-        const MessageTimes* near = can_use_log ? find_nearest(reference, cloud.log_ns) : nullptr;
-        return ahead_recorder_ns(cloud) - (near ? near->stamp_ns - near->log_ns : 0);
+        const MessageTimes* near = find_nearest(reference, cloud.log_ns);
+        const std::int64_t reference_ahead_ns = near ? near->stamp_ns - near->log_ns : 0;
+        return ahead_recorder_ns(cloud) - reference_ahead_ns;
     };
     for (ClockRun& run : runs) {
-        run.ahead_recorder_ns = median_of(run.clouds, ahead_recorder_ns);
-        run.ahead_ns = median_of(run.clouds, ahead_ns);
+        run.ahead_recorder_ns =
+            can_use_log ? median_of(run.clouds, ahead_recorder_ns) : median_of(run.clouds, time_ns);
+        run.ahead_ns = can_use_log ? median_of(run.clouds, ahead_ns) : run.ahead_recorder_ns;
     }
 }
 
@@ -214,18 +217,16 @@ ClockOffset find_drift(OffsetSamples samples) {
     if (n_tenth < kMinMessages) return {};
     const OffsetSamples begin = samples.first(n_tenth), end = samples.last(n_tenth);
     const std::int64_t first_ns = median_offset_ns(begin), last_ns = median_offset_ns(end);
-    const std::int64_t change_ns = std::abs(last_ns - first_ns);
     const bool is_last_larger = std::abs(last_ns) > std::abs(first_ns);
-    // If the larger offset is not a delay, already a small change is a drift.
-    const bool has_other_clock = are_ahead(is_last_larger ? end : begin);
-    // At an even drift, the median of all messages is the mean of first and last. If
-    // messages are late for a while, it is near one of them. Limit:
-    // |median - (first + last) / 2| < change / 4.
-    const bool is_even = 2 * std::abs(2 * median_offset_ns(samples) - first_ns - last_ns) < change_ns;
-    const bool is_drift =
-        has_other_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns;
-    if (!is_drift) return {};
-    return {.offset_ns = is_last_larger ? last_ns : first_ns, .drift_ns = last_ns - first_ns};
+    const ClockOffset drift{.offset_ns = is_last_larger ? last_ns : first_ns, .drift_ns = last_ns - first_ns};
+    const std::int64_t change_ns = std::abs(drift.drift_ns);
+    // Messages ahead of the recorder are not late, so already a small change is a drift.
+    if (are_ahead(is_last_larger ? end : begin)) return change_ns >= kMinDrift_ns ? drift : ClockOffset{};
+    // At an even drift, the median of all messages is the mean of first and last: it
+    // differs by less than a quarter of the change. If messages are late, it is near one.
+    const std::int64_t twice_difference_ns = std::abs(2 * median_offset_ns(samples) - first_ns - last_ns);
+    const bool is_even = 2 * twice_difference_ns < change_ns;
+    return is_even && change_ns >= kLeastOffset_ns ? drift : ClockOffset{};
 }
 
 /// Returns the median offset if it is large and steady, which means that the middle 80 %
@@ -266,18 +267,18 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     if (samples.size() < kMinMessages || is_converted(messages)) return {};
     if (std::abs(median_offset_ns(samples)) > kMostOffset_ns) return {};
     ClockOffset offset = find_drift(samples);
-    if (const std::optional<ClockOffset> steady = find_steady_offset(samples)) {
+    const bool has_drift = offset.drift_ns != 0;
+    const std::optional<ClockOffset> steady = find_steady_offset(samples);
+    if (!steady && !has_drift) return {};
+    if (steady) {
         offset.offset_ns = steady->offset_ns;
         offset.is_clear = steady->is_clear;
-    } else if (offset.drift_ns == 0) {
-        return {};
     }
+    if (!share_stamps(messages, reference, offset.offset_ns)) return offset;
     // Equal time stamps show one clock, so a drift is a growing delay, unless messages
     // are ahead of the recorder. Any other offset is uncertain.
-    if (share_stamps(messages, reference, offset.offset_ns)) {
-        if (offset.drift_ns != 0 && !are_ahead(samples)) return {};
-        offset.is_clear = false;
-    }
+    if (has_drift && !are_ahead(samples)) return {};
+    offset.is_clear = false;
     return offset;
 }
 
