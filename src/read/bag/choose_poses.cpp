@@ -77,8 +77,7 @@ PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tre
     return source;
 }
 
-/// Returns the source that the user requests: a parent frame of the sensor, or a pose
-/// topic.
+/// Returns the source that the user requests: a parent of the sensor, or a pose topic.
 PoseSource find_source(const BagRecording& bag, const BagIndex& index,
                        const std::vector<std::string>& frame_path_to_root,
                        const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
@@ -150,11 +149,12 @@ void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
     const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
     if (offset.offset_ns == 0) return;
     ChosenPoses corrected = choice;
+    // The clouds' clock is ahead by the offset, so the stamps of poses are smaller.
     set_path(corrected, index, source, choice.zero_ns - offset.offset_ns);
-    const std::size_t n = count_posed(clouds, choice), n_corrected = count_posed(clouds, corrected);
+    const std::size_t n_posed = count_posed(clouds, choice), n_corrected = count_posed(clouds, corrected);
     // If poses are only late, the correction cannot give a pose to more clouds.
     constexpr std::size_t kMinExtraClouds = 2;
-    const bool is_better = n_corrected > n + kMinExtraClouds || n_corrected == clouds.clouds.size();
+    const bool is_better = n_corrected > n_posed + kMinExtraClouds || n_corrected == clouds.clouds.size();
     const bool is_corrected = offset.is_clear && is_better;
     if (is_corrected) choice = std::move(corrected);
     choice.clock_note =
@@ -239,7 +239,18 @@ FittedHeading fit_heading(const PlacePairs& pairs) {
         residual += std::norm(p[i] - std::polar(1.0, heading_rad) * w[i]);
     }
     const double n = std::max(1.0, double(w.size()));
-    return {heading_rad, std::sqrt(spread / n), std::sqrt(residual / n)};
+    return {
+        .heading_rad = heading_rad, .spread_m = std::sqrt(spread / n), .residual_m = std::sqrt(residual / n)};
+}
+
+/// Changes to the recording times, with a note, if the clouds or the poses have no time
+/// stamps, because they can then only be compared by these.
+void select_clock(ChosenPoses& choice, bool has_cloud_stamps, bool lacks_pose_stamps) {
+    if (has_cloud_stamps && !lacks_pose_stamps) return;
+    choice.clock = LogClock::recorder;
+    choice.notes.push_back(
+        fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
+                    has_cloud_stamps ? "poses" : "clouds"));
 }
 
 }  // namespace
@@ -252,16 +263,11 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     if (requested_frame_or_topic.empty()) source = select_source(bag, index, frame_chain, choice.notes);
     else source = find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
 
-    // Messages without time stamps can only be compared by their recording times.
+    // Selects the clock, then corrects damaged times, because the first becomes 0 s.
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
     const std::vector<MessageTimes> pose_times = poses ? list_times(*poses) : std::vector<MessageTimes>{};
-    const bool has_stamps = !list_times(main_lidar_clouds.clouds).empty();
-    if (!has_stamps || (poses && pose_times.empty())) {
-        choice.clock = LogClock::recorder;
-        choice.notes.push_back(
-            fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
-                        has_stamps ? "poses" : "clouds"));
-    }
+    const bool has_cloud_stamps = !list_times(main_lidar_clouds.clouds).empty();
+    select_clock(choice, has_cloud_stamps, /*lacks_pose_stamps=*/poses && pose_times.empty());
     const std::string jumps_note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock, pose_times);
     if (!jumps_note.empty()) choice.notes.push_back(jumps_note);
 
@@ -271,6 +277,7 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.world = source->world;
     choice.vehicle = source->vehicle;
     choice.description = source->description;
+    // Sets the poses on this clock. If theirs differs, shifts them or changes the clock.
     set_path(choice, index, *source, choice.zero_ns);
     correct_pose_clock(choice, index, main_lidar_clouds, *source);
     try_recorder_clock(choice, index, main_lidar_clouds, *source);
@@ -280,6 +287,7 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
 FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames) {
     if (!has_proj())
         return {{}, "positions on the earth are not read, because relidar was built without PROJ"};
+    // Compares positions in a plane that touches the earth at the first fix.
     const GeodeticPosition first = fixes.samples.front().position;
     const std::string crs = local_tangent_crs(first);
     const GeoConverter plane(Georeference{.position = first, .crs = crs});
@@ -291,6 +299,7 @@ FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const Fra
                 fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
                             "{:.2f} m from the path",
                             pairs.world_m.size(), fit.spread_m, fit.residual_m)};
+    // The fit maps the mean position in the world to that in the plane.
     return {Georeference{.position = plane.to_geodetic(mean_position(pairs.plane_m)),
                          .point_m = mean_position(pairs.world_m),
                          .crs = crs,
