@@ -137,8 +137,7 @@ private:
         return survey_.clouds.back();
     }
 
-    /// Reads the angle correction files next to the recording, when the first packet
-    /// arrives.
+    /// Reads the angle correction files next to the recording, once.
     const std::vector<packets::AngleCorrection>& read_corrections() {
         if (corrections_) return *corrections_;
         corrections_.emplace();  // a file with an error is read only once
@@ -148,8 +147,7 @@ private:
         return *corrections_;
     }
 
-    /// Adds the packets of a message. Postpones Ouster packets without known metadata to
-    /// the second pass.
+    /// Adds the packets of a message. Postpones Ouster packets without metadata.
     void index_packets(const BagTopic& topic, const BagMessage& message) {
         const auto [frame, views] = packets::read_packets(topic, message.bytes, message.log_ns);
         if (views.empty()) return;
@@ -218,8 +216,7 @@ private:
         fixes.samples.push_back({{fix.header.stamp_ns, message.log_ns}, fix.position});
     }
 
-    /// Counts the boxes of a message. Stores its position, because the boxes are read
-    /// later.
+    /// Counts the boxes of a message. Stores its position to read the boxes later.
     void index_boxes(const BagTopic& topic, const BagMessage& message) {
         const BoxListMessage list = read_boxes(topic, message.bytes);
         BoxTopic& boxes = find_entry(survey_.boxes, message.topic);
@@ -253,19 +250,20 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& index) {
     const auto has_parent = [&](const std::string& frame) {
         return index.frames.path_to_root(frame).size() > 1;
     };
-    const bool is_alone = std::ranges::count_if(index.clouds, is_ouster) == 1;
+    const bool is_only_ouster = std::ranges::count_if(index.clouds, is_ouster) == 1;
     for (CloudTopic& clouds : index.clouds) {
         if (!is_ouster(clouds)) continue;
-        // The prefix of the frames is the namespace of the topic, without the first
-        // slash. A single Ouster may have none.
+        // The driver prefixes its frames with the namespace of the topic: "os1/os_lidar"
+        // for "/os1/lidar_packets". A driver of a single Ouster may use no prefix.
         const std::string& topic_name = bag.topics()[clouds.topic].name;
         std::string prefix = topic_name.substr(0, topic_name.rfind('/') + 1);
         if (prefix.starts_with('/')) prefix.erase(0, 1);
-        std::vector<std::string> lidar_frames{prefix + "os_lidar"};
-        clouds.driver_frames = {prefix + "os_lidar", prefix + "os_sensor"};
-        if (is_alone) {
-            lidar_frames.emplace_back("os_lidar");
-            clouds.driver_frames.insert(clouds.driver_frames.end(), {"os_lidar", "os_sensor"});
+        std::vector<std::string> prefixes{prefix};
+        if (is_only_ouster) prefixes.emplace_back();
+        std::vector<std::string> lidar_frames;
+        for (const std::string& each : prefixes) {
+            lidar_frames.push_back(each + "os_lidar");
+            clouds.driver_frames.insert(clouds.driver_frames.end(), {each + "os_lidar", each + "os_sensor"});
         }
         const auto lidar_frame = std::ranges::find_if(lidar_frames, has_parent);
         if (has_parent(clouds.frame) || lidar_frame == lidar_frames.end()) continue;
@@ -283,15 +281,15 @@ void move_clouds(CloudTopic& from, CloudTopic& to) {
     std::ranges::move(std::exchange(from.clouds, {}), std::back_inserter(to.clouds));
 }
 
-/// Joins the entries of a topic (one per frame or LiDAR number of its clouds) if they
-/// belong to one LiDAR. The clouds of several LiDARs alternate. If the frame changes only
-/// once, or only a few clouds have another frame, all clouds are from one LiDAR.
+/// Joins the entries of a topic (one per frame or LiDAR number of its clouds) that belong
+/// to one LiDAR. An entry is a LiDAR of its own if it has many clouds that alternate with
+/// those of the largest entry. Otherwise the frame has changed once, or for a few clouds.
 void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
-    constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
+    constexpr double kLeastShare = 0.25;  // of the clouds of the largest entry
     std::vector<CloudTopic*> entries;
     for (CloudTopic& clouds : all)
         if (clouds.topic == topic) entries.push_back(&clouds);
-    if (entries.size() == 1) entries[0]->lidar.clear();
+    if (entries.size() == 1) entries[0]->lidar.clear();  // a single LiDAR needs no name
     if (entries.size() < 2) return;
 
     const auto n_clouds = [](const CloudTopic* entry) { return entry->clouds.size(); };
@@ -305,12 +303,13 @@ void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
         const bool is_large = double(n_clouds(entry)) >= kLeastShare * double(n_clouds(&largest));
         if (entry == &largest || (alternates && is_large)) lidars.push_back(entry);
     }
-    // More frames than real LiDARs are no LiDARs.
-    const bool is_one_lidar = lidars.size() == 1 || std::ssize(entries) > kMostLidarsOnTopic;
-    if (is_one_lidar) {
+    // So many entries cannot be real LiDARs. Then their names are wrong.
+    const bool has_too_many = std::ssize(entries) > kMostLidarsOnTopic;
+    if (lidars.size() == 1 || has_too_many) {
         lidars = {entries[0]};
         entries[0]->lidar.clear();
     }
+    // The first LiDAR gets all clouds of the entries that are not a LiDAR.
     for (CloudTopic* entry : entries)
         if (std::ranges::find(lidars, entry) == lidars.end()) move_clouds(*entry, *lidars[0]);
     std::ranges::stable_sort(lidars[0]->clouds, {}, &CloudEntry::message_position);
@@ -338,8 +337,7 @@ void join_parts(CloudTopic& cloud_topic) {
     }
 }
 
-/// Adds each revolution of the packets of a topic as a cloud. Its number of points is
-/// unknown.
+/// Adds each revolution of packets as a cloud. Its number of points is unknown.
 void add_revolutions(CloudTopic& clouds) {
     clouds.packets.finish();
     for (std::size_t r = 0; r < clouds.packets.revolutions().size(); ++r) {
@@ -376,6 +374,7 @@ BagIndex index_bag(BagRecording& bag, const Progress& progress) {
     BagIndex index;
     BagIndexer(bag, index).index_messages(progress);
     for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries(index.clouds, t);
+    // A topic has either packets or clouds, which may be parts of a revolution.
     for (CloudTopic& clouds : index.clouds) {
         add_revolutions(clouds);
         join_parts(clouds);

@@ -140,8 +140,7 @@ struct CloudEntry : MessageTimes {
     std::size_t revolution_index = 0;    ///< index in packets.revolutions(), for a topic of packets
     /// Clouds from which this cloud was composed. Empty for a recorded full revolution.
     std::vector<CloudEntry> parts = {};
-    /// Time stamp in the message minus `stamp_ns`, if the clock of the LiDAR was set
-    /// during the recording.
+    /// Time stamp in the message minus `stamp_ns`, if the LiDAR's clock was set.
     std::int64_t correction_ns = 0;
 };
 
@@ -167,13 +166,11 @@ struct CloudTopic {
     /// For Ouster packets: frames of the clouds that Ouster's driver computes from them
     std::vector<std::string> driver_frames;
     std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
-    /// Clouds with points, in the order of the recording. Parts of a revolution are
-    /// joined.
+    /// Clouds with points, in recorded order. Parts of a revolution are joined.
     std::vector<CloudEntry> clouds;
     std::string parts_note;  ///< text about the joined clouds; empty if no clouds are joined
     std::size_t n_empty = 0;
-    /// Packets, if the topic has these instead of clouds. Each revolution becomes one
-    /// scan.
+    /// Packets, if the topic has these. Each revolution becomes one scan.
     packets::PacketIndex packets;
 
     bool has_field(read::PointAttribute attribute) const;
