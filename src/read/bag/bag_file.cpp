@@ -167,10 +167,10 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
             message.message_position.file = std::uint32_t(file_index);
             const std::int64_t stored_ns = message.log_ns;
             const bool is_possible = stored_ns >= 0 && stored_ns <= kMaxRosTime_ns;
-            // The time of the previous message replaces an impossible one.
+            // The time of the previous message of any topic replaces an impossible one.
             if (!is_possible) message.log_ns = previous_ns;
             previous_ns = message.log_ns;
-            const bool is_requested = filter(topic);
+            const bool is_requested = filter(topic);  // others are only counted
             if (is_requested && !is_possible && noted_topics.insert(message.topic).second)
                 add_note_once(
                     fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "

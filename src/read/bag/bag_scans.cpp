@@ -53,8 +53,7 @@ std::string BagScans::frame_name(std::size_t frame) const {
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
-/// Reads the points of a frame. If a revolution was recorded as several clouds, reads and
-/// joins all of them.
+/// Reads the points of a frame. Joins the clouds of a revolution that has several.
 LidarPoints BagScans::read_points(std::size_t frame) const {
     const CloudEntry& revolution = clouds_[frame].entry;
     if (revolution.parts.empty()) return read_cloud_points(frame, revolution);
@@ -100,13 +99,14 @@ LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& clo
     if (units.time_reference == read::PointTimeReference::none)
         table.remove_fields(read::PointAttribute::time);
 
-    // Times of the cloud and the frame on the clock of the log. They differ for a part of
-    // a revolution, and for LiDARs other than the main LiDAR.
+    // Times of the frame and the cloud in the log. They differ for a part of a revolution
+    // (by the time between their stamps), and for LiDARs other than the main LiDAR.
     const double after_revolution_s =
         1e-9 * double(cloud.time_ns(clock_) - frame_cloud.entry.time_ns(clock_));
     const double cloud_s = frame_cloud.cloud_s + after_revolution_s, frame_s = frame_cloud.time_s;
-    // Time of the frame on the clock of the point times. convert_table() subtracts it:
-    // from offsets as `time_zero`, from absolute times as the time of the frame.
+    // The same two times on the clock of the point times, where the cloud has its stamp.
+    // convert_table() subtracts the time of the frame: from offsets as `time_zero`, from
+    // absolute times as its third argument.
     const double frame_on_point_clock_s = frame_s - cloud_s + stamp_on_point_clock_s(units, cloud, table);
     const bool are_offsets = units.time_reference == read::PointTimeReference::stamp;
     const read::PointFileUnits point_units{
@@ -121,12 +121,12 @@ LidarPoints BagScans::read_cloud_points(std::size_t frame, const CloudEntry& clo
         .time_zero = are_offsets ? frame_on_point_clock_s / units.time_unit_s : 0.0};
     LidarPoints points = read::convert_table(table, point_units, frame_on_point_clock_s, frame_name(frame));
 
-    // The driver has compensated the motion to the time of the cloud, with these poses.
     if (!deskewed_by_) return points;
-    const Pose world_from_cloud = deskewed_by_(frame_cloud.lidar, cloud_s);
+    // The driver has moved the points to the pose of the LiDAR at the time of the cloud.
+    const auto world_from_lidar = [&](double time_s) { return deskewed_by_(frame_cloud.lidar, time_s); };
+    const Pose world_from_cloud = world_from_lidar(cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
-        const Pose world_from_firing =
-            deskewed_by_(frame_cloud.lidar, frame_s + double(points.time_offset_s[i]));
+        const Pose world_from_firing = world_from_lidar(frame_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.position_m[i])));
     }
@@ -140,7 +140,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
     const CloudTopic& clouds = *lidar.clouds;
     const BagTopic& topic = bag_.topics()[clouds.topic];
     const packets::PacketRevolution& revolution =
-        clouds.packets.revolutions()[frame_cloud.entry.revolution_index];
+        clouds.packets.revolutions()[frame_cloud.entry.revolution_index];  // one for each cloud
     std::vector<SharedBytes> messages;  // must stay in memory, because packets are views of them
     std::vector<std::vector<packets::ReceivedPacket>> packets_of_message;
     for (const auto& source : clouds.packets.messages_of(revolution)) {
@@ -148,10 +148,11 @@ Scan BagScans::read_rays(std::size_t frame) const {
         packets_of_message.push_back(
             packets::read_packets(topic, messages.back().bytes, source.log_ns).packets);
     }
-    // The times differ if the frame has the time of another LiDAR.
+    // The time of the revolution is that at which the head faces forward. The time of the
+    // frame differs if it is that of another LiDAR.
     const auto frame_after_cloud_ns = std::llround(1e9 * (frame_cloud.time_s - frame_cloud.cloud_s));
-    return clouds.packets.decode(revolution, packets_of_message, lidar.sensor,
-                                 revolution.forward_ns + frame_after_cloud_ns);
+    const std::int64_t frame_ns = revolution.forward_ns + frame_after_cloud_ns;
+    return clouds.packets.decode(revolution, packets_of_message, lidar.sensor, frame_ns);
 }
 
 LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {

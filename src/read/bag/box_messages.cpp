@@ -45,8 +45,7 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
     {false, true, true, true},    // newer version for ROS 1
 };
 
-/// Reads the classification results of a detection. Returns the class with the highest
-/// score.
+/// Reads the classes of a detection. Returns the one with the highest score.
 std::string read_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
     // bytes of the score and the pose with its covariance, without the class
     constexpr std::size_t kLeastResult = 8 * (1 + kPoseDoubles + kCovarianceDoubles);
@@ -67,8 +66,7 @@ std::string read_best_class(MessageReader& reader, const DetectionMessageLayout&
     return best;
 }
 
-/// Reads the message as one version of vision_msgs. Throws if it does not end where this
-/// version ends.
+/// Reads the message as one version of vision_msgs. Throws if its length differs.
 BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastDetection = 8 * 10;  // bytes of the pose and the size of the box
     BoxListMessage list{read_header(reader), {}, 0};
@@ -79,8 +77,8 @@ BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout
         box.category = read_best_class(reader, layout);
         const PoseComponents pose = read_pose(reader);
         box.size_m = read_vector3(reader);
-        // Also skips is_dense, the last field of source_cloud, because read_ros_cloud()
-        // does not read it.
+        // Also skips is_dense, the last field of source_cloud, which read_ros_cloud()
+        // does not read.
         if (layout.has_cloud) {
             read_ros_cloud(reader);
             reader.read_number<std::uint8_t>();
@@ -160,8 +158,7 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     }
     box.size_m = read_vector3(reader);
     if (type != kPolygonShape || n == 0) return;
-    // The box has its centre in the middle of the polygon, which is in the object's
-    // frame.
+    // The centre of the box is the middle of the polygon, in the object's frame.
     const glm::dvec2 middle = 0.5 * (least + most);
     const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);  // w, x, y, z
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);

@@ -53,27 +53,28 @@ constexpr PacketDriver kPacketDrivers[] = {
 void explain_topic(const BagRecording& bag, const BagIndex& index, std::size_t topic_index,
                    std::vector<std::string>& reasons) {
     const BagTopic& topic = bag.topics()[topic_index];
-    const TopicStatistics& facts = index.facts[topic_index];
+    const TopicStatistics& counts = index.facts[topic_index];
     const std::string name = quote(topic.name);
     for (const PacketDriver& packet_driver : kPacketDrivers)
         if (topic.type.starts_with(packet_driver.package))
             reasons.push_back(fmt::format(
                 "{}: found packets that relidar cannot decode; convert them to point clouds with {}", name,
                 packet_driver.driver));
+    // The messages were read, but gave no revolution of packets, or only empty clouds.
     const auto clouds = std::ranges::find(index.clouds, topic_index, &CloudTopic::topic);
-    const bool is_empty = clouds != index.clouds.end() && clouds->clouds.empty();
-    if (is_empty && !clouds->packets.empty())
+    const bool has_no_clouds = clouds != index.clouds.end() && clouds->clouds.empty();
+    if (has_no_clouds && !clouds->packets.empty())
         reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
                                       clouds->packets.size(), clouds->packets.describe_product(),
                                       clouds->packets.describe_faults()));
-    else if (is_empty && clouds->n_empty > 0)
+    else if (has_no_clouds && clouds->n_empty > 0)
         reasons.push_back(fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
-    if (facts.n == 0 && find_purpose(topic) == MessagePurpose::cloud)
+    if (counts.n == 0 && find_purpose(topic) == MessagePurpose::cloud)
         reasons.push_back(fmt::format("topic {} contains no messages", name));
-    if (facts.n_broken > 0) reasons.push_back(fmt::format("{}: {}", name, facts.broken));
+    if (counts.n_broken > 0) reasons.push_back(fmt::format("{}: {}", name, counts.broken));
     if (topic.type == packets::kOtherDatagrams)
         reasons.push_back(fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets",
-                                      name, facts.n));
+                                      name, counts.n));
 }
 
 /// Returns the end of the error message for a bag without clouds. The text explains why
@@ -111,8 +112,7 @@ bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
     return !is_world_frame(cloud_topic.frame) && !is_vehicle_frame(cloud_topic.frame);
 }
 
-/// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
-/// frame.
+/// Throws if clouds are in a world-fixed frame. Adds a note for the vehicle frame.
 void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds,
                        std::vector<std::string>& notes) {
     if (is_world_frame(clouds.frame))

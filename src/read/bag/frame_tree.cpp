@@ -31,8 +31,7 @@ void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples
     std::int64_t last_ns = 0;
     for (const StampedPose* sample : sorted) {
         const std::int64_t time_ns = sample->time_ns(clock);
-        // Interpolation needs increasing times, so only the first of several equal times
-        // is used.
+        // Interpolation needs increasing times, so only the first of equal times is used.
         if (!track.time_s.empty() && time_ns == last_ns) continue;
         last_ns = time_ns;
         track.time_s.push_back(1e-9 * double(time_ns - origin_ns));

@@ -46,8 +46,7 @@ public:
     }
 
     /// Groups the clouds to frames, adds LiDARs and poses, then reads the scans of the
-    /// frames. Corrects rays with the poses between frames last, because this needs the
-    /// scans.
+    /// frames. Corrects rays with the poses between frames last.
     Log load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.points_frame() == "sensor at the stamp";
@@ -123,8 +122,7 @@ private:
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size() && has_poses_; ++t) {
             const BagTopic& topic = bag_.topics()[t];
-            // The description ends with the name of the topic if the poses are from a
-            // pose topic.
+            // The description ends with the name of the topic if there is one.
             if (find_purpose(topic) == MessagePurpose::transforms ||
                 poses_.description.ends_with(" " + topic.name))
                 used[t] = true;
@@ -273,8 +271,7 @@ private:
         }
     }
 
-    /// The frame of a single LiDAR is the vehicle frame. Several LiDARs have poses on the
-    /// vehicle.
+    /// A single LiDAR is the vehicle frame. Several have poses on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -322,8 +319,7 @@ private:
     }
 
     /// Reads vehicle poses from a file of the user, which lists them by frame number or
-    /// by time. Uses another clock if the file covers the times of the frames only on
-    /// that clock.
+    /// by time. Uses another clock if the file covers the frames only on that clock.
     std::vector<Pose> read_user_poses() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<read::LogFrame> frames;
@@ -396,8 +392,7 @@ private:
         return &*std::ranges::max_element(survey_.fixes, {}, count);
     }
 
-    /// Adds the frames with their vehicle poses, then the boxes and the place on the
-    /// earth.
+    /// Adds the frames with their vehicle poses, the boxes and the place on the earth.
     void add_frames() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();

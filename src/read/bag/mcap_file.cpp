@@ -71,8 +71,7 @@ SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     return records;
 }
 
-/// An MCAP file. Each message belongs to a channel (topic), and each channel to a schema
-/// (message type).
+/// An MCAP file. A message has a channel (topic), which has a schema (message type).
 class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {

@@ -53,8 +53,7 @@ CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     return field;
 }
 
-/// Throws if the fields, rows or data of a cloud do not fit together, because readers
-/// rely on these sizes.
+/// Throws if the fields, rows or data of a cloud do not fit together.
 void check_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
@@ -267,21 +266,18 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
     if (topic.encoding == "protobuf") return read_foxglove_tf(message_bytes);
     MessageReader reader(topic, message_bytes);
     TransformListMessage list;
+    // Three forms: a list of transforms with child frames, one such transform (also at
+    // the start of a nav_msgs/Odometry), or a pose whose message does not name the child.
     const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
-    // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
     const bool has_child =
         is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
-    if (has_child) {
-        constexpr std::size_t kLeastTransform = 72;  // bytes of a transform without its names
-        const std::size_t n = is_list ? reader.read_length(kLeastTransform) : 1;
-        for (std::size_t i = 0; i < n; ++i) {
-            TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
-            if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-            list.add_valid_transform(std::move(transform), read_pose(reader));
-        }
-    } else {
-        const MessageHeader header = read_header(reader);
-        list.add_valid_transform({header, "", {}}, read_pose(reader));
+    constexpr std::size_t kLeastTransform = 72;  // bytes of a transform without its names
+    const std::size_t n = is_list ? reader.read_length(kLeastTransform) : 1;
+    for (std::size_t i = 0; i < n; ++i) {
+        TransformMessage transform{.header = read_header(reader), .child = {}, .parent_from_child = {}};
+        if (has_child) transform.child = reader.read_string();
+        if (transform.child.starts_with('/')) transform.child.erase(0, 1);
+        list.add_valid_transform(std::move(transform), read_pose(reader));
     }
     return list;
 }

@@ -53,8 +53,7 @@ struct IpPacket {
 
 /// Returns the UDP packet or fragment in an IPv4 packet (RFC 791). Bytes of the header:
 /// 0: its length in 4 bytes (low 4 bits), 2: length of the packet, 4: identification of
-/// the datagram, 6: flags and offset of the fragment, 9: protocol, 12: sender, 16:
-/// receiver.
+/// the datagram, 6: flags and fragment offset, 9: protocol, 12: sender, 16: receiver.
 std::optional<IpPacket> parse_ipv4(std::string_view packet) {
     constexpr std::size_t kLeastHeader = 20;
     constexpr unsigned kMoreFragments = 0x2000, kOffsetMask = 0x1fff, kBytesPerOffset = 8;
@@ -315,8 +314,7 @@ private:
         append_raw(message_bytes, std::uint32_t(payload_of(datagram).size()));
         message_bytes.append(payload_of(datagram));
     }
-    /// Adds a datagram to the current message of its stream. Emits messages that are
-    /// complete.
+    /// Adds a datagram to the message of its stream. Emits complete messages.
     void add_datagram(CaptureStream& stream, const Datagram& datagram, const ReadCallbacks& callbacks) const {
         if (is_after_pause(stream, stream.n_datagrams, datagram.stamp_ns - stream.log_ns))
             emit_message(stream, callbacks);
@@ -359,8 +357,7 @@ private:
             const auto seconds = std::int64_t(head->ts.tv_sec);
             if (seconds < 0 || seconds > kMaxTime_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // The field tv_usec contains nanoseconds, because libpcap was opened with
-            // this precision.
+            // tv_usec contains nanoseconds: libpcap was opened with this precision.
             const std::int64_t stamp_ns = seconds * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
@@ -383,8 +380,7 @@ private:
     }
 
     /// Adds notes about packets that cannot be decoded, although they have the size of
-    /// Ouster packets. Also notes packets of two sensors that match the same metadata
-    /// file.
+    /// Ouster packets. Also notes two sensors that match the same metadata.
     void report_undecoded(const ReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {

@@ -41,8 +41,7 @@ std::string describe_content(const CloudTopic& cloud_topic) {
                        cloud_topic.median_points(), fmt::join(names, " "));
 }
 
-// The following functions describe topic `t`, or return an empty text if it has other
-// content.
+// The following functions describe topic `t`, or return "" if it has other content.
 
 /// Describes the clouds of all LiDARs of a topic.
 std::string describe_clouds(const BagRecording& bag, const BagIndex& index, std::size_t t) {

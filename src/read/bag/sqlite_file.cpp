@@ -56,12 +56,10 @@ public:
             uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail_with("opening the database");
-        // Protects from a damaged size: no value can be larger than the file, with a
-        // margin of 1 MiB.
+        // Damaged sizes: no value can be larger than the file. 1 MiB is a margin.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
-        // A bag can come from anybody, so its schema must not run functions with side
-        // effects.
+        // A bag of a stranger must not run functions with side effects.
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
     }

@@ -15,8 +15,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kAzimuthSamples = 256, kAzimuthBins = 60;
-// A cloud with a wider azimuth range is a full revolution in which the vehicle blocks
-// some directions.
+// A wider cloud is a full revolution in which the vehicle blocks some directions.
 constexpr double kWidestPart_rad = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
@@ -26,8 +25,7 @@ constexpr double kLeastGap_rad = kPi / 3.0;
 // kMaxStepError * mean step. w is the median width of a cloud, or 2 pi minus this width
 // if that is smaller.
 constexpr double kMinStepAgreement = 0.8, kMaxStepError = 0.4;
-// A part of a revolution is missing if a time step exceeds this multiple of the usual
-// step.
+// A cloud is missing if a time step exceeds this multiple of the usual step.
 constexpr double kMinPauseSteps = 1.6;
 constexpr double kDegreesPerRad = 180.0 / kPi;
 
@@ -112,8 +110,8 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<CloudEntry>&
     const bool are_steps_equal = std::abs(sum_of_steps) >= kMinStepAgreement * double(steps_ns.size());
     if (extent_rad > kWidestPart_rad || !are_steps_equal) return std::nullopt;
     // In a rotating LiDAR, each cloud begins where the previous one ends, so the step is
-    // the width. The angle of a step above half a turn, such as 240 degrees, is that of
-    // the smaller step in the other direction, 120 degrees. So is the width.
+    // the width. A step above half a turn, such as 240 degrees, looks like the smaller
+    // step in the other direction, 120 degrees. So the width is changed in the same way.
     const double width_rad = std::min(extent_rad, 2.0 * kPi - extent_rad);
     const bool are_adjacent = std::abs(step_rad - width_rad) <= kMaxStepError * step_rad;
     if (!are_adjacent || widest_gap_rad(clouds) > kLeastGap_rad) return std::nullopt;
@@ -154,9 +152,8 @@ JoinedRevolutions join_clouds(std::vector<CloudEntry> clouds) {
         const double angle_rad = direction * (double(cloud.arc->middle_rad) - split->cut_rad);
         return angle_rad - 2.0 * kPi * std::floor(angle_rad / (2.0 * kPi));
     };
-    // The rotation only decreases from the last cloud of a revolution to the first of the
-    // next. A revolution also ends if a cloud is missing, seen by a time step that is too
-    // long, because the rotation may increase across such a gap.
+    // The rotation increases until the revolution ends. It may also increase across a gap
+    // in which the next one began, so a time step that is too long ends a revolution too.
     const auto begins_revolution = [&](const CloudEntry& cloud, const CloudEntry& before) {
         const double step_s = 1e-9 * double(cloud.stamp_ns - before.stamp_ns);
         return rotation_rad(cloud) <= rotation_rad(before) || step_s >= kMinPauseSteps * split->step_s;
@@ -166,7 +163,7 @@ JoinedRevolutions join_clouds(std::vector<CloudEntry> clouds) {
         if (k == 0 || begins_revolution(clouds[k], clouds[k - 1])) revolutions.emplace_back();
         revolutions.back().push_back(clouds[k]);
     }
-    // Incomplete revolutions have fewer clouds. The margin is for rounding errors.
+    // Incomplete revolutions have fewer clouds. 0.1 is a margin for rounding.
     const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / split->step_rad + 0.1));
     for (std::vector<CloudEntry>& revolution : revolutions) {
         if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
