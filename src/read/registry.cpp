@@ -88,8 +88,7 @@ bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
     return std::ranges::any_of(list_folder(path), matches);
 }
 
-/// Returns true if a path matches one of the markers of a kind. Markers are separated by
-/// blanks.
+/// Returns true if a path matches one of a kind's markers, which blanks separate.
 bool is_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
@@ -146,8 +145,7 @@ double farthest_return_m(const Log& sequence, int lidar_index) {
     return farthest_m > 0.0f ? std::ceil(double(farthest_m)) : kWithoutReturns_m;
 }
 
-/// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
-/// for the user.
+/// Sets unknown maximum ranges of LiDARs to the largest range in the log, with a note.
 void fill_max_ranges(Log& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -211,7 +209,7 @@ void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_
         fail(
             "{}: none of its {} returns is within the range limits; change dataset.min_range_m or "
             "dataset.max_range_m ({})",
-            sequence.source, all.n_returns, sequence.notes.back().text);
+            sequence.source, all.n_returns, sequence.notes.back().text);  // a note from above
 }
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside
@@ -250,8 +248,7 @@ std::vector<bool> find_kept_lidars(const Log& sequence, const std::vector<std::s
     return is_kept;
 }
 
-/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
-/// that are then unused.
+/// Keeps only the named LiDARs and their frames and poses.
 void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
     const std::vector<bool> is_kept = find_kept_lidars(sequence, lidar_names);
     std::vector<Lidar> remaining_lidars;
@@ -268,7 +265,7 @@ void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
         fail<UsageError>(
             "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
             fmt::join(lidar_names, ", "));
-    PoseTrack track;  // poses at the times of the remaining frames
+    PoseTrack track;  // one pose per time of the remaining frames, which are sorted by time
     for (Frame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
@@ -293,8 +290,7 @@ std::pair<std::string, fs::path> split_dataset(const std::string& dataset) {
 }
 
 /// Returns the kind of a dataset.
-/// @param requested_drive  name of the recording (drive) that the user requested; may be
-/// empty
+/// @param requested_drive  recording (drive) that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& kind_of_path(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_dataset(dataset);

@@ -48,10 +48,8 @@ std::optional<double> rotation_sign_of(const LidarPoints& points) {
     return std::nullopt;
 }
 
-/// Returns the azimuth of each point without jumps at full turns, counted from the start
-/// of the file.
-/// @param rotation_sign  1 if azimuths increase, -1 if they decrease; the result
-/// increases
+/// Returns the azimuth of each point without jumps at full turns. The result increases.
+/// @param rotation_sign  1 if azimuths increase in the file, -1 if they decrease
 std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> unwrapped_rad;
     unwrapped_rad.reserve(points.size());
@@ -62,8 +60,7 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
             continue;
         }
         double step_rad = std::remainder(azimuth_rad - unwrapped_rad.back(), 2.0 * kPi);
-        // Small steps back are noise. A larger step back means that the file continues
-        // with the next turn.
+        // Small steps back are noise. After a larger one, the file continues with a turn.
         if (step_rad < -kRingStepBack_rad) step_rad += 2.0 * kPi;
         unwrapped_rad.push_back(unwrapped_rad.back() + step_rad);
     }
@@ -73,7 +70,7 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
 /// Returns the revolution number of each point, from 0: how often the azimuth has passed
 /// `start_azimuth_rad` before this point. In files that store one ring after another,
 /// this is the number of the ring.
-/// @param azimuths_rad  not empty
+/// @param azimuths_rad  without jumps at full turns, see unwrap_azimuths(); not empty
 std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
     revolution_numbers.reserve(azimuths_rad.size());
@@ -92,9 +89,10 @@ std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, 
 }
 
 /// Returns the median elevation of each ring in radians, or NaN for an empty ring. Uses
-/// only the farther half of the points, because beams start beside the sensor origin.
+/// only the farther half of the points: beams start beside the sensor origin, so
+/// elevations of near points, seen from the origin, are wrong.
 std::vector<double> ring_elevations(const LidarPoints& points, const std::vector<std::uint16_t>& rings) {
-    std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
+    std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range (sort key), elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (rings[i] >= samples_by_ring.size()) samples_by_ring.resize(std::size_t(rings[i]) + 1);
         samples_by_ring[rings[i]].emplace_back(glm::length(points.position_m[i]),
@@ -138,8 +136,7 @@ double find_ring_start_rad(const LidarPoints& points, const std::vector<double>&
     const auto mean_error = [&](double start_rad) {
         const std::vector<std::uint16_t> ring = count_turns(sample_azimuths_rad, start_rad);
         const std::vector<double> errors = ring_errors(sample, ring, ring_elevations(sample, ring));
-        // Unlike the median, the mean increases even if only a few points are in a wrong
-        // ring.
+        // Unlike the median, the mean increases with even a few points in a wrong ring.
         return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
     };
     double least_error = INFINITY, best_rad = 0.0;
@@ -182,19 +179,19 @@ bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>
 }  // namespace
 
 RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
-    // The scan with the most points shows the direction of rotation, and the azimuth at
-    // which rings begin.
+    // In a file of rings, the azimuth makes one turn per ring. The scan with the most
+    // points shows the direction of rotation, and the azimuth at which rings begin.
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
     const std::optional<double> rotation_sign = rotation_sign_of(*fullest);
     if (!rotation_sign) return;
     rotation_sign_ = *rotation_sign;
     const std::vector<double> azimuths_rad = unwrap_azimuths(*fullest, rotation_sign_);
-    const double n_turns = (azimuths_rad.back() - azimuths_rad.front()) / (2.0 * kPi);  // one per ring
-    if (n_turns < double(kFewestRings - 1)) return;
+    const double n_turns = (azimuths_rad.back() - azimuths_rad.front()) / (2.0 * kPi);
+    if (n_turns < double(kFewestRings - 1)) return;  // the last ring can be incomplete
     first_azimuth_rad_ = find_ring_start_rad(*fullest, azimuths_rad);
-    // The scan with the most rings shows their elevations, because it is most likely to
-    // have returns of every beam.
+    // Of all scans, the one with the most rings shows their elevations, because it is
+    // most likely to have returns of every beam.
     for (const LidarPoints& scan : scans) {
         if (rotation_sign_of(scan) != rotation_sign) continue;
         const std::vector<std::uint16_t> ring =

@@ -12,7 +12,8 @@ namespace relidar::read {
 
 class RingOrderDetector {
 public:
-    /// Tests whether the files store their points one ring after another.
+    /// Tests whether the files store their points one ring after another. If so, finds
+    /// the azimuth at which rings begin, and the elevation of each ring.
     /// @param scans  some scans of the LiDAR
     explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
     /// Returns true if the constructor found at least 4 rings that are stored one after

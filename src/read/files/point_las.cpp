@@ -35,8 +35,7 @@ struct LasHeader {
     std::size_t gps_time_offset() const { return is_extended() ? 22 : 20; }
 };
 
-/// Parses the header of a LAS file. Compares the sizes with the file, so that no later
-/// read is beyond its end.
+/// Parses the header of a LAS file. Checks that the file contains all its points.
 LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
         fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());
@@ -50,7 +49,7 @@ LasHeader parse_header(std::string_view bytes, const std::string& where) {
     header.first_point = number_at<std::uint32_t>(bytes, kPointsAt);
     header.point_bytes = number_at<std::uint16_t>(bytes, kRecordAt);
     header.n_points = number_at<std::uint32_t>(bytes, kCountAt);
-    // Since version 1.4, files also have a number of points with 64 bits.
+    // Since version 1.4, files also have a number with 64 bits. One of both can be 0.
     const int minor_version = number_at<std::uint8_t>(bytes, kVersionAt + 1);
     if (minor_version >= 4 && bytes.size() >= kLongHeader)
         header.n_points = std::max(header.n_points, number_at<std::uint64_t>(bytes, kLongCountAt));
@@ -92,7 +91,7 @@ PointTable parse_las(const SharedBytes& file, const std::string& where) {
     for (std::size_t axis = 0; axis < 3; ++axis) coordinates_m[axis].resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const std::string_view point(points + i * header.point_bytes, header.point_bytes);
-        for (std::size_t axis = 0; axis < 3; ++axis)
+        for (std::size_t axis = 0; axis < 3; ++axis)  // a point begins with three integers
             coordinates_m[axis][i] =
                 header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // The return number has 4 bits in new point formats and 3 bits in old ones. A ray

@@ -167,8 +167,7 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t size, c
         length += 2;
         const std::size_t distance = ((control & 31) << 8) + read_byte() + 1;
         if (distance > out.size() || length > size - out.size()) fail_lzf(where);
-        // Copies byte by byte, because the copied bytes may overlap the bytes that this
-        // loop appends.
+        // Copies byte by byte, because the source can overlap the appended bytes.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - distance];
     }
     if (out.size() != size) fail_lzf(where);
@@ -199,7 +198,7 @@ PointTable parse_pcd(const SharedBytes& file, const std::string& where) {
     std::vector<PointField> fields = list_pcd_fields(header, where);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
-    check_point_count(n, where);
+    check_point_count(n, where);  // at least 1
     if (header.data == "ascii") {
         const std::string_view first_line = data.substr(0, data.find('\n'));
         set_empty_counts(fields, split_words(first_line).size(), PointUnit::values, where);

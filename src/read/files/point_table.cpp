@@ -53,7 +53,7 @@ std::optional<FieldMeaning> find_exact_field(std::string_view field_name) {
 }
 
 /// Returns the meaning of a field by its name, or nothing for unknown fields. Ignores
-/// upper case, and prefixes from kNamePrefixes.
+/// upper case, and one or more prefixes such as "scalar_".
 std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     std::string name(trim(field_name));
     std::ranges::transform(name, name.begin(),
@@ -63,8 +63,7 @@ std::optional<FieldMeaning> find_meaning(std::string_view field_name) {
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
             return FieldMeaning{PointAttribute(axis - '0'), 0};
-    // Removes a path such as "cloud/" and the prefixes, unless the complete name is
-    // known.
+    // Removes a path such as "cloud/", and prefixes while the rest is no known name.
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kNamePrefixes)
@@ -92,8 +91,8 @@ ScalarType field_scalar_type(const PointField& field, const std::string& where) 
 }
 
 /// Returns true if a file has the point format of the dataset NCLT. There, the last byte
-/// of a point is the laser number of an HDL-32E. In float32 points, it is the highest
-/// byte of a number.
+/// of a point is the laser number of an HDL-32E, 0 to 31. In float32 points, this byte
+/// has the sign and exponent of a number, so it is 0, or at least 32 for usual numbers.
 bool is_nclt_file(std::string_view bytes) {
     constexpr std::size_t kRecordBytes = 8, kLaserAt = 7, kMaxLasers = 32, kMaxTestedRecords = 1000;
     const std::size_t n = std::min(bytes.size() / kRecordBytes, kMaxTestedRecords);
@@ -220,8 +219,7 @@ std::optional<PointAttribute> find_attribute(std::string_view field_name) {
 }
 
 std::vector<std::string> PointTable::list_fields(PointAttribute attribute) const {
-    // Sort keys: rank of the known name; true if upper and lower case differ from the
-    // known name; name.
+    // Sort keys: rank of the known name; true if the name is spelled differently; name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_)
         if (const auto meaning = find_meaning(name); meaning && meaning->attribute == attribute)

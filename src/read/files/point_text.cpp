@@ -58,7 +58,7 @@ PointField convert_field(const codecs::NpyField& field, const std::string& where
         fail("{}: the field '{}' is big-endian, expected little-endian", where, quote(field.name));
     if (type[1] == 'V' || field.name.empty())
         return {std::string(kPaddingName), 'U', 1, std::size_t(*size) * *count};
-    char kind = 'U';
+    char kind = 'U';  // unsigned integers and truth values
     if (type[1] == 'f') kind = 'F';
     if (type[1] == 'i') kind = 'I';
     return {field.name, kind, std::size_t(*size), *count};

@@ -167,8 +167,7 @@ void set_ray_fields(const NpzArrays& arrays, const ImageContext& image_context, 
     }
 }
 
-/// Returns the rays that the file stores. Uses its directions instead of a fitted sensor,
-/// so that they stay exact.
+/// Returns the rays with the exact directions in the file, instead of a fitted sensor's.
 RayTable make_stored_rays(const NpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
@@ -176,7 +175,7 @@ RayTable make_stored_rays(const NpzArrays& arrays) {
     rays.direction = to_scan_array(arrays.ray_vectors("directions"));
     if (arrays.find_optional("origin")) rays.origin = to_scan_array(arrays.ray_vectors("origin"));
     else rays.origin.assign(rays.direction.size(), glm::vec3(0.0f));
-    rays.time_offset_s.assign(rays.size(), 0.0f);
+    rays.time_offset_s.assign(rays.size(), 0.0f);  // set_ray_fields() reads times
     for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
     return rays;
 }
@@ -222,8 +221,7 @@ std::uint16_t convert_ring(double file_value, const std::string& where) {
 
 Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
                       const ImageContext& context) {
-    // Without ray directions, the rays are those of the sensor, whose row 0 is the
-    // highest.
+    // Without directions, the rays are those of the sensor, whose row 0 is the highest.
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     if (!has_rays && context.lowest_first) reverse_rows(stored_arrays);
     const NpzArrays arrays(where, std::move(stored_arrays));

@@ -13,7 +13,8 @@ namespace {
 constexpr double kFewFilled = 0.3;       // minimum share of rays with a return, if no points were removed
 constexpr double kFewRegular = 0.78;     // minimum share of regular azimuth steps, if no points were removed
 constexpr double kMaxRegularStep = 1.5;  // maximum of a regular step, in median steps
-// Limits of azimuth steps from point to point that count.
+// Azimuth steps from point to point that count. Points of one ray have smaller steps, and
+// gaps between objects have larger ones.
 constexpr double kMinStep_rad = 1e-5, kMaxStep_rad = 0.2;
 
 /// Returns the share of regular azimuth steps between neighbouring points of a ring. A

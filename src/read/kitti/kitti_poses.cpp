@@ -53,8 +53,7 @@ std::vector<double> read_oxts(const fs::path& oxts_file) {
 
 constexpr double kEarthRadius_m = 6378137.0;
 
-/// Returns the scale with which Mercator coordinates are metres at the latitude of a
-/// frame.
+/// Returns the scale with which Mercator coordinates are metres at a frame's latitude.
 double mercator_scale(const std::vector<double>& oxts) { return std::cos(oxts[0] * kPi / 180.0); }
 
 /// Returns the pose of the IMU in one frame. The position is in Mercator coordinates,
@@ -67,8 +66,8 @@ Pose imu_pose(const std::vector<double>& oxts, double scale) {
              height_m}};
 }
 
-/// Reads the first GPS/IMU file (OXTS). It defines the origin and scale of all poses, so
-/// that poses do not depend on the requested frames.
+/// Returns the numbers of the first GPS/IMU file of a drive, see read_oxts(). It defines
+/// the origin and Mercator scale of all poses, whichever frames are requested.
 std::vector<double> read_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (does_path_exist(folder))
@@ -153,8 +152,8 @@ Georeference read_oxts_place(const fs::path& drive) {
     const std::vector<double> oxts = read_first_oxts(drive);
     const double latitude_deg = oxts[0], longitude_deg = oxts[1], height_m = oxts[2];
     const glm::dvec3 origin_m = imu_pose(oxts, mercator_scale(oxts)).translation;
-    // In PROJ's Mercator projection, the scale is 1 at the latitude lat_ts, and x_0 and
-    // y_0 are added to the coordinates.
+    // The world of read_oxts_poses() is Mercator minus origin_m. PROJ adds x_0 and y_0 to
+    // the coordinates, and the scale is 1 at the latitude lat_ts.
     const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
                                                latitude_deg, -origin_m.x, -origin_m.y);
     return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
