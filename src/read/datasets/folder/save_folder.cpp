@@ -30,8 +30,7 @@ Json make_json(const glm::dquat& quaternion) {
     return {quaternion.w, quaternion.x, quaternion.y, quaternion.z};
 }
 
-/// Name of the file with the scanning pattern of a LiDAR. It may be large, so it is not
-/// part of sequence.json.
+/// Name of the file with the pattern of a LiDAR, which is too large for sequence.json.
 std::string sensor_file_name(std::size_t lidar_index) { return fmt::format("sensor_{}.json", lidar_index); }
 
 /// Returns the entry of a LiDAR in sequence.json: its pose on the vehicle, and its beams
@@ -94,8 +93,7 @@ std::string poses_text(const Log& sequence) {
     return text;
 }
 
-/// Returns the text of boxes.json: an entry per box and time, in the world of the
-/// dataset.
+/// Returns the text of boxes.json: an entry per box and time, in the dataset's world.
 std::string boxes_json(const Log& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {

@@ -4,7 +4,6 @@
 // left camera (z forward). The transform cam_T_velo (Tr in calib.txt) converts them to
 // poses of the LiDAR:
 //   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr
-// The world frame is then the frame of the LiDAR in frame 0, with z up.
 #include "read/readers.hpp"
 
 #include <fmt/format.h>
@@ -61,8 +60,7 @@ constexpr int kRawDigits = 10, kOdometryDigits = 6;
 
 }  // namespace
 
-/// Loads a drive of KITTI raw: times, poses from GPS/IMU (OXTS), boxes and scans, which
-/// are not motion-compensated.
+/// Loads a drive of KITTI raw: times, poses from GPS/IMU (OXTS), boxes and scans.
 Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     require_folder(folder, "a KITTI raw drive (velodyne_points/)");
     const fs::path drive = fs::canonical(folder), points = drive / "velodyne_points";

@@ -45,8 +45,8 @@ constexpr MovableClass kMovableClasses[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// Reads an integer from an XML element, or returns `default_value` if the element does
-/// not exist.
+/// Reads an integer from an XML element, or returns `default_value` if the element is
+/// missing or empty.
 /// @throws DataError if the text is not an integer
 int read_int(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
              const std::string& where) {
@@ -59,8 +59,7 @@ int read_int(const pugi::xml_node& object, const char* field_name, std::optional
     return int(*value);
 }
 
-/// Returns null for classes that cannot move. Drive 0004 has labels instead of class
-/// numbers.
+/// Returns null for classes that cannot move. Drive 0004 has labels, but no numbers.
 const MovableClass* find_movable(const pugi::xml_node& object, const std::string& where) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_int(object, "semanticId", {}, where) : 0;
@@ -97,8 +96,7 @@ glm::dmat4 read_transform(const pugi::xml_node& object, const std::string& where
 }
 
 /// Computes the size and the pose of a box from its transform. If the transform contains
-/// a reflection, flips the width axis. The box stays the same, but its rotation becomes
-/// valid.
+/// a reflection, flips the width axis, which makes the rotation of the same box valid.
 void set_box(BoxLabel& label, const glm::dmat4& world_from_unit_box, const std::string& where) {
     glm::dmat3 axes(world_from_unit_box);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
@@ -123,7 +121,6 @@ using LabelsByFrame = std::map<int, BoxLabel>;
 /// one frame (timestamp), or a standing object in a range of frames (timestamp -1). Skips
 /// classes that cannot move.
 /// @param frames  loaded frames, sorted by number; only they get labels
-/// @param where  file and name of the element, for error messages
 void add_object_labels(const pugi::xml_node& object, const std::vector<Frame>& frames,
                        std::map<std::string, LabelsByFrame>& labels_by_track_id, const std::string& where) {
     const MovableClass* movable_class = find_movable(object, where);
@@ -207,8 +204,7 @@ DriveFrames choose_360_drive(const fs::path& folder, const DatasetOptions& optio
 }
 
 /// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
-/// The dataset stores IMU poses, so the calibration of both sensors to camera 0 is
-/// applied.
+/// The dataset has IMU poses, which the calibrations of both sensors to camera 0 convert.
 std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::string& drive_name) {
     const fs::path calibration = dataset_folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
@@ -220,7 +216,7 @@ std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::
 }
 
 /// Returns the pose of a frame. Interpolates a missing pose if its neighbours are at most
-/// five frames (half a second) apart, or if the car stands still.
+/// five frames (half a second) apart, or if the car stands still. Does not extrapolate.
 std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
     constexpr double kMaxStandingMotion_m = 0.2;
@@ -236,8 +232,7 @@ std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int
     return interpolate(pose_before, pose_after, double(frame_number - before) / (after - before));
 }
 
-/// Adds all frames with a pose to the log. Adds notes for the user about interpolated and
-/// missing poses.
+/// Adds all frames with a pose to the log. Notes name interpolated and missing poses.
 void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std::vector<double>& times_s,
                       const std::map<int, Pose>& poses_by_frame) {
     std::vector<int> interpolated, without_pose;

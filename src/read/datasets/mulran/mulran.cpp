@@ -26,8 +26,7 @@ constexpr double kRevolution_s = 0.1;
 constexpr double kNanosecond = 1e-9;
 // maximum gap for interpolation; the dataset has 100 poses per second
 constexpr double kMostGap_s = 0.5;
-// A beam starts a centimetre from the spin axis, which changes the elevation of nearer
-// points.
+// A beam starts beside the spin axis, which changes the elevation of nearer points.
 constexpr double kLeastRange_m = 2.0;
 // With a larger deviation within a beam, the points are not sorted by column or by beam.
 constexpr double kMostSpread_rad = kPi / 180.0;
@@ -200,8 +199,7 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
     if (options.poses_file.empty()) {
         // Corrects the rays with all 100 poses per second, not only those at the frames.
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // `track` has a pose at every requested time, because scans without a pose were
-        // skipped.
+        // Scans without a pose were skipped, so `track` has a pose at each time.
         const auto pose_at = [&](double t_s) { return std::optional(track.pose_at(t_s)); };
         if (std::string note = read::correct_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

@@ -44,8 +44,8 @@ std::vector<fs::path> find_stores(const fs::path& path) {
     fs::path full = fs::absolute(path).lexically_normal();
     if (!full.has_filename()) full = full.parent_path();
     const std::optional<std::string> requested = sequence_name(full);  // no value for a folder of stores
-    // A folder can have the same sequence as files and as folders. Of a store, the other
-    // stores of the sequence have the same form.
+    // A folder can have the same sequence twice: as files and as folders. If `path` is a
+    // store, only stores of its form are used.
     const auto is_requested = [&](const fs::path& entry) {
         return !requested ||
                (sequence_name(entry) == requested && fs::is_directory(entry) == fs::is_directory(full));
@@ -82,7 +82,8 @@ std::pair<std::string, std::string> split_edge(const std::string& key, const std
 }
 
 /// Reads the poses that join two coordinate frames, without the names of the frames. A
-/// fixed edge has one matrix "pose". A moving edge has matrices "poses" with times.
+/// fixed edge has one matrix "pose", which gets the time 0. A moving edge has matrices
+/// "poses" with times.
 PoseGraph::Edge read_edge(const JsonField& field, const NcoreSequence& sequence) {
     PoseGraph::Edge edge;
     edge.is_fixed = field.has_member("pose");

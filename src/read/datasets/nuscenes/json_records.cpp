@@ -85,12 +85,12 @@ void for_each_record(const std::filesystem::path& file, const std::function<void
     std::ifstream in(file, std::ios::binary);
     simdjson::dom::parser parser;
     simdjson::error_code failed = simdjson::SUCCESS;
-    // Appends the file up to the next closing brace, until the text parses as an object.
-    // A brace inside the object is not its end, so the text does not parse there yet.
+    // Reads up to the next closing brace, and appends it to the text of the record until
+    // this parses as an object. After a brace inside the object, it does not parse yet.
     std::string text, part;
     std::size_t n_records = 0;
     while (text.size() < kMaxRecordBytes && std::getline(in, part, '}') && !in.eof()) {
-        text.append(part).push_back('}');
+        text.append(part).push_back('}');  // getline() removed the brace
         simdjson::dom::object object;
         failed = parser.parse(strip_separators(text, name)).get(object);
         if (failed != simdjson::SUCCESS) continue;
@@ -98,7 +98,7 @@ void for_each_record(const std::filesystem::path& file, const std::function<void
         text.clear();
     }
     if (!text.empty()) fail("{}, record {}: {}", name, n_records, simdjson::error_message(failed));
-    // `part` is the text after the last object.
+    // The last part is the text after the last brace of the file, where no object may be.
     if (!trim(part).ends_with(']') || part.find('{') != part.npos)
         fail("{} is truncated, expected an array of objects", name);
 }

@@ -81,7 +81,7 @@ OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, 
     return content;
 }
 
-/// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
+/// Returns the LiDAR poses over time in ONCE's axes (x left, y back), as they are stored.
 PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read::StampedLog& log,
                              bool w_first) {
     PoseTrack track;
@@ -94,12 +94,13 @@ PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read
     return track;
 }
 
-/// Returns the LiDAR poses over time in relidar's axes (x forward, y left). Uses the
-/// order of quaternion numbers with which the vehicle drives forward.
+/// Returns the LiDAR poses over time in relidar's axes (x forward, y left). ONCE's axes
+/// are x left and y back. Uses the order of quaternion numbers with which the vehicle
+/// drives forward.
 PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& log, Notes& notes) {
     const PoseTrack w_last = make_dataset_track(dataset_content.poses, log, false),
                     w_first = make_dataset_track(dataset_content.poses, log, true);
-    // y points back in ONCE, so -y is the share of forward motion, at most 1.
+    // share of forward (-y) motion, at most 1
     const double forward_if_last = -read::driving_direction(w_last).mean.y,
                  forward_if_first = -read::driving_direction(w_first).mean.y;
     const bool is_w_first = forward_if_first > forward_if_last;
@@ -109,6 +110,7 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because only then "
             "the vehicle drives forward");
+    // turns relidar's x by -90 degrees about z, to ONCE's -y
     const Pose once_from_relidar{make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}};
     return mount_track(is_w_first ? w_first : w_last, once_from_relidar);
 }
@@ -122,7 +124,7 @@ read::FileFormat make_once_format(Log& sequence, const std::vector<fs::path>& sc
     format.units.intensity_max = scale.max;
     if (!scale.note.empty()) sequence.notes.push_back(scale.note);
     format.sweep_duration_s = kRevolution_s;
-    format.turned_rad = kAxesTurn_rad;
+    format.turned_rad = kAxesTurn_rad;  // about z, from ONCE's axes to relidar's
     format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
     return format;
 }
