@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads poses.txt and boxes.json of a plain folder. A plain folder is relidar's log
-// format.
+// Reads poses.txt and boxes.json of a plain folder, which is relidar's log format.
 #include <algorithm>
 #include <cmath>
 
@@ -44,8 +43,7 @@ std::vector<std::string_view> split_header(const std::string& line) {
     return split_words(text);
 }
 
-/// Column names are in a comment that contains "qw", or in a line whose first word is not
-/// a number.
+/// A header is a comment that contains "qw", or a line whose first word is no number.
 bool is_header_line(const std::string& line) {
     const std::vector<std::string_view> words = split_header(line);
     if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
@@ -78,7 +76,7 @@ bool is_unit_quaternion(double w, double x, double y, double z) {
 }
 
 /// Parses the numbers of one pose: a time, a position, and a quaternion (8 numbers) or
-/// three angles (7 numbers).
+/// three angles (7 numbers). The messages name only 8 numbers, the documented form.
 /// @param expected_count  number of values in the earlier rows, which all rows must have
 std::vector<double> parse_pose_row(const std::string& line, std::optional<std::size_t> expected_count,
                                    const std::string& place) {
@@ -154,15 +152,15 @@ PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_o
     return track;
 }
 
-/// Adds the inverse poses to a list of possible meanings, because a pose file may contain
-/// sensor-from-world poses.
+/// Adds the inverse poses to a list of meanings, for files with sensor-from-world poses.
 std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) {
     const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k) {
         PoseTrack track = interpretations[k].world_from_vehicle;
         for (Pose& pose : track.pose) pose = inverse(pose);
-        interpretations.push_back(
-            {interpretations[k].name + ", from the world to the sensor", std::move(track), true});
+        interpretations.push_back({.name = interpretations[k].name + ", from the world to the sensor",
+                                   .world_from_vehicle = std::move(track),
+                                   .needs_scans = true});
     }
     return interpretations;
 }
@@ -193,8 +191,7 @@ std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
 }
 
 /// Returns a hint if the poses last about 1000, 10^6 or 10^9 times as long as the frames,
-/// or the reverse. Then one of both files probably has times in another unit. Otherwise
-/// returns an empty string.
+/// or the reverse, because one file then has another unit. Otherwise returns "".
 std::string unit_hint(double pose_span_s, double frame_span_s) {
     // The poses may begin earlier or end later than the frames.
     constexpr double kMaxRelativeDifference = 0.3;
@@ -213,15 +210,14 @@ std::string unit_hint(double pose_span_s, double frame_span_s) {
 }
 
 /// Returns a hint if the poses would cover all frames after a shift by the difference of
-/// two common clocks, for example poses with GPS time and frames with UTC. Otherwise
-/// returns an empty string.
+/// two common clocks, such as GPS time and UTC. Otherwise returns "".
 std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>& frames) {
     // These clocks differ by a constant number of seconds, because only UTC has leap
     // seconds and the others began in different years.
     constexpr std::pair<int, const char*> kDifferences[] = {
         {37, "TAI minus UTC"}, {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}};
     for (const auto& [difference_s, name] : kDifferences)
-        for (const int earlier_s : {difference_s, -difference_s}) {  // poses are moved by this
+        for (const int earlier_s : {difference_s, -difference_s}) {  // subtracted from pose times
             const double begin_s = track.time_s.front() - earlier_s - kMostBeyond_s,
                          end_s = track.time_s.back() - earlier_s + kMostBeyond_s;
             if (frames.front().time_s >= begin_s && frames.back().time_s <= end_s)
@@ -268,8 +264,7 @@ std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogF
     return poses;
 }
 
-/// Adds a note if the poses are much farther apart than the scans. The usual cause is a
-/// wrong unit of their times.
+/// Adds a note if poses are much farther apart than scans, as with a wrong unit of times.
 void note_sparse_poses(const PoseTrack& track, const std::vector<LogFrame>& frames, const std::string& name,
                        Notes& notes) {
     std::vector<double> scan_times_s;  // of one LiDAR, because LiDARs can sweep simultaneously
@@ -285,8 +280,7 @@ void note_sparse_poses(const PoseTrack& track, const std::vector<LogFrame>& fram
                         name, pose_step_s, frame_step_s));
 }
 
-/// Returns the time of a box label: its key "time_s", or the time of the frame whose
-/// number is in its key "frame".
+/// Returns the time of a box label: its key "time_s", or the time of the frame "frame".
 double label_time_s(const JsonField& label, const std::vector<LogFrame>& all_frames) {
     if (label.has_member("time_s")) return label.at("time_s").number_in(-kMaxTrackValue, kMaxTrackValue);
     const std::int64_t number = label.at("frame").integer_in(0, 99999999);
@@ -317,37 +311,37 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all
     label.check_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
     const auto size = label.at("size").numbers<3>();
-    return {label.at("track").short_text(kLongestName),
-            label.at("category").short_text(kLongestName),
-            {size[0], size[1], size[2]},
-            label_time_s(label, all_frames),
-            read_label_pose(label)};
+    return {.id = label.at("track").short_text(kLongestName),
+            .category = label.at("category").short_text(kLongestName),
+            .size_m = {size[0], size[1], size[2]},
+            .time_s = label_time_s(label, all_frames),
+            .world_from_box = read_label_pose(label)};
 }
 
 [[noreturn]] void fail_without_poses(const std::string& file_name) {
     fail("{}: the file has no pose, expected lines of 12 or 8 numbers", file_name);
 }
 
-/// Reads poses with other times than the frames, and interpolates them at the frames.
+/// Reads poses with their own times, and interpolates them at the frames. Pairs of scans
+/// show which meaning of the numbers is correct.
+/// @param read_scan_pairs  empty unless the log is a plain folder (with sequence.json)
 std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const std::string& file_name,
                                    const std::vector<LogFrame>& frames, const ScanPairReader& read_scan_pairs,
                                    Notes& notes) {
     const PoseRows rows = parse_pose_rows(lines, file_name);
     if (rows.rows.empty()) fail_without_poses(file_name);
-    const std::vector<PoseReading> readings = list_conventions(rows);
-    // Only relidar writes the column name time_s. Its numbers have the documented
-    // meaning.
+    const std::vector<PoseReading> readings = list_conventions(rows);  // [0]: the documented one
+    // Only relidar writes the column name time_s. Its files are as documented.
     const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
     const std::size_t chosen = is_certain ? 0 : choose_poses(readings, read_scan_pairs, file_name, notes);
     const PoseTrack& track = readings[chosen].world_from_vehicle;
     note_sparse_poses(track, frames, file_name, notes);
-    // Only plain folders give pairs of scans.
-    const bool is_plain_folder = bool(read_scan_pairs);
-    return poses_at_frames(track, frames, file_name, is_plain_folder);
+    return poses_at_frames(track, frames, file_name, /*is_plain_folder=*/bool(read_scan_pairs));
 }
 
 /// Reads a 3x4 matrix for each frame: line i belongs to frame number i. Inverts the poses
 /// if the vehicle then drives forward and the scans overlap better.
+/// @param read_scan_pairs  reads scans to test the poses; may be empty
 std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
                                     const ScanPairReader& read_scan_pairs, Notes& notes) {
     std::vector<int> numbers;
@@ -357,9 +351,9 @@ std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector
     for (std::size_t i = 0; i < frames.size(); ++i)
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
             track.append(frames[i].time_s, poses[i]);
-    const std::vector<PoseReading> readings = add_inverses({{"matrices", std::move(track)}});
-    const bool is_inverted = choose_poses(readings, read_scan_pairs, pose_file.string(), notes) > 0;
-    if (is_inverted)
+    const std::vector<PoseReading> stored_and_inverse = add_inverses({{"matrices", std::move(track)}});
+    const bool is_inverse = choose_poses(stored_and_inverse, read_scan_pairs, pose_file.string(), notes) == 1;
+    if (is_inverse)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }
