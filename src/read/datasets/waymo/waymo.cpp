@@ -43,8 +43,7 @@ using namespace waymo;
 /// [numbers in Waymo's enum LaserName] Name of each LiDAR; number 0 is unused.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
-/// Lists the .tfrecord files of a folder, or returns the file. Waymo calls a log a
-/// segment.
+/// Lists the .tfrecord files (segments) of a folder, or returns the file.
 std::vector<std::string> list_segments(const fs::path& file_or_folder) {
     std::vector<std::string> files;
     std::error_code failed;
@@ -77,8 +76,7 @@ std::string record_location(const TfRecordReader& records, int record_index) {
     return fmt::format("{}: record {}", records.file_path().string(), record_index);
 }
 
-/// Returns the vehicle pose when a pixel was measured. The pose image stores it as roll,
-/// pitch, yaw, x, y, z.
+/// Returns the vehicle pose at the time of a pixel. Channels: roll, pitch, yaw, x, y, z.
 Pose read_pixel_pose(const InflatedImage& pose_image, std::size_t pixel_index) {
     const float* v = pose_image.pixel_values(pixel_index);
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
@@ -88,8 +86,7 @@ Pose read_pixel_pose(const InflatedImage& pose_image, std::size_t pixel_index) {
 // the pose image: roll, pitch, yaw, x, y, z.
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the image with the vehicle pose of each pixel. Returns nothing if the LiDAR has
-/// no such image.
+/// Reads the image with the vehicle pose of each pixel, which only some LiDARs have.
 std::optional<InflatedImage> read_pose_image(const LaserImages& laser_images,
                                              const InflatedImage& range_image, const std::string& place) {
     if (laser_images.pixel_pose.empty()) return std::nullopt;
@@ -200,8 +197,7 @@ Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& lase
     for (const double elevation : row_elevations_rad(calibration, image.rows, place))
         lidar.sensor.beams.push_back({elevation});
 
-    // Removes the yaw of the mount, because the middle column of every range image faces
-    // the front of the vehicle.
+    // Removes the yaw, because the middle column of an image faces the vehicle's front.
     const glm::dvec3 ahead = calibration.vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose without_yaw{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
     lidar.vehicle_from_sensor = calibration.vehicle_from_laser * without_yaw;
@@ -213,8 +209,7 @@ class RangeImageReader {
 public:
     /// Creates a reader for one LiDAR in one frame.
     /// @param model_rays  rays of the LiDAR without correction for its motion
-    /// @param clamps  if true, intensities are clamped to 1; if false, they are scaled
-    /// with tanh
+    /// @param clamps  true: intensities are clamped to 1; false: scaled with tanh
     RangeImageReader(const Log& sequence, const Frame& frame, RayTable model_rays, std::string place,
                      bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
@@ -411,8 +406,8 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     const DriveFrames segment = choose_segment(path, options);
     const fs::path file = segment.drive;
     const TfRecordReader records(file);
-    // Frame numbers are int. A real segment has about 200 records.
-    const int n_records = int(std::min<std::size_t>(records.size(), 1 << 30));
+    constexpr std::size_t kMaxRecords = 1 << 30;  // frame numbers are int
+    const int n_records = int(std::min(records.size(), kMaxRecords));
     const FrameRange loaded = limit_frames(segment.frames, n_records, segment.drive);
     std::vector<WaymoFrameHeader> headers(std::size_t(loaded.end - loaded.begin));
     progress_for(headers.size(), options.progress, "reading poses", [&](std::size_t index) {
