@@ -22,8 +22,7 @@ struct ShapeHit {
     glm::dvec3 normal{0.0};
 };
 
-/// Intersects a ray with a box around the origin. Returns no hit if the ray
-/// starts inside the box.
+/// Intersects a ray with a box around the origin. A ray from inside has no hit.
 /// @param half_size  half of the edge lengths
 ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, const glm::dvec3& direction) {
     const auto inside = cross_box(origin, direction, -half_size, half_size);
@@ -172,8 +171,7 @@ public:
             StreetHit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
-    /// Intersects the ray with an arm or a leg. Stores the hit if it is the nearest so
-    /// far.
+    /// Intersects the ray with an arm or a leg. Stores the hit if it is the nearest.
     /// @param pitch_rad  swing angle of the limb, from straight down to the front
     /// @param ray_origin,ray_direction  ray in the frame of the box of the person
     void hit_limb(const SwingingLimb& limb, double pitch_rad, const glm::dvec3& ray_origin,
@@ -252,7 +250,7 @@ void StreetCaster::add_actor(MovingStreetActor moving) {
     if (category == "Pedestrian") surface = SurfaceClass::person;
     if (category == "Cyclist") surface = SurfaceClass::cyclist;
     for (StreetShape& shape : moving.shapes) shape.surface = surface;
-    RayCastActor& actor = cars_.emplace_back();
+    RayCastActor& actor = actors_.emplace_back();
     actor.solids = prepare_shapes(moving.shapes);
     actor.moving = std::move(moving);
     for (const RayCastShape& s : actor.solids)
@@ -261,41 +259,41 @@ void StreetCaster::add_actor(MovingStreetActor moving) {
         actor.reach_m = std::max(actor.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
 }
 
-/// Computes the poses of all cars at a time, unless the cache already contains this time.
-void StreetCaster::place_cars(double time_s, ActorPoses& car_pose_cache) const {
-    if (car_pose_cache.time_s == time_s) return;
-    car_pose_cache.time_s = time_s;
-    car_pose_cache.centre_m.clear();
-    car_pose_cache.box_from_world.clear();
-    for (const RayCastActor& car : cars_) {
-        const Pose world_from_box = car.moving.world_from_box_at(time_s);
-        car_pose_cache.centre_m.push_back(world_from_box.translation);
-        car_pose_cache.box_from_world.push_back(inverse(world_from_box));
+/// Computes the poses of all actors, unless `actor_poses` already has those of this time.
+void StreetCaster::place_actors(double time_s, ActorPoses& actor_poses) const {
+    if (actor_poses.time_s == time_s) return;
+    actor_poses.time_s = time_s;
+    actor_poses.centre_m.clear();
+    actor_poses.box_from_world.clear();
+    for (const RayCastActor& actor : actors_) {
+        const Pose world_from_box = actor.moving.world_from_box_at(time_s);
+        actor_poses.centre_m.push_back(world_from_box.translation);
+        actor_poses.box_from_world.push_back(inverse(world_from_box));
     }
 }
 
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
-                                                      ActorPoses& car_pose_cache) const {
+                                                      ActorPoses& actor_poses) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
     for (const Cluster& cluster : clusters_)
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
             for (const RayCastShape& solid : cluster.solids)
                 search.hit_solid(solid, ray.origin_m, ray.direction);
-    place_cars(time_s, car_pose_cache);
-    for (std::size_t i = 0; i < cars_.size(); ++i) {
-        const RayCastActor& car = cars_[i];
-        if (search.can_skip_sphere({car_pose_cache.centre_m[i], car.reach_m}, ray.origin_m, ray.direction))
+    place_actors(time_s, actor_poses);
+    for (std::size_t i = 0; i < actors_.size(); ++i) {
+        const RayCastActor& actor = actors_[i];
+        if (search.can_skip_sphere({actor_poses.centre_m[i], actor.reach_m}, ray.origin_m, ray.direction))
             continue;
         // Moves the ray to the frame of the box, in which the shapes of the actor are.
-        const Pose& box_from_world = car_pose_cache.box_from_world[i];
+        const Pose& box_from_world = actor_poses.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
-        for (const RayCastShape& solid : car.solids) search.hit_solid(solid, origin, direction);
-        if (car.moving.limbs.empty()) continue;
+        for (const RayCastShape& solid : actor.solids) search.hit_solid(solid, origin, direction);
+        if (actor.moving.limbs.empty()) continue;
         // Each stride is one period, in which every limb swings forth and back.
-        const double stride_rad = 2.0 * kPi * car.moving.walked_m(time_s) / car.moving.stride_m;
-        for (const SwingingLimb& limb : car.moving.limbs) {
+        const double stride_rad = 2.0 * kPi * actor.moving.walked_m(time_s) / actor.moving.stride_m;
+        for (const SwingingLimb& limb : actor.moving.limbs) {
             const double angle_rad = limb.swing_rad * std::sin(stride_rad + limb.phase_rad);
             search.hit_limb(limb, angle_rad, origin, direction);
         }
@@ -397,7 +395,8 @@ RayTable make_cone_rays(const RayTable& rays) {
 }
 
 Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays, double max_range_m) {
-    Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
+    Scan scan{
+        .rays = rays, .range_m = ScanArray<float>(rays.size()), .intensity = ScanArray<float>(rays.size())};
     AdditionalReturns& second_returns = scan.second_returns.emplace_back(
         AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {

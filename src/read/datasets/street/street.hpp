@@ -93,12 +93,10 @@ struct ActorPoses {
 class StreetCaster {
 public:
     explicit StreetCaster(SyntheticStreet street);
-    /// Returns the first surface that a ray hits at a time. Returns nothing beyond
-    /// max_range_m.
-    /// @param car_pose_cache  cached poses of the cars; recomputed if their time differs
-    /// from time_s
+    /// Returns the first surface that a ray hits at a time, within max_range_m.
+    /// @param actor_poses  cache of the poses of cars and people, for one time
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
-                                            ActorPoses& car_pose_cache) const;
+                                            ActorPoses& actor_poses) const;
 
 private:
     /// with precomputed values
@@ -121,12 +119,12 @@ private:
     };
     class NearestSurfaceSearch;
     std::vector<Cluster> clusters_;
-    std::vector<RayCastActor> cars_;
+    std::vector<RayCastActor> actors_;
 
     /// Adds a moving actor. Sets the class of its surfaces and its bounding sphere.
     void add_actor(MovingStreetActor moving);
     static std::vector<RayCastShape> prepare_shapes(std::span<const StreetShape> shapes);
-    void place_cars(double time_s, ActorPoses& car_pose_cache) const;
+    void place_actors(double time_s, ActorPoses& actor_poses) const;
 };
 
 inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
@@ -135,8 +133,7 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 /// divergence).
 RayTable make_cone_rays(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in the cone of the beam, as a receiver
-/// does.
+/// Computes two returns per ray, as a receiver does, from the hits in the beam's cone.
 /// - If at most half of the thin rays have hits, the ray is dropped.
 /// - Hits whose ranges differ by less than 0.5 m from the next hit form one return, at
 ///   their mean range, weighted by light.

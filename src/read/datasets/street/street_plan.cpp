@@ -182,7 +182,7 @@ MovingStreetActor make_moving_car(const StreetOptions& options, double x_at_midd
 }
 
 /// Adds a car that drives towards the sensor and is 14 m ahead of it in the middle of the
-/// log. On a long street, the sensor meets one more every 120 m of its path.
+/// log. On a long drive, the sensor meets one more after every 120 m of its path.
 void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2, kFirstAhead_m = 14.0, kFirstPaint = 0.35;
     const auto add_car = [&](double x_at_middle_time_m, double paint_reflectance) {
@@ -191,13 +191,13 @@ void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOpti
     };
     add_car(kFirstAhead_m, kFirstPaint);
     if (driven_m(options) <= kLongDrive_m) return;
-    // The sensor is at x = 0 in the middle of the log, and at x when both vehicles meet.
-    // In between, the sensor drives x, and the car drives x * (its speed / speed of the
-    // sensor) in the other direction.
-    const double start_ratio = 1.0 + kSpeed_mps / options.speed_mps;
+    // In the middle of the log, the sensor is at x = 0. It meets a car at x = meeting_m,
+    // after this time if x > 0. In between, the sensor drives meeting_m, and the car
+    // drives meeting_m * car_ratio in the other direction, so it was this much farther.
+    const double car_ratio = kSpeed_mps / options.speed_mps;
     for (double x = kBetweenCars_m; x < 0.5 * driven_m(options); x += kBetweenCars_m)
         for (const double meeting_m : {x, -x})
-            add_car(meeting_m * start_ratio, random.sample_uniform(0.15, 0.8));
+            add_car(meeting_m * (1.0 + car_ratio), random.sample_uniform(0.15, 0.8));
 }
 
 /// Adds a bush: 60 small cubes, so that most rays pass between its leaves.

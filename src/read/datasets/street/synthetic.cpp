@@ -52,12 +52,12 @@ SpinningSensor make_default_sensor(const StreetOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";
     const double spacing_deg = 28.0 / (options.rows - 1);
-    for (int i = 0; i < options.rows; ++i) {  // the spacing is slightly irregular, as for a real sensor
+    for (int i = 0; i < options.rows; ++i) {  // the sine makes it irregular, as in a real sensor
         const double elevation_deg = 3.0 - spacing_deg * (i + 0.2 * std::sin(2.1 * i));
         sensor.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0});
     }
     sensor.columns = options.columns;
-    sensor.first_azimuth_rad = kPi - kPi / options.columns;
+    sensor.first_azimuth_rad = kPi - kPi / options.columns;  // pi minus half a column
     sensor.max_range_m = kMaxRange_m;
     return sensor;
 }
@@ -74,7 +74,7 @@ double echo_intensity(const StreetHit& hit) {
 }
 
 /// Returns only the shapes that the rays of one sweep can reach. This makes ray casting
-/// faster.
+/// faster. Compares the centres of shapes, so the limits contain their sizes.
 street::SyntheticStreet crop_street(const street::SyntheticStreet& full_street,
                                     const glm::dvec3& sensor_position_m, double time_s) {
     // Upper limit of the distances that the sensor and the cars move during a sweep.

@@ -107,13 +107,14 @@ void save_street(const StreetOptions& options, const fs::path& folder) {
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
+    // Writes "key = value". The last argument, the name of a type, is only for readers.
     visit_street_options(options, [&]<class T>(const char* key, const T& option, const char*) {
-        if constexpr (std::is_same_v<T, std::string>) {
+        if constexpr (std::is_same_v<T, std::string>) {  // a path; empty, its default, is not written
             // An absolute path does not depend on the working folder.
             if (!option.empty()) out << key << " = " << toml::value(fs::absolute(option).string()) << "\n";
         } else if constexpr (std::is_same_v<T, double>)
             out << fmt::format("{} = {}\n", key, number_text(option));
-        else if constexpr (std::is_same_v<T, std::uint64_t>)
+        else if constexpr (std::is_same_v<T, std::uint64_t>)  // TOML has only signed integers
             out << fmt::format("{} = {}\n", key, std::int64_t(option));
         else out << fmt::format("{} = {}\n", key, option);
     });
