@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing angles of an HDL-64E in two steps. The first step fits the tick size of
-// the encoder and the left offset of each beam, so that the azimuths of a beam are close
-// to multiples of the tick size:
-//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
-// The second step fits the azimuth offset of each beam, in full ticks. It maximises the
-// number of ticks at which a beam and other beams have returns.
+// Fits the firing angles of an HDL-64E in two steps: first the left offset of each beam
+// and its azimuth relative to the ticks of the encoder, then its offset in full ticks.
 #include "read/datasets/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -25,7 +21,7 @@ namespace {
 // maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
 // A firing has returns of at least this many beams. Fewer can be stray points.
-constexpr int kMinLasers = 4;
+constexpr int kMinBeamsPerFiring = 4;
 
 struct PolarPoint {
     double azimuth_rad, inverse_rho;  ///< inverse_rho: 1 / distance from the spin axis in metres
@@ -40,8 +36,7 @@ PolarRings collect_polar(const std::vector<const RingScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec3 p(scan->points.position_m[i]);
             const double rho = std::hypot(p.x, p.y);
-            // The files are rounded to a millimetre, so azimuths of near points are
-            // inaccurate.
+            // Files are rounded to a millimetre, so near points have inaccurate azimuths.
             if (rho >= 2.0) polar[scan->points.ring[i]].push_back({std::atan2(p.y, p.x), 1.0 / rho});
         }
     return polar;
@@ -52,8 +47,7 @@ PolarRings collect_polar(const std::vector<const RingScan*>& scans) {
 ///   head = azimuth - left_m / rho.
 /// The result is the mean of exp(2 pi i head / tick) over every `stride`-th point. Its
 /// absolute value (the concentration) is 1 if all heads have the same distance from the
-/// tick before them, and 0 if they are random. Its argument is this distance; 2 pi is a
-/// full tick.
+/// tick before them, and 0 if they are random. Its argument is this distance as an angle.
 std::complex<double> mean_tick_phase(const std::vector<PolarPoint>& points, double tick_rad, double left_m,
                                      std::size_t stride) {
     std::complex<double> sum = 0.0;
@@ -66,36 +60,38 @@ std::complex<double> mean_tick_phase(const std::vector<PolarPoint>& points, doub
     return n > 0 ? sum / double(n) : sum;
 }
 
-/// Model of a beam: azimuth = tick + phase_rad + left_m / distance from the spin axis.
-/// `concentration` is the quality of the fit, 0 to 1.
+/// Model of a beam that starts `left_m` to the left of the spin axis. At a distance rho
+/// from the axis, azimuth = tick + phase_rad + left_m / rho. `concentration` is the
+/// quality of the fit, 0 to 1.
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Improves the model azimuth = k * tick_rad + phase_rad + left_m / rho with integer k:
-/// fits a line over 1 / rho to the errors of the model, which are differences to the
-/// nearest tick.
-void refine_phase(TickGridPhase& phase, const std::vector<PolarPoint>& points, double tick_rad) {
-    std::vector<glm::dvec2> errors;
-    for (const PolarPoint& p : points)
-        errors.emplace_back(
-            p.inverse_rho,
-            std::remainder(p.azimuth_rad - phase.left_m * p.inverse_rho - phase.phase_rad, tick_rad));
-    // Points in the middle between two ticks are outliers. With few points, or at similar
-    // distances, left_m cannot be separated from phase_rad: nothing is changed unless the
-    // standard deviation of 1 / rho is at least 0.01 / m.
-    const read::RobustLine change =
-        read::fit_line(errors, {}, 0.25 * tick_rad, {.min_points = 16, .min_variance = 1e-4});
-    phase.left_m += change.slope;
-    phase.phase_rad += change.at_zero;
+/// Improves the model of a beam that starts left_m to the left of the spin axis:
+///   azimuth = k * tick_rad + phase_rad + left_m / rho,  with an integer k.
+/// The differences between the points and this model are fitted by a line over 1 / rho.
+/// Its slope is the correction of left_m, and its value at 0 that of phase_rad.
+void refine_phase(TickGridPhase& model, const std::vector<PolarPoint>& points, double tick_rad) {
+    std::vector<glm::dvec2> errors;  // 1 / rho, and the difference from the nearest tick
+    for (const PolarPoint& p : points) {
+        const double offset_rad = p.azimuth_rad - model.left_m * p.inverse_rho - model.phase_rad;
+        errors.emplace_back(p.inverse_rho, std::remainder(offset_rad, tick_rad));
+    }
+    // Ignores points in the middle between two ticks. If the points are few or at similar
+    // distances, both values cannot be separated. Then the line is 0 everywhere.
+    constexpr double kMinDeviation = 0.01;  // standard deviation of 1 / rho
+    const read::RobustLine correction = read::fit_line(
+        errors, {}, 0.25 * tick_rad, {.min_points = 16, .min_variance = kMinDeviation * kMinDeviation});
+    model.left_m += correction.slope;
+    model.phase_rad += correction.at_zero;
 }
 
-/// Fits the left offset and the azimuth phase of one beam: searches the offset that fits
-/// the encoder ticks best, and then refines it.
+/// Fits the model of one beam (see TickGridPhase): searches the left offset with the
+/// highest concentration, which is 1 if all azimuths fit the ticks, and then refines it.
 TickGridPhase fit_beam_phase(const std::vector<PolarPoint>& points, double tick_rad) {
     // Real HDL-64Es have offsets of up to 26 mm.
     constexpr int kMaxLeft_mm = 60, kStep_mm = 2;
-    // Below this gain of the concentration, an offset is not certain.
+    // The offset is 0 unless another one raises the concentration by this.
     constexpr double kMinGain = 0.02;
     // About 500 points are enough to compare the offsets.
     const std::size_t stride = std::max<std::size_t>(points.size() / 500, 1);
@@ -119,11 +115,14 @@ struct RingPhases {
     double concentration = 0.0;  ///< mean over the points
 };
 
-/// Fits the phase of every beam to the ticks of an encoder with `n_ticks` per revolution.
+/// Fits the model of every beam to an encoder with `n_ticks` per revolution. Its
+/// concentration shows how well azimuths fit the ticks: 1 if exactly, 0 if at random.
+/// That of the result is the mean over the beams, weighted by their numbers of points.
 RingPhases fit_phases(const PolarRings& polar, int n_ticks) {
     RingPhases phases;
+    const double tick_rad = 2.0 * kPi / n_ticks;
     parallel_for(kRings, [&](int k) {
-        phases.ring[std::size_t(k)] = fit_beam_phase(polar[std::size_t(k)], 2.0 * kPi / n_ticks);
+        phases.ring[std::size_t(k)] = fit_beam_phase(polar[std::size_t(k)], tick_rad);
     });
     double n_points = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
@@ -203,8 +202,9 @@ int wrap_tick(int tick, int n_ticks) {
 /// @param ticks_of_scans, is_fired  [scans]
 int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t beam,
                      const std::vector<FiredTicks>& is_fired) {
-    const int n_ticks = int(is_fired[0].size()),
-              max_shift = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
+    const int n_ticks = int(is_fired[0].size());
+    // less than half a turn, so that no offset is tried twice
+    const int max_shift = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     const auto count_matches = [&](int shift) {
         std::size_t n = 0;
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
@@ -238,25 +238,36 @@ std::vector<int> find_tick_offsets(const std::vector<BeamTicks>& ticks_of_scans,
     return offsets;
 }
 
-/// Returns the azimuth offset of each beam in ticks. All beams fire together, so correct
-/// offsets move the returns of a firing to the same tick.
+/// Returns the azimuth offset of each beam in ticks of the encoder. All beams fire
+/// together at some of the ticks, so correct offsets move the returns of a firing to the
+/// same tick.
+/// @param ticks_of_scans  [scans] tick nearest to each point, which contains the offset
 std::vector<int> align_beams(const std::vector<BeamTicks>& ticks_of_scans, int n_ticks) {
     // First, the fired ticks are those of the beam with the most points, because the
     // offsets between beams are not known yet.
-    const auto fullest =
+    const auto reference_beam =
         std::ranges::max_element(ticks_of_scans[0], {}, std::ranges::size) - ticks_of_scans[0].begin();
     std::vector<FiredTicks> is_fired;
     for (const BeamTicks& scan : ticks_of_scans)
-        is_fired.push_back(flag_fired_ticks({scan[std::size_t(fullest)]}, n_ticks, 1));
+        is_fired.push_back(flag_fired_ticks({scan[std::size_t(reference_beam)]}, n_ticks, 1));
     const std::vector<int> rough = find_tick_offsets(ticks_of_scans, is_fired);
-    // With these offsets, the fired ticks are those at which several beams have returns.
+    // With these offsets, a fired tick has returns of several beams.
     for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
         BeamTicks moved = ticks_of_scans[s];
         for (std::size_t k = 0; k < kRings; ++k)
             for (int& tick : moved[k]) tick = wrap_tick(tick - rough[k], n_ticks);
-        is_fired[s] = flag_fired_ticks(moved, n_ticks, kMinLasers);
+        is_fired[s] = flag_fired_ticks(moved, n_ticks, kMinBeamsPerFiring);
     }
     return find_tick_offsets(ticks_of_scans, is_fired);
+}
+
+/// Adds a number of full ticks to the offset of each beam, because a fit to the encoder
+/// gives an offset only up to a multiple of a tick.
+void add_full_ticks(FiringGrid& grid, const std::vector<const RingScan*>& scans) {
+    std::vector<BeamTicks> ticks;
+    for (const RingScan* scan : scans) ticks.push_back(compute_ticks(*scan, grid));
+    const std::vector<int> offsets = align_beams(ticks, grid.head.n_ticks);
+    for (std::size_t k = 0; k < kRings; ++k) grid.offset_rad[k] += offsets[k] * grid.head.tick_step_rad();
 }
 
 }  // namespace
@@ -271,13 +282,13 @@ std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
 }
 
 FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
-    // Azimuths with a smaller concentration do not fit to the ticks.
+    // Share of fit to the ticks (1: exact, 0: random) below which azimuths do not fit.
     constexpr double kMinConcentration = 0.8;
     const PolarRings polar = collect_polar(scans);
     FiringGrid grid;
     grid.head.n_ticks = kEncoderTicks;
     RingPhases phases = fit_phases(polar, kEncoderTicks);
-    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal steps.
+    // If azimuths do not fit the encoder of a real HDL-64E, tries a tick for each firing.
     grid.every_tick = phases.concentration < kMinConcentration;
     if (grid.every_tick) {
         grid.head.n_ticks = estimate_firings(scans);
@@ -288,16 +299,9 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
         grid.left_m[k] = phases.ring[k].left_m;
         grid.offset_rad[k] = phases.ring[k].phase_rad;
     }
-    // The phases are offsets up to a multiple of a tick. It does not matter if the head
-    // fires at every tick.
-    if (!grid.every_tick) {
-        std::vector<BeamTicks> ticks;
-        for (const RingScan* scan : scans) ticks.push_back(compute_ticks(*scan, grid));
-        const std::vector<int> offsets = align_beams(ticks, grid.head.n_ticks);
-        for (std::size_t k = 0; k < kRings; ++k) grid.offset_rad[k] += offsets[k] * grid.head.tick_step_rad();
-    }
-    // Shifts the offsets of all beams so that their mean is 0. The head then faces the
-    // mean direction of the beams.
+    // If the head fires at every tick, full ticks make no difference.
+    if (!grid.every_tick) add_full_ticks(grid, scans);
+    // Makes the mean offset 0, so that the head faces the mean direction of the beams.
     const double mean_rad = std::accumulate(grid.offset_rad.begin(), grid.offset_rad.end(), 0.0) / kRings;
     for (double& offset_rad : grid.offset_rad) offset_rad -= mean_rad;
     grid.head.zero_rad += mean_rad;
@@ -305,7 +309,8 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
 }
 
 std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& grid) {
-    const FiredTicks is_fired = flag_fired_ticks(compute_ticks(scan, grid), grid.head.n_ticks, kMinLasers);
+    const FiredTicks is_fired =
+        flag_fired_ticks(compute_ticks(scan, grid), grid.head.n_ticks, kMinBeamsPerFiring);
     std::vector<int> firings;
     for (int t = 0; t < grid.head.n_ticks; ++t)
         if (grid.every_tick || is_fired[std::size_t(t)]) firings.push_back(t);

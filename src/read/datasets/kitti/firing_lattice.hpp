@@ -17,8 +17,7 @@
 
 namespace relidar::kitti {
 
-/// ticks of the encoder per revolution of an HDL-64E, measured on KITTI
-/// (2011_09_26_drive_0005)
+/// ticks of an HDL-64E's encoder per revolution, measured on KITTI 2011_09_26_drive_0005
 inline constexpr int kEncoderTicks = 4000;
 
 /// Azimuths at which the head can fire, and for each beam its azimuth relative to the
@@ -42,8 +41,7 @@ struct FiringGrid {
 /// a few scans. If the azimuths fit no grid, returns equal steps and zero offsets.
 FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans);
 
-/// Returns the ticks at which the head fired, in order of time: clockwise from azimuth
-/// +pi.
+/// Returns the ticks at which the head fired, in order of time: clockwise from +pi.
 std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& grid);
 
 }  // namespace relidar::kitti

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns the points of an HDL-64E to rings by their order in the file. Fits a cone z =
-// z0 + rho * tan(elevation) to each ring by least squares. Beams do not start at the
-// origin of the sensor, because the lenses are above or below it. So the elevation seen
-// from the origin depends on the range, but the angle of the cone does not.
+// Beams do not start at the origin of the sensor, because the lenses are above or below
+// it. So the elevation seen from the origin depends on the range, but the angle of the
+// cone of a beam does not.
 #include "read/datasets/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -39,35 +38,34 @@ double height_error_m(const read::RingCone& cone, const glm::vec3& point) {
     return std::abs(p.y - cone.z0_m - p.x * cone.slope);
 }
 
-/// Estimates the cone of a beam without enough points, or whose points all have similar
-/// distances.
+/// Estimates the cone z = z0 + slope * rho of a beam to which none could be fitted.
 /// @param fitted  beams of the same block with a cone, ascending, at least two
-/// @param height_of_slope  height z0 of the beams of the block as a function of the slope
-/// @param points  points of the beam
+/// @param height_of_slope  z0 of the beams of the block, a linear function of the slope
+/// @param points  distance rho and height z of the points of the beam; may be empty
 read::RingCone estimate_cone(const BeamCones& cones, std::size_t beam, const std::vector<std::size_t>& fitted,
                              const read::RobustLine& height_of_slope, const std::vector<glm::dvec2>& points) {
-    // Interpolates the slope between the neighbouring fitted beams a and b, or
-    // extrapolates at the ends of the block.
-    const auto next = std::lower_bound(fitted.begin() + 1, fitted.end() - 1, beam);
-    const std::size_t a = next[-1], b = *next;
-    const double along = (double(beam) - double(a)) / double(b - a);
-    double slope = cones[a].slope + (cones[b].slope - cones[a].slope) * along;
-    if (points.size() >= kConeFit.min_points) {
-        // The median over the points is better. It needs the height, which depends on the
-        // slope, so it is repeated.
-        std::vector<double> slopes(points.size());
-        for (int pass = 0; pass < 3; ++pass) {
-            for (std::size_t i = 0; i < points.size(); ++i)
-                slopes[i] = (points[i].y - height_of_slope.at(slope)) / std::max(points[i].x, 0.1);
-            slope = compute_median(slopes);
-        }
+    // Interpolates the slope between the nearest fitted beams a < b on both sides. At an
+    // end of the block, extrapolates from the first or the last two of them.
+    const auto upper = std::lower_bound(fitted.begin() + 1, fitted.end() - 1, beam);
+    const std::size_t a = *(upper - 1), b = *upper;
+    const double fraction = (double(beam) - double(a)) / double(b - a);
+    double slope = cones[a].slope + (cones[b].slope - cones[a].slope) * fraction;
+    // The median over enough points is better: (z - z0) / rho. But z0 depends on the
+    // slope, so each pass uses the slope of the pass before.
+    constexpr int kPasses = 3;
+    constexpr double kMinRho_m = 0.1;  // prevents a division by 0
+    for (int pass = 0; pass < kPasses && points.size() >= kConeFit.min_points; ++pass) {
+        const double z0_m = height_of_slope.at(slope);
+        std::vector<double> slopes;
+        for (const glm::dvec2& p : points) slopes.push_back((p.y - z0_m) / std::max(p.x, kMinRho_m));
+        slope = compute_median(std::move(slopes));
     }
-    return {height_of_slope.at(slope), slope};
+    return {.z0_m = height_of_slope.at(slope), .slope = slope};
 }
 
-/// Estimates the cones that could not be fitted, whose slope is NaN. Each half of the 64
-/// beams is one laser block. In a block, the height of a cone is a linear function of its
-/// slope.
+/// Estimates the cones z = z0 + slope * rho that could not be fitted, whose slope is NaN.
+/// Each half of the 64 beams is one laser block. In a block, z0 is a linear function of
+/// the slope.
 void fill_missing_cones(BeamCones& cones, const ConePoints& points, const std::string& where) {
     constexpr std::size_t kBlock = kRings / 2;
     for (const std::size_t first : {std::size_t{0}, kBlock}) {  // first beam of a block
@@ -89,8 +87,7 @@ void fill_missing_cones(BeamCones& cones, const ConePoints& points, const std::s
     }
 }
 
-/// Returns the beam whose cone has the smallest median distance from some points of one
-/// beam.
+/// Returns the beam whose cone has the smallest median distance from points of one beam.
 std::size_t find_nearest_cone(std::span<const glm::vec3> points, const BeamCones& cones) {
     // About 32 points are enough.
     const std::size_t step = std::max<std::size_t>(points.size() / 32, 1);
@@ -106,6 +103,19 @@ std::size_t find_nearest_cone(std::span<const glm::vec3> points, const BeamCones
         }
     }
     return best;
+}
+
+/// Gives consecutive points with the same ring number, which are from one beam, the
+/// number of the beam with the nearest cone.
+void match_rings_to_cones(LidarPoints& points, const BeamCones& cones) {
+    std::vector<std::uint16_t>& ring = points.ring;
+    for (auto begin = ring.begin(); begin != ring.end();) {
+        const auto end = std::find_if(begin, ring.end(), [&](std::uint16_t r) { return r != *begin; });
+        const std::span ring_points(&points.position_m[std::size_t(begin - ring.begin())],
+                                    std::size_t(end - begin));
+        std::fill(begin, end, std::uint16_t(find_nearest_cone(ring_points, cones)));
+        begin = end;
+    }
 }
 
 }  // namespace
@@ -130,6 +140,7 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
         most = std::max(most, scan->n_rings);
         if (!scan->is_complete()) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i)
+            // A complete scan can have a stray point in a 65th ring.
             points[std::min<int>(scan->points.ring[i], kRings - 1)].push_back(
                 to_cone_point(scan->points.position_m[i]));
     }
@@ -142,26 +153,17 @@ BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::s
     BeamCones cones;
     for (std::size_t k = 0; k < kRings; ++k) {
         const read::RobustLine line = read::fit_robust_line(points[k], kConeFit);
-        cones[k] = {line.at_zero, line.n > 0 ? line.slope : NAN};
+        cones[k] = {.z0_m = line.at_zero, .slope = line.n > 0 ? line.slope : NAN};
     }
     fill_missing_cones(cones, points, where);
     return cones;
 }
 
 void correct_rings(RingScan& scan, const BeamCones& cones) {
+    if (scan.n_rings != kRings) match_rings_to_cones(scan.points, cones);
     const std::vector<glm::vec3>& points = scan.points.position_m;
     std::vector<std::uint16_t>& ring = scan.points.ring;
-    // After a wrong count, the points that got the same number belong together. They get
-    // the ring of the nearest cone.
-    if (scan.n_rings != kRings)
-        for (auto begin = ring.begin(); begin != ring.end();) {
-            const auto end = std::find_if(begin, ring.end(), [&](std::uint16_t r) { return r != *begin; });
-            const std::span group(&points[std::size_t(begin - ring.begin())], std::size_t(end - begin));
-            std::fill(begin, end, std::uint16_t(find_nearest_cone(group, cones)));
-            begin = end;
-        }
-    // The first point after the start of a ring can be the last of the ring before, but
-    // only if it has azimuth 0.
+    // If the first point of a ring has azimuth 0, it can be the last of the ring before.
     for (std::size_t i = 1; i < points.size(); ++i) {
         if (points[i].y != 0.0f || ring[i] == ring[i - 1]) continue;
         if (height_error_m(cones[ring[i - 1]], points[i]) < height_error_m(cones[ring[i]], points[i]))

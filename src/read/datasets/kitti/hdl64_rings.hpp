@@ -38,9 +38,9 @@ RingScan split_rings(LidarPoints points);
 /// @throws DataError if no scan is complete, or too few rings have enough returns
 BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where);
 
-/// Corrects the ring numbers of points that are nearer to the cone of another ring. A
-/// beam without returns makes the count of rings in the file wrong. A last point of a
-/// ring that was rounded to azimuth 0, where rings start, was counted for the next ring.
+/// Corrects two mistakes of split_rings(). A beam without returns, or a stray point,
+/// makes the numbers of all later rings wrong. And the last point of a ring, if it is
+/// rounded to azimuth 0 where rings start, was counted for the next ring.
 void correct_rings(RingScan& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

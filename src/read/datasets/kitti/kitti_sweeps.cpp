@@ -50,8 +50,8 @@ BeamCones correct_all_rings(std::vector<RingScan>& scans, const std::string& whe
 /// how the head turned. Adds a note and sets the rolling shutter then.
 std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<RingScan>& scans,
                                                    const std::string& scan_folder, bool has_poses) {
-    // The search needs rings. They are corrected again afterwards with cones of the moved
-    // points, but compensation moves points by less than the distance of two beams.
+    // find_firings() needs rings. Compensation moves points by less than the distance
+    // between beams, so they are good enough now. The caller corrects them again.
     correct_all_rings(scans, scan_folder);
     std::vector<read::CompensatedSweep> samples;
     for (const std::size_t i : read::spread_indices(scans.size(), kFitScans))
@@ -75,8 +75,7 @@ std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<Ri
 /// azimuths increase from 0, so a complete scan ends near 360.
 double last_azimuth_deg(const RingScan& scan) {
     if (scan.points.size() == 0) return 0.0;
-    // With more than 64 rings, the last point was counted as the start of another ring,
-    // so the 64th ring is complete.
+    // With more than 64 rings, the 64th ring is complete.
     if (scan.n_rings > kRings) return 360.0;
     const glm::dvec3 last(scan.points.position_m.back());
     const double azimuth_deg = std::atan2(last.y, last.x) * 180.0 / kPi;
@@ -89,8 +88,7 @@ struct ScanExtent {
 };
 
 /// Returns the median extent of up to five scans before and five after a scan. Ignores
-/// values of 0, which unreadable scans have. Without others, returns the extent of the
-/// scan.
+/// values of 0, which unreadable scans have. Without others, returns the scan's own.
 ScanExtent median_extent(const std::vector<ScanExtent>& extents, std::size_t scan_index) {
     constexpr std::size_t kNeighboursPerSide = 5;
     const std::size_t begin = scan_index < kNeighboursPerSide ? 0 : scan_index - kNeighboursPerSide,
@@ -118,8 +116,8 @@ void record_truncated(const std::vector<RingScan>& scans, const Name& name_of, S
         extents.push_back({double(scan.points.size()), double(scan.n_rings), last_azimuth_deg(scan)});
     for (std::size_t i = 0; i < scans.size(); ++i) {
         const ScanExtent &scan = extents[i], usual = median_extent(extents, i);
-        const bool is_complete = scan.n_points > 0.0 && 2.0 * scan.n_points >= usual.n_points &&
-                                 scan.n_rings + kMissingRings > usual.n_rings &&
+        const bool has_half_of_points = scan.n_points > 0.0 && 2.0 * scan.n_points >= usual.n_points;
+        const bool is_complete = has_half_of_points && scan.n_rings + kMissingRings > usual.n_rings &&
                                  scan.end_deg + kMissingTurn_deg > usual.end_deg;
         if (!is_complete && !broken.is_scan_broken(i))
             broken.record_broken(
@@ -137,8 +135,7 @@ void record_truncated(const std::vector<RingScan>& scans, const Name& name_of, S
 /// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::string& folder_name) {
     constexpr float kMaxByte = 255.0f;
-    // Intensities with fractions up to this maximum could be percentages, and are
-    // rejected.
+    // Fractions up to this maximum could be percentages, and are rejected.
     constexpr float kMaxPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
@@ -158,12 +155,12 @@ std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::strin
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the number of rays before memory is allocated for them. Points that are far
-/// apart show small steps by chance, and many rays would follow.
+/// Checks the number of rays before memory is allocated for them. If a sweep has only few
+/// points, the estimated azimuth step of the head can be far too small.
 /// @throws DataError if there are too many rays per point
 void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid, const std::string& where) {
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
-    // With an encoder, only ticks at which points were measured have rays.
+    // If the head does not fire at every tick, only ticks with points have rays.
     if (!grid.every_tick) return;
     std::size_t n_points = 0;
     for (const RingScan& scan : scans) n_points += scan.points.size();
