@@ -3,11 +3,7 @@
 // dataset has moved all points to the vehicle frame at the time in the file name (motion
 // compensation). The reader undoes this with the poses of the frames. relidar computes
 // world points with the same poses, so the points keep their positions in the world.
-//
-// A VLP-32C fires its 32 lasers in pairs while the head rotates: one pair every 2.304 us,
-// all lasers every 55.296 us. The azimuth of a laser relative to the head at the first
-// pair is therefore a sum: the azimuth offset of the laser plus the rotation since the
-// first pair.
+// A VLP-32C fires its 32 lasers in pairs: one pair every 2.304 us.
 #include "read/readers.hpp"
 
 #include <algorithm>
@@ -60,17 +56,24 @@ struct Laser {
     double elevation_rad = 0.0;
 };
 
-/// Returns a laser of a VLP-32C by its number in the files, 0 to 63.
+/// Returns the lasers of a VLP-32C in the order of their numbers in the files.
+std::array<Laser, kLasersPerLidar> make_lasers() {
+    const std::vector<BeamFiring> firings = read_firings(kVlp32cName);  // [rows]
+    const std::vector<Beam> beams = nominal_beams();                    // [rows]
+    std::array<Laser, kLasersPerLidar> lasers;
+    for (std::size_t row = 0; row < firings.size(); ++row) {
+        const int number = kLaserNumbers[std::size_t(firings[row].channel)];
+        lasers[std::size_t(number)] = {.row = std::uint16_t(row),
+                                       .fires_after_ns = 1e3 * firings[row].offset_us,
+                                       .elevation_rad = beams[row].elevation_rad};
+    }
+    return lasers;
+}
+
+/// Returns a laser by its number in the files. Two equal LiDARs have the numbers 0 to 31
+/// and 32 to 63.
 const Laser& find_laser(std::int64_t number) {
-    static const std::array<Laser, kLasersPerLidar> kLasers = [] {
-        std::array<Laser, kLasersPerLidar> lasers;
-        const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
-        const std::vector<Beam> beams = nominal_beams();
-        for (std::size_t row = 0; row < firings.size(); ++row)
-            lasers[std::size_t(kLaserNumbers[std::size_t(firings[row].channel)])] = {
-                std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
-        return lasers;
-    }();
+    static const std::array<Laser, kLasersPerLidar> kLasers = make_lasers();
     return kLasers[std::size_t(number % kLasersPerLidar)];
 }
 
@@ -101,10 +104,10 @@ double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& v
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns the index of the firing cycle of each point. All lasers of a LiDAR fire once
-/// per cycle, in pairs. Cycles start at phase + index * kFiringCycle_ns, with the same
-/// phase for all points. The phase is the circular mean: each time is an angle, one cycle
-/// is a full turn, and the mean of the unit vectors does not depend on the index.
+/// Returns the index of the firing cycle of each point, which can be negative. All lasers
+/// of a LiDAR fire once per cycle. Cycles start at phase + index * kFiringCycle_ns, with
+/// the same phase for all points. The phase is a circular mean: each time is an angle,
+/// one cycle is a full turn, and the mean of the unit vectors is free of the index.
 /// @param cycle_starts_ns  [points] measured start of the cycle of each point
 std::vector<int> number_cycles(const std::vector<double>& cycle_starts_ns) {
     std::complex<double> sum = 0.0;
@@ -128,8 +131,9 @@ SpinningSensor make_vlp32c(bool clockwise) {
     if (clockwise) return sensor;
     const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
     for (std::size_t row = 0; row < firings.size(); ++row) {
-        // The offset of a laser contains the clockwise (negative) rotation of the head
-        // since the first pair. Adding twice its size reverses its sign.
+        // A laser fires after the first pair of lasers, when the head has turned by
+        // rotated_rad. The nominal offset is that of the laser in the head minus
+        // rotated_rad (clockwise). Counterclockwise, it is plus rotated_rad.
         const double rotated_rad = 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
         sensor.beams[row].azimuth_offset_rad += 2.0 * rotated_rad;
     }
@@ -147,12 +151,10 @@ std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Po
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-/// Returns the points of one LiDAR, and in which firing cycle each was measured. In a
-/// cycle, all lasers fire once. Keeps cycles without points, for example where the
-/// vehicle blocks all beams.
+/// Returns the points of one LiDAR, and the firing cycle of each, in which all lasers
+/// fire once. Keeps cycles without points, such as where the vehicle blocks all beams.
 /// @param laser_group  lasers of this LiDAR; 0: numbers 0 to 31, 1: numbers 32 to 63
-/// @param world_from_sensor  poses with which the dataset moved the points to the time of
-/// the sweep
+/// @param world_from_sensor  poses with which the dataset compensated the motion
 read::FiredSweep extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
                                const PoseTrack& world_from_sensor, double sweep_time_s) {
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
@@ -180,8 +182,7 @@ constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
-/// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
-/// translation in metres.
+/// Reads a pose from each row of a table: a quaternion w x y z, and a position in metres.
 std::vector<Pose> read_row_poses(const Feather& table) {
     const auto column = [&](const char* name) { return table.read_numbers(name); };
     const std::vector<double> w = column("qw"), x = column("qx"), y = column("qy"), z = column("qz"),
@@ -277,6 +278,7 @@ using SweepPairs = std::vector<std::array<read::FiredSweep, 2>>;
 
 /// Reads all sweeps and splits each into the points of both LiDARs. The first readable
 /// sweep shows which laser numbers belong to which LiDAR. Without one, all are skipped.
+/// @param vehicle_track  one pose per file
 /// @param broken_scans  its guard() skips a broken sweep, or throws its error
 SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
@@ -302,8 +304,7 @@ SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const st
     return sweeps;
 }
 
-/// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
-/// points in the sweep.
+/// Adds a frame with a scan for each sweep and LiDAR, unless the LiDAR has no points.
 void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_files,
                 const PoseTrack& vehicle_poses, SweepPairs sweep_pairs, const Progress& progress,
                 const ScanErrorCollector& broken_scans) {
@@ -331,8 +332,7 @@ void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_f
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", n_missing));
 }
 
-/// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
-/// at the time of its sweep.
+/// Reads the box labels of the loaded sweeps, which are in the vehicle frame of a sweep.
 std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file,
                                        const std::vector<read::StampedScanFile>& sweeps,
                                        const PoseTrack& vehicle_poses) {

@@ -3,8 +3,7 @@
 // angles of the LiDAR in an East-North-Up frame. The angles rotate frames, not vectors.
 // So the rotation from the LiDAR to the East-North-Up frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
-// and not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention:
-// with the right convention, the vehicle drives forward and along the road.
+// and not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention.
 #include "read/readers.hpp"
 
 #include <cmath>
@@ -30,8 +29,7 @@ constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the datas
 // Another convention for roll, pitch and yaw must raise the forward-motion score (1: the
 // vehicle always drives forward) by more than this.
 constexpr double kClearlyForward = 0.05;
-// If the scores are similar, the vertical motion decides: new / previous standard
-// deviation must be below this.
+// With similar scores, new / previous spread of the vertical motion must be below this.
 constexpr double kClearlyLevel = 0.7;
 // Steps of at least a metre that the vertical motion needs.
 constexpr std::size_t kFewestSteps = 50;
@@ -57,10 +55,19 @@ struct EulerAngleConvention {
     bool yaw_first;  ///< if true, vectors are rotated by yaw first; if false, by roll first
 };
 // The first is the documented convention.
-constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
-                                                 {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
-                                                 {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
-                                                 {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
+constexpr EulerAngleConvention kAngleOrders[] = {
+    {.name = "R_x(-roll) R_y(-pitch) R_z(-yaw)", .sign = -1.0, .yaw_first = true},
+    {.name = "R_z(yaw) R_y(pitch) R_x(roll)", .sign = 1.0, .yaw_first = false},
+    {.name = "R_z(-yaw) R_y(-pitch) R_x(-roll)", .sign = -1.0, .yaw_first = false},
+    {.name = "R_x(roll) R_y(pitch) R_z(yaw)", .sign = 1.0, .yaw_first = true}};
+
+/// Returns the rotation R_x(roll) R_y(pitch) R_z(yaw) if `yaw_first`, and otherwise
+/// R_z(yaw) R_y(pitch) R_x(roll).
+glm::dquat compose_angles(double roll_rad, double pitch_rad, double yaw_rad, bool yaw_first) {
+    if (!yaw_first) return make_rotation(yaw_rad, pitch_rad, roll_rad);
+    // The inverse has the negated angles in the reverse order.
+    return glm::conjugate(make_rotation(-yaw_rad, -pitch_rad, -roll_rad));
+}
 
 /// Returns the LiDAR poses in the East-North-Up frame, with one meaning of the angles.
 PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const read::StampedLog& log,
@@ -70,13 +77,10 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
     for (const read::PoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
         const glm::dvec3 position_m(v[0], v[1], v[2]);
-        const double roll_rad = v[kFirstAngle], pitch_rad = v[kFirstAngle + 1], yaw_rad = v[kFirstAngle + 2];
-        // make_rotation() returns R_z(yaw) R_y(pitch) R_x(roll). The conjugate of the
-        // rotation by the negated angles is R_x(roll) R_y(pitch) R_z(yaw).
+        const double roll_rad = sign * v[kFirstAngle], pitch_rad = sign * v[kFirstAngle + 1],
+                     yaw_rad = sign * v[kFirstAngle + 2];
         const glm::dquat enu_from_lidar =
-            angle_convention.yaw_first
-                ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
-                : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
+            compose_angles(roll_rad, pitch_rad, yaw_rad, angle_convention.yaw_first);
         track.append(log.seconds_of(row.stamp), {enu_from_lidar, position_m});
     }
     return track;
@@ -106,7 +110,7 @@ bool is_clearly_better(const AngleReading& reading, const AngleReading& best) {
 }
 
 /// Reads the LiDAR poses. Uses another meaning of the angles than the documented one only
-/// if it is clearly better.
+/// if the vehicle then drives clearly better in the direction `forward` (LiDAR frame).
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const std::optional<glm::dvec3>& forward, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
