@@ -220,7 +220,7 @@ private:
         read::read_samples(
             scans.size(),
             [&](std::size_t i) {
-                samples.push_back(read_rays(lidars_[l].component, scans[i]->frame, scans[i]->time_us));
+                samples.push_back(read_ray_bundle(lidars_[l].component, scans[i]->frame, scans[i]->time_us));
             },
             kSampleFrames);
         return samples;

@@ -21,8 +21,8 @@ namespace {
 
 constexpr std::size_t kMostReturns = 8;
 constexpr double kNearest_m = 1e-3;               // A nearer point has no direction from its beam.
-constexpr double kUnitLength = 1e-2;              // tolerance of the length of a direction
-constexpr double kMostUneven = 1.0;               // largest deviation of a column from equal steps, in steps
+constexpr double kLengthTolerance = 1e-2;         // of a direction, which has length 1
+constexpr double kMaxDeviation_steps = 1.0;       // of a column from its place in equal steps
 constexpr std::int64_t kMostLate_us = 1'000'000;  // largest time between a ray and its frame
 
 /// Reads a list of n angles in radians.
@@ -63,24 +63,22 @@ std::optional<int> count_columns(const SpinningModel& model) {
     for (std::size_t j = 0; j < n_columns; ++j) {
         const double error_rad =
             std::remainder(model.azimuth_rad[j] - model.even_azimuth_rad(j, turn_columns), 2.0 * kPi);
-        if (std::abs(error_rad) > kMostUneven * 2.0 * kPi / turn_columns) return std::nullopt;
+        if (std::abs(error_rad) > kMaxDeviation_steps * 2.0 * kPi / turn_columns) return std::nullopt;
     }
     return turn_columns;
 }
 
-/// Limits the field of view of a sensor to the azimuths of the rays of all rows, unless
-/// the model has a full turn. A ray points to the azimuth of its column plus the azimuth
-/// offset of its row, rounded to columns.
+/// Limits the field of view of a sensor to the azimuths of its rays, unless the model has
+/// a full turn. A ray points to the azimuth of its column plus the azimuth offset of its
+/// row, rounded to columns. So the rows with the extreme offsets widen the view.
 void limit_view(SpinningSensor& sensor, const SpinningModel& model) {
     const double step_rad = 2.0 * kPi / sensor.columns;
-    const auto [right, left] = std::ranges::minmax(
-        sensor.beams, {}, [&](const Beam& beam) { return offset_columns(beam, sensor.columns); });
-    const double right_rad = step_rad * offset_columns(right, sensor.columns),
-                 left_rad = step_rad * offset_columns(left, sensor.columns);
-    // angle between the first and the last ray; in a full turn, a step less than 2 pi
+    const auto offset_rad = [&](const Beam& beam) { return step_rad * offset_columns(beam, sensor.columns); };
+    const auto [right, left] = std::ranges::minmax(sensor.beams, {}, offset_rad);
+    const double right_rad = offset_rad(right), left_rad = offset_rad(left);
     const double width_rad = double(model.azimuth_rad.size() - 1) * step_rad + left_rad - right_rad;
-    constexpr double kFullTurnSteps = 1.5;
-    if (width_rad >= 2.0 * kPi - kFullTurnSteps * step_rad) return;
+    // In a full turn, the last ray is a step before the first; half a step for rounding.
+    if (width_rad >= 2.0 * kPi - 1.5 * step_rad) return;
     // A clockwise head reaches the azimuths of the rays that are farthest left first.
     const double begin_rad = model.azimuth_rad.front() + (model.is_clockwise ? left_rad : right_rad);
     sensor.azimuth_rad = {{begin_rad, begin_rad + model.turn_sign() * width_rad}};
@@ -150,10 +148,11 @@ std::optional<SpinningSensor> to_sensor(const SpinningModel& model) {
     sensor.clockwise = model.is_clockwise;
     sensor.period_s = model.period_s;
     sensor.columns = *columns;
-    // The columns of a sensor begin at azimuth +180 degrees. The first one at or below it
-    // whose azimuth is a whole number of steps from the columns of the model is column 0.
-    const double step_rad = 2.0 * kPi / sensor.columns, below_rad = kPi - model.azimuth_rad.front();
-    sensor.first_azimuth_rad = kPi - (below_rad - step_rad * std::floor(below_rad / step_rad));
+    // Column 0 of a sensor is less than a step below azimuth pi, and a whole number of
+    // steps from column 0 of the model.
+    const double step_rad = 2.0 * kPi / sensor.columns, model_below_pi_rad = kPi - model.azimuth_rad.front();
+    const double whole_steps_rad = step_rad * std::floor(model_below_pi_rad / step_rad);
+    sensor.first_azimuth_rad = kPi - (model_below_pi_rad - whole_steps_rad);
     for (const std::size_t row : model.rows_by_height()) sensor.beams.push_back(model.beams[row]);
     limit_view(sensor, model);
     return sensor;
@@ -187,7 +186,7 @@ void read_ray_arrays(RayBundle& bundle, const ZarrStore& store, const std::strin
     const auto times_us = read_zarr_array<std::uint64_t>(store, rays + "/timestamp_us", {n});
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 d(directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]);
-        if (!(std::abs(glm::length(d) - 1.0) <= kUnitLength))
+        if (!(std::abs(glm::length(d) - 1.0) <= kLengthTolerance))
             fail("{}: the direction of ray {} is ({}, {}, {}), expected a unit vector", where, i, d.x, d.y,
                  d.z);
         bundle.direction.push_back(glm::normalize(d));
@@ -228,7 +227,7 @@ void read_return_arrays(RayBundle& bundle, const Component& lidar, const std::st
 
 }  // namespace
 
-RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us) {
+RayBundle read_ray_bundle(const Component& lidar, const StoredFrame& frame, std::int64_t time_us) {
     const std::string path = fmt::format("{}/frames/{}", lidar.path, frame.end_us);
     const std::string rays = path + "/ray_bundle";
     const ZarrStore& store = *lidar.store;
@@ -260,7 +259,7 @@ struct RowPoint {
     double column_rad;
 
     double rho_m() const { return std::hypot(position_m.x, position_m.y); }
-    double azimuth_rad() const {
+    double azimuth_from_column_rad() const {
         return std::remainder(std::atan2(position_m.y, position_m.x) - column_rad, 2.0 * kPi);
     }
 };
@@ -281,8 +280,8 @@ double median_misfit(const std::vector<Beam>& beams, const std::vector<std::vect
     return angles.empty() ? 0.0 : compute_median(std::move(angles));
 }
 
-/// Returns the first returns of some frames, grouped by the row of the model. Leaves out
-/// near points, and rays without an element of the model.
+/// Returns the first return of each ray of some frames, grouped by the row of the model.
+/// Leaves out near points, and rays without a row and column of the model.
 std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundle>& bundles,
                                                       const SpinningModel& model) {
     std::vector<std::vector<RowPoint>> rows(model.beams.size());
@@ -291,8 +290,8 @@ std::vector<std::vector<RowPoint>> collect_row_points(const std::vector<RayBundl
         for (std::size_t i = 0; i < bundle.direction.size(); ++i) {
             const std::size_t row = bundle.row_of(i), column = bundle.column_of(i);
             if (row >= rows.size() || column >= model.azimuth_rad.size()) continue;
-            const RowPoint point{double(bundle.range_m[0][i]) * bundle.direction[i],
-                                 model.azimuth_rad[column]};
+            const RowPoint point{.position_m = double(bundle.range_m[0][i]) * bundle.direction[i],
+                                 .column_rad = model.azimuth_rad[column]};
             if (point.rho_m() >= kLeastRho_m) rows[row].push_back(point);
         }
     }
@@ -308,7 +307,7 @@ void fit_beam(Beam& beam, const std::vector<RowPoint>& points) {
     std::vector<glm::dvec2> heights, azimuths;
     for (const RowPoint& point : points) {
         heights.emplace_back(1.0 / point.rho_m(), point.position_m.z / point.rho_m());
-        azimuths.emplace_back(1.0 / point.rho_m(), point.azimuth_rad());
+        azimuths.emplace_back(1.0 / point.rho_m(), point.azimuth_from_column_rad());
     }
     const read::RobustLine height_line = fit_robust_line(heights, kRowFit),
                            azimuth_line = fit_robust_line(azimuths, kRowFit);
@@ -339,6 +338,15 @@ FittedBeams fit_beam_origins(const std::vector<RayBundle>& bundles, const Spinni
     return fitted;
 }
 
+/// Returns the column of a model whose azimuth is nearest to an azimuth of the head, or
+/// nothing if the model does not cover this azimuth.
+static std::optional<std::size_t> find_column(const SpinningModel& model, double head_rad, int turn_columns) {
+    const double turned_rad = model.turn_sign() * (head_rad - model.azimuth_rad.front());  // since column 0
+    const auto steps = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
+    const auto column = std::size_t((steps % turn_columns + turn_columns) % turn_columns);
+    return column < model.azimuth_rad.size() ? std::optional(column) : std::nullopt;
+}
+
 ModelImage::ModelImage(SpinningModel spinning_model, const SpinningSensor& sensor)
     : model(std::move(spinning_model)), rays(make_rays(sensor)) {
     for (const Beam& beam : model.beams) beams.emplace_back(beam);
@@ -346,19 +354,15 @@ ModelImage::ModelImage(SpinningModel spinning_model, const SpinningSensor& senso
     const int turn_columns = sensor.columns;
     ray_of_element.assign(model.beams.size() * model.azimuth_rad.size(), -1);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-        // Without the offset of the beam, the azimuth of the ray is that of the head. Its
-        // turn since column 0 of the model gives the column.
         const std::size_t row = row_of_beam[rays.channel[ray]];
         const glm::dvec3 direction(rays.direction[ray]);
         const double head_rad = std::atan2(direction.y, direction.x) - model.beams[row].azimuth_offset_rad;
-        const double turned_rad = model.turn_sign() * (head_rad - model.azimuth_rad.front());
-        const auto turned_columns = std::lround(turned_rad / (2.0 * kPi) * turn_columns);
-        const auto column = std::size_t((turned_columns % turn_columns + turn_columns) % turn_columns);
-        if (column >= model.azimuth_rad.size()) continue;  // the model does not cover this azimuth
-        ray_of_element[row * model.azimuth_rad.size() + column] = int(ray);
+        const std::optional<std::size_t> column = find_column(model, head_rad, turn_columns);
+        if (!column) continue;
+        ray_of_element[row * model.azimuth_rad.size() + *column] = int(ray);
         // The columns of the sensor are in equal steps, those of the model only nearly.
         // The small rotation from one to the other corrects the ray.
-        const double uneven_rad = model.azimuth_rad[column] - model.even_azimuth_rad(column, turn_columns);
+        const double uneven_rad = model.azimuth_rad[*column] - model.even_azimuth_rad(*column, turn_columns);
         const glm::dquat correction = make_rotation(std::remainder(uneven_rad, 2.0 * kPi), 0.0, 0.0);
         rays.direction[ray] = glm::vec3(correction * direction);
         rays.origin[ray] = glm::vec3(correction * glm::dvec3(rays.origin[ray]));
@@ -379,7 +383,7 @@ std::string NcoreScans::frame_name(std::size_t frame) const {
 
 RayBundle NcoreScans::read_bundle(std::size_t frame) const {
     const ScanLocation& scan = scans_[frame];
-    return ncore::read_rays(lidars_[scan.lidar], scan.frame, scan.time_us);
+    return read_ray_bundle(lidars_[scan.lidar], scan.frame, scan.time_us);
 }
 
 /// Returns all returns of a frame as points in the sensor frame.
@@ -399,17 +403,19 @@ LidarPoints NcoreScans::read_points(std::size_t frame) const {
 
 namespace {
 
-/// Copies the returns of a stored ray to a ray of the image, which starts at the origin
-/// of its beam and ends at the first return. The other returns get the distances of their
-/// points from this origin.
+/// Copies the returns of a stored ray to a ray of the image. Stored ranges begin at the
+/// sensor origin, but a ray of the image begins at the origin of its beam. So it gets the
+/// direction to the first return, and the distances of all returns from this origin.
 void place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::size_t stored_ray,
                    const BeamRays& beam) {
     const auto point_of = [&](std::size_t r) {
         return double(bundle.range_m[r][stored_ray]) * bundle.direction[stored_ray];
     };
     if (bundle.range_m.empty() || !(bundle.range_m[0][stored_ray] > 0.0f)) return;
-    // The beam has another origin for each azimuth. It must face the point.
-    const glm::dvec3 point = point_of(0), origin = beam.compute_ray(beam.azimuth_facing(point)).origin_m;
+    // The origin rotates with the head, which faced the point.
+    const glm::dvec3 point = point_of(0);
+    const double head_rad = beam.azimuth_facing(point);
+    const glm::dvec3 origin = beam.compute_ray(head_rad).origin_m;
     const double range_m = glm::distance(point, origin);
     if (!(range_m > kNearest_m)) return;
     scan.rays.origin[ray] = glm::vec3(origin);
@@ -426,9 +432,9 @@ void place_returns(Scan& scan, std::size_t ray, const RayBundle& bundle, std::si
     }
 }
 
-/// Copies the stored rays to their places in the image. A ray that is not stored was
-/// dropped. Its time is the nominal one plus the delay of its column. Of two stored rays
-/// in the same place, the ray with a return stays.
+/// Copies the stored rays to the pixels of the image. Of two stored rays of a pixel, the
+/// one with a return stays. A ray that is not stored was dropped. It gets its nominal
+/// time plus the mean delay of the stored rays of its column.
 void place_rays(Scan& scan, const RayBundle& bundle, const ModelImage& image, const std::string& where) {
     const std::size_t n_rows = image.model.beams.size(), n_columns = image.model.azimuth_rad.size();
     std::vector<bool> is_stored(scan.rays.size(), false);
@@ -438,9 +444,9 @@ void place_rays(Scan& scan, const RayBundle& bundle, const ModelImage& image, co
         if (row >= n_rows || column >= n_columns)
             fail("{}: ray {} has row {} and column {}, expected numbers below {} and {}", where, i, row,
                  column, n_rows, n_columns);
-        if (image.ray_of(row, column) < 0) continue;
+        if (image.ray_of(row, column) < 0) continue;  // no pixel of the image
         const auto ray = std::size_t(image.ray_of(row, column));
-        if (scan.range_m[ray] > 0.0f) continue;
+        if (scan.range_m[ray] > 0.0f) continue;  // a ray before has a return in this pixel
         delays[column].sum_s += double(bundle.time_offset_s[i]) - double(image.rays.time_offset_s[ray]);
         delays[column].n_rays += 1.0;
         is_stored[ray] = true;
@@ -460,6 +466,7 @@ void place_rays(Scan& scan, const RayBundle& bundle, const ModelImage& image, co
 
 }  // namespace
 
+/// Returns a frame of a LiDAR with a model as an image, one ray per row and column.
 Scan NcoreScans::read_rays(std::size_t frame) const {
     const RayBundle bundle = read_bundle(frame);
     const ModelImage& image = *images_[scans_[frame].lidar];

@@ -62,7 +62,7 @@ std::vector<StoredFrame> list_stored_frames(const Component& lidar);
 
 /// Reads the rays and returns of a sweep.
 /// @param time_us  reference time of the frame in the log
-RayBundle read_rays(const Component& lidar, const StoredFrame& frame, std::int64_t time_us);
+RayBundle read_ray_bundle(const Component& lidar, const StoredFrame& frame, std::int64_t time_us);
 
 /// Beams that were fitted to returns, and how well they and the model fit.
 struct FittedBeams {
@@ -92,7 +92,9 @@ struct ModelImage {
     RayTable rays;                    ///< in image order, without returns
     std::vector<int> ray_of_element;  ///< [row * columns + column] -1: not in the image
 
-    ModelImage(SpinningModel model, const SpinningSensor& sensor);
+    /// Makes the rays of the image and finds the element of each.
+    /// @param sensor  the sensor that to_sensor() made of the model
+    ModelImage(SpinningModel spinning_model, const SpinningSensor& sensor);
     int ray_of(std::size_t row, std::size_t column) const {
         return ray_of_element[row * model.azimuth_rad.size() + column];
     }
