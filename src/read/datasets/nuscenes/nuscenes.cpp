@@ -110,13 +110,15 @@ SceneLocation choose_scene(const std::vector<SceneLocation>& scenes, const std::
     if (requested_name.empty()) return scenes[0];
     const std::optional<int> number = parse_stem(requested_name);
     const std::string full_name = number ? fmt::format("scene-{:04}", *number) : requested_name;
-    std::string known_names;  // for the error message; a dataset has up to 850 scenes
+    constexpr std::size_t kMaxKnownText = 400;  // a dataset has up to 850 scenes
+    std::string known_names;                    // for the error message
     std::vector<const SceneLocation*> matches;
     for (const SceneLocation& scene : scenes) {
         if (scene.name == full_name) return scene;
         if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
             matches.push_back(&scene);
-        if (known_names.size() < 400) known_names += (known_names.empty() ? "" : ", ") + quote(scene.name);
+        if (known_names.size() < kMaxKnownText)
+            known_names += (known_names.empty() ? "" : ", ") + quote(scene.name);
     }
     if (matches.size() == 1) return *matches[0];
     fail<UsageError>("dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
@@ -166,10 +168,10 @@ std::optional<Georeference> find_map_place(const std::string& location) {
         {"singapore-queenstown", 1.2782562240223188, 103.76741409301758}};
     const auto* map = std::ranges::find(kMaps, location, &MapCorner::name);
     if (map == std::end(kMaps)) return {};
-    return Georeference{
-        {map->latitude_deg, map->longitude_deg},
-        {},
-        fmt::format("+proj=aeqd +R=6378137 +lat_0={} +lon_0={}", map->latitude_deg, map->longitude_deg)};
+    return Georeference{.position = {map->latitude_deg, map->longitude_deg},
+                        .point_m = {},
+                        .crs = fmt::format("+proj=aeqd +R=6378137 +lat_0={} +lon_0={}", map->latitude_deg,
+                                           map->longitude_deg)};
 }
 
 class NuscenesLogLoader {

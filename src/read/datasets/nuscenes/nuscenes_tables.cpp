@@ -114,12 +114,13 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMa
     return sweeps;
 }
 
-/// Returns the LiDARs with at least one keyframe in the scene. LIDAR_TOP is first.
+/// Returns the LiDARs with at least one keyframe in the scene. LIDAR_TOP is first. The
+/// pose on the vehicle is that of the first sweep.
 std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap<std::int64_t>& times_us) {
     const TokenMap<LidarMount> mounted = read_lidar_mounts(folder);
     std::vector<SceneLidar> lidars;
     for (const auto& [channel, files] : list_lidar_files(folder, times_us, mounted)) {
-        SceneLidar lidar{channel, {}, sort_sweeps(folder, files)};
+        SceneLidar lidar{.channel = channel, .ego_from_lidar = {}, .sweeps = sort_sweeps(folder, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         lidars.push_back(std::move(lidar));
@@ -215,6 +216,18 @@ std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const Scen
     return labels;
 }
 
+/// Sets the class of each category, by the index that files of point categories contain.
+void read_category_classes(const fs::path& table_folder, SceneTables& scene) {
+    const fs::path file = table_folder / "category.json";
+    for_each_record(file, [&](const JsonRecord& record) {
+        const std::int64_t index = record.rounded_integer("index");
+        if (index < 0 || index >= std::int64_t(scene.classes.size()))
+            fail("{}, key 'index': found {} for the category '{}', expected 0 to {}", file.string(), index,
+                 quote(record.read_text("name")), scene.classes.size() - 1);
+        scene.classes[std::size_t(index)] = from_nuscenes(record.read_text("name"));
+    });
+}
+
 /// Reads which files contain the categories of points, and the class of each category.
 /// Does nothing without the table lidarseg, which is a separate download.
 void read_lidarseg(const fs::path& table_folder, SceneTables& scene) {
@@ -230,15 +243,7 @@ void read_lidarseg(const fs::path& table_folder, SceneTables& scene) {
         sweep->second->categories_file = record.read_text("filename");
         has_files = true;
     });
-    if (!has_files) return;
-    const fs::path categories = table_folder / "category.json";
-    for_each_record(categories, [&](const JsonRecord& record) {
-        const std::int64_t index = record.rounded_integer("index");
-        if (index < 0 || index >= std::int64_t(scene.classes.size()))
-            fail("{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
-                 index, quote(record.read_text("name")), scene.classes.size() - 1);
-        scene.classes[std::size_t(index)] = from_nuscenes(record.read_text("name"));
-    });
+    if (has_files) read_category_classes(table_folder, scene);
 }
 
 }  // namespace
