@@ -13,7 +13,7 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
     MeasuredRay m = params.measured.at[i];
-    float drop_prob = params.refined != 0u && m.drop_prob < 1.0 ? params.drop_prob.at[i] : m.drop_prob;
-    float range_m = params.of_image != 0u ? m.range_m : m.median_range_m;
+    float drop_prob = params.has_network != 0u && m.drop_prob < 1.0 ? params.drop_prob.at[i] : m.drop_prob;
+    float range_m = params.use_image_range != 0u ? m.range_m : m.median_range_m;
     params.marks.at[i] = drop_prob < params.drop_threshold && range_m > 0.0 ? 1u : 0u;
 }

@@ -28,12 +28,12 @@ RELIDAR_FUNCTION float motion_fraction(SensorPose pose, float time_offset_s) {
 
 RELIDAR_FUNCTION vec3 to_world(SensorPose pose, float time_offset_s, vec3 direction) {
     RELIDAR_EXACT vec3 rotated = direction.x * pose.x + direction.y * pose.y + direction.z * pose.z;
-    RELIDAR_EXACT vec3 turn = motion_fraction(pose, time_offset_s) * pose.turn;
+    RELIDAR_EXACT vec3 turn = motion_fraction(pose, time_offset_s) * pose.turn_to_next;
     return rotate_point(turn, rotated);
 }
 
 RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 sensor_point) {
-    RELIDAR_EXACT vec3 moved = pose.position_rest + motion_fraction(pose, time_offset_s) * pose.way;
+    RELIDAR_EXACT vec3 moved = pose.position_rest + motion_fraction(pose, time_offset_s) * pose.move_to_next;
     vec3 rotated = to_world(pose, time_offset_s, sensor_point);
     RELIDAR_EXACT vec3 result = pose.position + (moved + rotated);
     return result;

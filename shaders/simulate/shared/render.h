@@ -24,8 +24,8 @@ struct SensorPose {
     vec3 z;
     vec3 position;        // m
     vec3 position_rest;   // m, rounding error of `position`
-    vec3 way;             // translation to the next pose, m
-    vec3 turn;            // rotation vector to the next pose, rad
+    vec3 move_to_next;    // translation to the next pose, m
+    vec3 turn_to_next;    // rotation vector to the next pose, rad
     float time_offset_s;  // relative to the sweep's reference time
     float per_s;          // Inverse of the time to the next pose, 1/s. 0 for the last pose.
 };
@@ -118,14 +118,14 @@ struct DropChannelsParams {
 
 struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]
-    // Input [n_rays]: drop probabilities from the network. Used if `refined` is 1.
+    // Input [n_rays]: drop probabilities from the network. Used if `has_network` is 1.
     RELIDAR_OF(Floats, DropProbabilities) drop_prob;
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
-    uint refined;
+    uint has_network;
     // Selects the distance of a returned point along its ray. 1: MeasuredRay::range_m, as
     // in the range image. 0: MeasuredRay::median_range_m.
-    uint of_image;
+    uint use_image_range;
     // A ray has no return if its drop probability reaches this threshold.
     float drop_threshold;
 };
@@ -136,15 +136,15 @@ struct GatherPointsParams {
     SensorPoses poses;      // Input [n_poses]: poses of the sensor, in the frame of the output points.
     RELIDAR_OF(Uints, ReturnMarks) marks;  // input [n_rays]
     // Input [n_rays]: number of earlier rays with a return.
-    RELIDAR_OF(Uints, ReturnPlaces) places;
+    RELIDAR_OF(Uints, ReturnPlaces) point_index;
     ReturnedPoints points;  // output [number of returned rays]
-    // Output [n_requested]: median ranges of evenly spaced rays. Entry k is the range of
-    // ray k * n_rays / n_requested, rounded down.
-    RELIDAR_OF(Floats, RequestedRanges) asked;
+    // Output [n_sampled]: median ranges of evenly spaced rays. Entry k is the range of
+    // ray k * n_rays / n_sampled, rounded down.
+    RELIDAR_OF(Floats, RequestedRanges) sampled_m;
     uint n_rays;
     uint n_poses;
-    uint n_requested;  // at most n_rays and 65,536
-    uint of_image;
+    uint n_sampled;  // at most n_rays and 65,536
+    uint use_image_range;
 };
 
 RELIDAR_SHARED_END

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs two kernels: simulate/render/mark_returns selects the returned rays, and
-// simulate/render/gather_points computes their points.
 #include "simulate/render/points_on_device.hpp"
 
 #include <relidar/log/range_image.hpp>
@@ -30,22 +28,23 @@ void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
-/// Records three kernels: mark the returned rays, compute the index of each point by a
-/// prefix sum, and gather the points without gaps.
+/// Records three kernels: mark the returned rays, compute the index of each point as the
+/// number of returned rays before it, and write the points without gaps.
+/// @param n_truncated device counter, which is copied to the host with the results
 std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::record(
     Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
     const Array<std::uint32_t>& n_truncated) {
     const std::size_t n = rays.ray_table().size();
     reserve(stream, n);
     const SensorPoses poses = rays.sweep_poses(options.points_from_sensor, options.time_s);
-    const std::uint32_t of_image = options.is_at_median_range ? 0 : 1;
+    const std::uint32_t use_image_range = options.is_at_median_range ? 0 : 1;
     run(stream, mark_, n,
         {.measured = rays.device_measured().address(),
          .drop_prob = address_or_null(rays.network_drops()),
          .marks = marks_.address(),
          .n_rays = std::uint32_t(n),
-         .refined = rays.network_drops() ? 1u : 0u,
-         .of_image = of_image,
+         .has_network = rays.network_drops() ? 1u : 0u,
+         .use_image_range = use_image_range,
          .drop_threshold = kDropThreshold});
     sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()},
              point_indices_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n),
@@ -55,19 +54,20 @@ std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::record(
          .measured = rays.device_measured().address(),
          .poses = stream.impl().stage_values(poses),
          .marks = marks_.address(),
-         .places = point_indices_.address(),
+         .point_index = point_indices_.address(),
          .points = options.target ? options.target->address() : points_.address(),
-         .asked = sampled_ranges_.address(),
+         .sampled_m = sampled_ranges_.address(),  // written also for rays without a return
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
-         .n_requested = std::uint32_t(sample_count(n)),
-         .of_image = of_image});
+         .n_sampled = std::uint32_t(sample_count(n)),
+         .use_image_range = use_image_range});
     return copy_to_host(stream, n, n_truncated, /*has_points=*/!options.target);
 }
 
 /// Records copies of the results to host buffers that no pending scan uses.
 std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::copy_to_host(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_truncated, bool has_points) {
+    // Only this object holds a free entry. A pending scan is a second owner.
     const auto is_free = [](const std::shared_ptr<PointReadback>& one) { return one.use_count() == 1; };
     auto match = std::ranges::find_if(readbacks_, is_free);
     if (match == readbacks_.end()) match = readbacks_.insert(match, std::make_shared<PointReadback>(device_));
@@ -89,7 +89,7 @@ std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::copy_to
     return *match;
 }
 
-// copy_to_host() allocates the buffer of points, whose size depends on the sensor.
+/// Allocates all buffers except `points`, whose size depends on the number of rays.
 DevicePointComputer::PointReadback::PointReadback(Device& device)
     : n_points(device, sizeof(std::uint32_t), "number of returned points"),
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
@@ -100,7 +100,7 @@ DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, Po
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
     const std::size_t n = read_number(results.n_points);
-    std::span<const shared::ReturnedPoint> points;
+    std::span<const shared::ReturnedPoint> points;  // stays empty if they were not copied to the host
     if (results.has_points)
         points = {static_cast<const shared::ReturnedPoint*>(results.points->wait_for_bytes(stream)), n};
     const auto* sampled_m = static_cast<const float*>(results.sampled_ranges.wait_for_bytes(stream));

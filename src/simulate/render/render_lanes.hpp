@@ -34,8 +34,7 @@ public:
 
     Renderer& renderer() { return copy_ ? *copy_ : scene_.renderer(); }
     /// Returns the rays of a sensor on the device. Uploads them unless they are cached.
-    /// @param drop_probability probability that the sensor never gets a return
-    /// along a ray
+    /// @param drop_probability that the sensor never gets a return along a ray
     std::shared_ptr<DeviceSensorRays> upload_rays(const SimulatedSensor& sensor, const RayTable& ray_table,
                                                   const RayFunction& drop_probability);
 
@@ -44,6 +43,8 @@ private:
     ResidentScene& scene_;
     std::unique_ptr<Renderer> copy_;
     std::vector<std::shared_ptr<DeviceSensorRays>> cached_;  ///< the most recently used first
+
+    void trim_cache();
 };
 
 /// Lanes, and the batch of recorded scans that the device will render in parallel.
@@ -69,7 +70,6 @@ public:
     /// copies.
     void change_copies(const std::function<void(Renderer&)>& change);
     void remove_copies() { keep_lanes(1); }
-    /// Maximum number of scans that are rendered in parallel.
     int parallel_limit() const { return scene_.has_blocks() ? 1 : limit_; }
     void set_limit(int count);
 

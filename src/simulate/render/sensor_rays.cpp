@@ -73,9 +73,8 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
 }
 
 /// Returns the poses of a sensor during a sweep in the format of the kernels, from one
-/// pose before the first ray to one after the last ray. Each has the twist to the next
-/// pose: `way` and `turn` are its translation and rotation vector, 1 / `per_s` its
-/// duration. `position_rest` is the part of the position that single precision loses.
+/// pose before the first ray to one after the last ray. Each also has the motion to the
+/// next pose, which is zero for the last pose.
 /// @param first_s, last_s firing times of the rays, relative to `time_s`
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
@@ -86,6 +85,7 @@ SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, dou
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
         const glm::vec3 position(pose[k].translation);
+        // Motion to the next pose: translation (0 to 2) and rotation vector (3 to 5).
         const Twist next = k < last ? compute_twist(pose[k], pose[k + 1]) : Twist{};
         const double duration_s =
             k < last ? world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k] : 0.0;
@@ -93,9 +93,10 @@ SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, dou
                          .y = axes[1],
                          .z = axes[2],
                          .position = position,
+                         // the part of the position that single precision loses
                          .position_rest = glm::vec3(pose[k].translation - glm::dvec3(position)),
-                         .way = glm::vec3(next[0], next[1], next[2]),
-                         .turn = glm::vec3(next[3], next[4], next[5]),
+                         .move_to_next = glm::vec3(next[0], next[1], next[2]),
+                         .turn_to_next = glm::vec3(next[3], next[4], next[5]),
                          .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
                          .per_s = duration_s > 0.0 ? float(1.0 / duration_s) : 0.0f});
     }
@@ -116,7 +117,7 @@ DeviceSensorRays::DeviceSensorRays(Device& device)
       no_surfaces_(device, std::span<const shared::RenderedSurface>(std::array{shared::RenderedSurface{}}),
                    "surfaces of no rays") {}
 
-bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name) const {
+bool DeviceSensorRays::has_rays_of(const RayTable& rays, const std::string& name) const {
     return name == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
            are_bytes_equal(rays.direction, table_.direction) && are_bytes_equal(rays.origin, table_.origin) &&
            are_bytes_equal(rays.time_offset_s, table_.time_offset_s) &&
@@ -125,29 +126,28 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name
 
 void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
                               const RayFunction& drop_probability) {
-    if (is_uploaded(rays, name)) return;
-    std::vector<shared::SensorRay> all(rays.size());
-    parallel_blocks(all.size(), [&](std::size_t index) {
-        all[index] = {.origin = rays.origin[index],
-                      .direction = rays.direction[index],
-                      .time_offset_s = rays.time_offset_s[index],
-                      .sees = 1.0f - drop_probability(index),
-                      .channel = rays.channel[index]};
+    std::vector<shared::SensorRay> device_rays(rays.size());
+    parallel_blocks(device_rays.size(), [&](std::size_t index) {
+        device_rays[index] = {.origin = rays.origin[index],
+                              .direction = rays.direction[index],
+                              .time_offset_s = rays.time_offset_s[index],
+                              .sees = 1.0f - drop_probability(index),  // probability of a return
+                              .channel = rays.channel[index]};
     });
-    if (all.size() > measured_.size()) {
+    if (rays.size() > measured_.size()) {
         // Frees the old arrays before allocating larger ones. If an allocation fails, the
         // table and the last array are empty, so the next call allocates again.
         table_ = {};
         rays_ = {};
         fired_ = {};
         measured_ = {};
-        rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
-        fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in world coordinates");
-        measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
-        measured_readback_.reset();
+        rays_ = Array<shared::SensorRay>(device_, rays.size(), "rays of a sensor");
+        fired_ = Array<shared::DeviceRay>(device_, rays.size(), "rays of a sensor in world coordinates");
+        measured_ = Array<shared::MeasuredRay>(device_, rays.size(), "measured rays");
+        measured_readback_.reset();  // wait_measured() allocates host buffers of the new size
         drops_readback_.reset();
     }
-    rays_.upload(all);
+    rays_.upload(device_rays);
     table_ = rays;
     sensor_ = name;
     const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
@@ -227,7 +227,7 @@ ScanMeasurements DeviceSensorRays::wait_measured(Stream& stream) {
     const std::size_t n = table_.size();
     const auto record_copy = [&](std::optional<ReadbackBuffer>& target, const Buffer& source,
                                  std::size_t bytes_per_ray, const char* name) {
-        // As large as rays_, which can have space for more rays than this sensor.
+        // Allocates for all rays that rays_ has space for, also those of larger sensors.
         if (!target) target.emplace(device_, rays_.size() * bytes_per_ray, name);
         target->record_copy(stream, source, n * bytes_per_ray);
     };

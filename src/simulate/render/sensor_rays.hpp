@@ -35,9 +35,7 @@ class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);
 
-    /// Uploads the rays of a sensor unless they are already on the device. Pending GPU
-    /// commands must not use the old rays.
-    /// @param name another name forces an upload
+    /// Uploads the rays of a sensor. Pending GPU commands must not use the old rays.
     /// @param drop_probability probability that the sensor never gets a return along a
     /// ray, for example because the vehicle blocks it
     void upload(const RayTable& rays, const std::string& name, const RayFunction& drop_probability);
@@ -57,7 +55,7 @@ public:
     /// @return valid until the next call
     ScanMeasurements wait_measured(Stream& stream);
 
-    bool is_uploaded(const RayTable& rays, const std::string& sensor_name) const;
+    bool has_rays_of(const RayTable& rays, const std::string& sensor_name) const;
     const RayTable& ray_table() const { return table_; }
     const std::string& sensor_name() const { return sensor_; }
     const Array<shared::SensorRay>& device_rays() const { return rays_; }
