@@ -16,7 +16,7 @@ namespace {
 /// the sensor.
 /// @param points earlier points, whose memory is reused
 LidarPoints copy_points(std::span<const shared::ReturnedPoint> returned,
-                        const IntensityScatterModel& rounding, LidarPoints points) {
+                        const IntensityScatterModel& intensity_steps, LidarPoints points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);  // host value for "no instance"
     const std::size_t n = returned.size();
@@ -33,7 +33,7 @@ LidarPoints copy_points(std::span<const shared::ReturnedPoint> returned,
         for (std::size_t i = begin; i < end; ++i) {
             const shared::ReturnedPoint& point = returned[i];
             points.position_m[i] = point.position;
-            points.intensity[i] = rounding.quantise(point.intensity);
+            points.intensity[i] = intensity_steps.quantise(point.intensity);
             points.ring[i] = std::uint16_t(point.ring);
             points.time_offset_s[i] = point.time_offset_s;
             points.instance[i] = std::int32_t(point.instance);
@@ -43,7 +43,7 @@ LidarPoints copy_points(std::span<const shared::ReturnedPoint> returned,
 }
 
 /// Returns the share of a scan's rays in space that the log has not observed.
-/// @param sampled_m ranges of a sample of the rays
+/// @param sampled_m [samples] ranges of evenly spaced rays, see sample_ray(); 0: no hit
 double unseen_share_of(const SubmittedScan& scan, std::span<const float> sampled_m) {
     const RayTable& rays = scan.rays->ray_table();
     const auto sampled_ray = [&](std::size_t sample) {
@@ -54,23 +54,25 @@ double unseen_share_of(const SubmittedScan& scan, std::span<const float> sampled
                                    .direction = glm::dvec3(rays.direction[i]),
                                    .met_m = sampled_m[sample]};
     };
-    return unobserved_share(sampled_m.size(), sampled_ray, *scan.observed);
+    return unobserved_share(sampled_m.size(), sampled_ray, *scan.observed_space);
 }
 
 bool is_for_device(const PendingPoints& points) {
     const auto* scan = std::get_if<SubmittedScan>(&points);
-    return scan ? scan->on_device.has_value() : std::holds_alternative<DevicePoints>(points);
+    return scan ? scan->device_points.has_value() : std::holds_alternative<DevicePoints>(points);
 }
 
 }  // namespace
 
-/// Submits GPU commands that render a sweep and compute its points. With `with_next`,
-/// they wait for the commands of the next scan, so that both run in parallel.
+/// Submits GPU commands that render a sweep and compute its points, without waiting.
+/// @param timing `with_next` delays the commands until those of the next scan are
+/// submitted, so that both scans run in parallel
+/// @param memory PointMemory::device keeps the points on the device
 /// @param with_network true to run the ray-drop network as well
 SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                SubmissionTiming timing, PointMemory memory,
                                                bool with_network) {
-    const WaitOnError wait_on_error{*this};
+    const WaitOnError wait_on_error{*this};  // for the device
     const SimulatedSensor& sensor = sweep.sensor;
     const RayTable& rays = sweep.rays();
     RenderLane& lane = lanes->choose_lane(timing);
@@ -82,19 +84,20 @@ SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, cons
         .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.sequence().world_offset_m),
         .dataset_from_points = dataset_from_points,
         .time_s = sweep.time_s,
-        .rounding = {.step = settings.scatter[std::size_t(sensor.lidar)].step},
-        .observed = sweeps.is_background_shown() ? std::optional(observed_space_of(sensor)) : std::nullopt};
+        .intensity_steps = {.step = settings.scatter[std::size_t(sensor.lidar)].step},
+        .observed_space =
+            sweeps.is_background_shown() ? std::optional(observed_space_of(sensor)) : std::nullopt};
     if (memory == PointMemory::device)
-        scan.on_device = {.points = {device, rays.size(), "points of a scan"},
-                          .n_rays = rays.size(),
-                          .dataset_from_points = dataset_from_points,
-                          .time_s = sweep.time_s};
+        scan.device_points = {.points = {device, rays.size(), "points of a scan"},
+                              .n_rays = rays.size(),
+                              .dataset_from_points = dataset_from_points,
+                              .time_s = sweep.time_s};
     scan.results =
         lane.points.record(renderer.stream(), *scan.rays,
                            {.points_from_sensor = to_frame(scan.dataset_from_sensor, dataset_from_points),
                             .time_s = sweep.time_s,
                             .is_at_median_range = config.render.points == "median",
-                            .target = scan.on_device ? &scan.on_device->points : nullptr},
+                            .target = scan.device_points ? &scan.device_points->points : nullptr},
                            renderer.forward_pass().n_truncated_rays());
     lanes->submit(timing);
     return scan;
@@ -117,32 +120,34 @@ DevicePoints ScanRenderer::Impl::upload_points(const RenderedPoints& rendered) {
             .time_s = from.time_s};
 }
 
-/// Replaces a submitted scan by its points. Waits for the device.
+/// Waits for the points of a submitted scan, and replaces the scan by them. Does nothing
+/// if the request already has its points.
 /// @param reused earlier points, whose memory is reused
-void ScanRenderer::Impl::finish_scan(PendingPoints& points, LidarPoints reused) {
-    auto* scan = std::get_if<SubmittedScan>(&points);
+/// @throws DeviceError if a ray had too many hits to be traced completely
+void ScanRenderer::Impl::finish_scan(PendingPoints& request, LidarPoints reused) {
+    auto* scan = std::get_if<SubmittedScan>(&request);
     if (!scan) return;
-    lanes->submit_batch();
+    lanes->submit_batch();  // the commands of the scan may only be recorded
     const DevicePointComputer::GatheredPoints gathered =
         DevicePointComputer::wait(scan->renderer.stream(), *scan->results);
     if (gathered.n_truncated > 0) scan->renderer.check_truncation();
-    if (scan->on_device) {
-        DevicePoints on_device = std::move(*scan->on_device);
-        on_device.n_points = gathered.n_points;
-        points = std::move(on_device);
+    if (scan->device_points) {  // the device has written them to this array
+        DevicePoints points = std::move(*scan->device_points);
+        points.n_points = gathered.n_points;
+        request = std::move(points);
         return;
     }
-    RenderedPoints result{copy_points(gathered.points, scan->rounding, std::move(reused)),
+    RenderedPoints result{copy_points(gathered.points, scan->intensity_steps, std::move(reused)),
                           scan->rays->ray_table().size()};
     result.points.world_from_points = scan->dataset_from_points;
     result.points.time_s = scan->time_s;
-    if (scan->observed && !scan->observed->coverage.empty())
+    if (scan->observed_space && !scan->observed_space->coverage.empty())
         result.unseen_share = unseen_share_of(*scan, gathered.sampled_m);
-    points = std::move(result);
+    request = std::move(result);
 }
 
 void ScanRenderer::Impl::finish_pending() {
-    for (PendingPoints& points : pending) finish_scan(points);
+    for (PendingPoints& request : pending) finish_scan(request);
 }
 
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
@@ -156,14 +161,13 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     const SimulatedSweep sweep = renderer.sweeps.of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.pose_at(points_time_s);
     const ScanRenderPlan plan = renderer.plan_sweep(sweep, seed.has_value());
-    // The device computes the points after this call, which does not wait.
     if (plan.points_on_device) {
+        const bool with_network = plan.network == ScanRenderPlan::RayDropStage::device;
         renderer.pending.push_back(
-            renderer.submit_sweep(sweep, dataset_from_points, timing, memory,
-                                  plan.network == ScanRenderPlan::RayDropStage::device));
+            renderer.submit_sweep(sweep, dataset_from_points, timing, memory, with_network));
         return;
     }
-    // Otherwise the host computes them now.
+    // The host computes all other points now, so `timing` has no effect.
     const RenderedScan scan = renderer.render_sweep(sweep, seed);
     RenderedPoints points{place_points(scan, renderer.config, dataset_from_points), scan.image.range_m.size(),
                           scan.unseen_share};
@@ -172,6 +176,7 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
 }
 
 /// Removes the oldest requested scan from the queue and waits for its points.
+/// @param reused earlier points, whose memory is reused
 PendingPoints ScanRenderer::Impl::take_pending(PointMemory memory, LidarPoints reused) {
     if (pending.empty())
         throw UsageError(

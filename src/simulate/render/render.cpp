@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders a scan: computes the sweep of the sensor, traces its rays, joins sub-rays,
-// corrects the ray-drop, and adds noise and weather. ScanRenderer::Impl::render_sweep()
-// runs these steps.
+// Renders a scan: traces the rays of a sweep, joins sub-rays, corrects the ray-drop, and
+// adds noise and weather. ScanRenderer::Impl::render_sweep() runs these steps.
 #include <relidar/simulate/render.hpp>
 
 #include <relidar/log/sensor_pattern.hpp>
@@ -84,7 +83,7 @@ WeatherSensorProperties weather_properties(const Config& config, const RayTable&
         .separation_m = config.sensor.return_separation_m,
         .min_range_m = limits.min_m,
         .max_range_m = limits.max_m,
-        .darkest = kNoisePower * limits.max_m * limits.max_m,  // has this power at the maximum range
+        .darkest = kNoisePower * limits.max_m * limits.max_m,  // its power at max_m is kNoisePower
         .weakest_reflectivity = kNearReflectivity,
         .min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m),
         .min_stray_power = kStrayPower};
@@ -123,15 +122,17 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
-ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& run_config, const Log& log)
-    : device(on),
+/// Uploads the scene, or later its blocks. Sets no network, weather or observed space.
+/// @param log gives the sensors, and the recorded paths of vehicle and actors
+ScanRenderer::Impl::Impl(Device& gpu, const Scene& full_scene, const Config& run_config, const Log& log)
+    : device(gpu),
       config(with_max_range(run_config, log)),
       first_origin_m(first_position(log)),
       settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(log.lidars.size())},
-      sweeps(config, all, log),
-      standing(list_standing(all, log, config.init)),
-      scene(device, all, config, {.accel = {}, .trace = trace_options(config)}),
+      sweeps(config, full_scene, log),
+      standing(list_standing(full_scene, log, config.init)),
+      scene(device, full_scene, config, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<RenderLanes>(device, scene)) {}
 
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
@@ -230,24 +231,25 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     return {std::move(scan), {network_drops.begin(), network_drops.end()}};
 }
 
-/// Traces several sub-rays for each beam and joins them to returns. Traces beams that hit
-/// several surfaces again with more sub-rays, unless that needs too many rays.
+/// Traces sub-rays (parts) of each beam and joins them to returns. Beams at edges, which
+/// hit several surfaces, are traced again with more sub-rays, up to kMaxRays.
 RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan) {
-    SensorConfig beam_config = plan.beams;
     const RayTable& rays = sweep.rays();
-    const auto split = [&](const RayTable& some) {
-        return split_rays(some, beam_config.sub_rays, 1e-3 * beam_config.divergence_mrad);
+    const auto trace_parts = [&](const RayTable& beams, int sub_rays_per_beam) {
+        const RayTable split = split_rays(beams, sub_rays_per_beam, 1e-3 * plan.beams.divergence_mrad);
+        return trace_rays(sweep, split, plan.network).scan;
     };
     const WeatherSensorProperties detection =
         weather_properties(config, rays, sweep.sensor.limits, sweep.sensor.name);
-    const RenderedScan parts = trace_rays(sweep, split(rays), plan.network).scan;
-    RenderedScan scan = join_sub_rays(parts, rays, beam_config, detection);
-    const std::vector<std::size_t> edges = find_edge_beams(parts, rays, beam_config);
+    const RenderedScan parts = trace_parts(rays, plan.beams.sub_rays);
+    RenderedScan scan = join_sub_rays(parts, rays, plan.beams, detection);
+    const std::vector<std::size_t> edges = find_edge_beams(parts, rays, plan.beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
+        SensorConfig edge_config = plan.beams;
+        edge_config.sub_rays = kEdgeParts;
         const RayTable edge_rays = select_rays(rays, edges);
-        beam_config.sub_rays = kEdgeParts;
-        const RenderedScan edge_parts = trace_rays(sweep, split(edge_rays), plan.network).scan;
-        replace_rays(scan, edges, join_sub_rays(edge_parts, edge_rays, beam_config, detection));
+        const RenderedScan edge_parts = trace_parts(edge_rays, kEdgeParts);
+        replace_rays(scan, edges, join_sub_rays(edge_parts, edge_rays, edge_config, detection));
     }
     // The sensor does not report beams whose joined range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;
@@ -257,20 +259,13 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, co
     return scan;
 }
 
-/// Runs the ray-drop network on a scan in host memory. Used if the network needs beams
-/// that are joined from sub-rays, or the cells of a grid.
-std::vector<float> ScanRenderer::Impl::predict_drops(const RenderedScan& scan) {
-    return lanes->first().refiner->predict_drops(
-        make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m));
-}
-
 /// Adds the effects of the weather to a scan, and sets the channel `source`, the cause of
 /// each return.
 void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep,
                                           std::uint64_t seed) {
     const SimulatedSensor& sensor = sweep.sensor;
     const Log& log = sweeps.sequence();
-    // A grid into which points of the LiDAR are binned has another name than the LiDAR.
+    // The data sheet is that of the LiDAR, not of a grid into which points are binned.
     const std::string& name =
         sensor.is_log_lidar ? log.lidars[std::size_t(sensor.lidar)].sensor.name : sensor.name;
     const WeatherSensorProperties detection =
@@ -281,13 +276,14 @@ void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSwe
                        .scan = scan,
                        .response = log.intensity_response,
                        .world_offset_m = log.world_offset_m,
+                       // for rays that the weather adds, for example mirrored rays
                        .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
                        .seed = seed,
                        .motion = &motion};
     // A ray that is always dropped is blocked near the sensor, so it hits no rain.
     for (std::size_t i = 0; i < scan.ring.size(); ++i)
-        input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
-                              kDropThreshold);
+        input.is_blocked.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
+                                   kDropThreshold);
     add_weather(scan, input);
 }
 
@@ -299,6 +295,7 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
     const Lidar& lidar = sweeps.sequence().lidars[std::size_t(sensor.lidar)];
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
     const bool is_clear = settings.weather.is_clear();
+    // Weather is always random. Without a seed, it uses the seed 0.
     if (seed) sample_returns(scan, lidar.range_noise, scatter, *seed, sweeps.limits_of(sensor));
     // In clear air, sets only the channel `source`.
     if (!is_clear || has_channel("source")) simulate_weather(scan, sweep, seed.value_or(0));
@@ -311,8 +308,8 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
     for (AdditionalReturns& second : scan.second_returns) quantise(second.intensity);
 }
 
-/// Renders the scan of a sweep, from tracing the rays to weather and rounding. Channels
-/// are computed before the ray-drop network runs, because it changes the probabilities.
+/// Renders the scan of a sweep: traces rays, computes channels, corrects the ray-drop,
+/// adds noise and weather, and projects the scan onto the grid of the sensor.
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, SampleSeed seed) {
     using Network = ScanRenderPlan::RayDropStage;
     const WaitOnError wait_on_error{*this};
@@ -323,15 +320,17 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     TracedScan traced = plan.has_sub_rays() ? TracedScan{trace_footprint(sweep, plan)}
                                             : trace_rays(sweep, sweep.rays(), plan.network);
     RenderedScan scan = std::move(traced.scan);
+    // Channels and views need the drop probabilities before the network changes them.
     add_beam_channels(scan, channel_inputs(sweep), settings.channels);
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
-    block_rays(scan, sensor.body, sensor.limits);
+    block_rays(scan, sensor.body, sensor.limits);  // rays that hit the own vehicle
     if (settings.has_views) scan.actor_views = count_views(sweep, plan, scan);
-    // A network for the cells of a grid needs the projected scan. Without such a network,
-    // the scan is projected last, after noise and weather.
+    // Without a network for the cells of the grid, the scan is projected last.
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop(scan, traced.network_drops);
-    else if (plan.network != Network::none) replace_drop(scan, predict_drops(scan));
+    else if (plan.network != Network::none)
+        replace_drop(scan, lanes->first().refiner->predict_drops(
+                               make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
     // trace_rays() may have added this channel for the network.
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
@@ -342,11 +341,14 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     return scan;
 }
 
-// Instances share a model only if its surfels do not depend on the pose of the instance.
+/// Gives each instance its own model if surfels depend on the pose of the instance: if SH
+/// are evaluated for each surfel, or if surfels bend with a walking actor.
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log)
     : impl_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends
                 ? new Impl(device, unshare_models(scene), config, log)
                 : new Impl(device, scene, config, log)) {}
+
+/// Also uses what the run learned from its log about ray-drop, space and surfaces.
 ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) use_network(run.drop_network);

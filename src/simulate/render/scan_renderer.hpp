@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares the steps that make a scan: compute the sweep, trace rays, join sub-rays, run
-// the network, measure, compute points. ScanRenderPlan decides which steps run. Private
-// to render.
+// Declares the steps that make a scan. ScanRenderPlan decides which steps run. Private to
+// render.
 #pragma once
 
 #include <deque>
@@ -64,9 +63,9 @@ struct SubmittedScan {
     PoseTrack dataset_from_sensor;
     Pose dataset_from_points;
     double time_s;
-    IntensityScatterModel rounding;              ///< has only a step
-    std::optional<LogObservedSpace> observed;    ///< no value if the background is hidden
-    std::optional<DevicePoints> on_device = {};  ///< the points, if they stay on the device
+    IntensityScatterModel intensity_steps;           ///< has only a step
+    std::optional<LogObservedSpace> observed_space;  ///< no value if the background is hidden
+    std::optional<DevicePoints> device_points = {};  ///< the points, if they stay on the device
     std::shared_ptr<DevicePointComputer::PointReadback> results = {};
 };
 /// Requested points that the caller has not collected yet.
@@ -95,7 +94,7 @@ struct ScanRenderer::Impl {
     std::map<std::uint64_t, std::uint32_t> asset_models = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
-    Impl(Device& on, const Scene& all, const Config& run_config, const Log& log);
+    Impl(Device& gpu, const Scene& full_scene, const Config& run_config, const Log& log);
     /// Waits for the device if an exception leaves the scope. Otherwise the next scan
     /// could replace arrays that recorded commands use.
     struct WaitOnError {
@@ -120,7 +119,6 @@ struct ScanRenderer::Impl {
     void count_standing(const std::vector<WorldRay>& rays, const RenderedScan& scan, double max_range_m,
                         ActorViews& views) const;
     ActorViews count_views(const SimulatedSweep& sweep, ScanRenderPlan plan, const RenderedScan& scan);
-    std::vector<float> predict_drops(const RenderedScan& scan);
     void simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep, std::uint64_t seed);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);
@@ -128,7 +126,7 @@ struct ScanRenderer::Impl {
     SubmittedScan submit_sweep(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                SubmissionTiming timing, PointMemory memory, bool with_network);
     DevicePoints upload_points(const RenderedPoints& points);
-    void finish_scan(PendingPoints& points, LidarPoints reused = {});
+    void finish_scan(PendingPoints& request, LidarPoints reused = {});
     void finish_pending();
     PendingPoints take_pending(PointMemory memory, LidarPoints reused = {});
     void check_new_name(const std::string& name) const;

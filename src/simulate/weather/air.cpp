@@ -110,8 +110,8 @@ public:
                                          scan_.second_returns[0].intensity[ray_index]);
         EchoPair echoes{ray.strongest, ray.second};
         if (!input_.weather.is_clear()) {
-            const bool is_blind = !input_.blind.empty() && input_.blind[ray_index] != 0;
-            ray.free_m = is_blind ? 0.0 : free_path_m(ray);
+            const bool is_blocked = !input_.is_blocked.empty() && input_.is_blocked[ray_index] != 0;
+            ray.free_m = is_blocked ? 0.0 : free_path_m(ray);
             echoes = air_.echoes_of_ray(ray, seed);
             write_strongest(ray_index, ray.strongest, echoes.strongest);
             if (has_second) write_second(scan_.second_returns[0], ray_index, echoes.second);
@@ -226,6 +226,7 @@ void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSens
 EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const {
     Random random(seed);
     EchoCandidates candidates;
+    // All effects draw from one generator, so their order determines the result.
     for (const auto& effect : effects_) effect->modify_surface(ray);
     constexpr double kDry = 1.0;  // the second surface is not darkened by water
     append_surface(candidates, ray.strongest, ray.through_water, random);

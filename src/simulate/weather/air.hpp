@@ -35,7 +35,7 @@ struct WeatherInput {
     std::uint64_t seed = 0;
     /// [rays] true if an object close to the sensor blocks the ray; it then has no
     /// returns from the air. Empty: no ray is blocked.
-    std::vector<std::uint8_t> blind = {};
+    std::vector<std::uint8_t> is_blocked = {};
     /// if not set, the channel `velocity` of returns from the air is 0
     const MotionDuringScan* motion = nullptr;
 };
@@ -75,9 +75,7 @@ public:
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
     /// Computes the strongest and the second return that the sensor measures along a ray.
     /// The second return is the last one, or the second strongest if the last is the
-    /// strongest. Both are at least WeatherSensorProperties::separation_m apart. If one
-    /// is of the air, the second has a tenth of the power of the strongest. Leaves out
-    /// returns below the detection threshold.
+    /// strongest. Leaves out returns below the detection threshold.
     EchoPair echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const;
 
 private:

@@ -52,7 +52,7 @@ void apply_weather(RenderedScan& scan, const Applied& applied) {
                        .scan = scan,
                        .response = applied.response,
                        .seed = applied.seed,
-                       .blind = applied.blind});
+                       .is_blocked = applied.blind});
 }
 
 const std::vector<std::int32_t>& get_sources(const RenderedScan& scan) {
