@@ -14,8 +14,7 @@ namespace relidar {
 
 namespace {
 
-/// Minimum sum of blending weights along a ray that is projected into the image.
-constexpr float kLeastWeight = 0.05f;
+constexpr float kLeastWeight = 0.05f;  // minimum blending weight of a ray that is projected into the image
 
 RangeLimits configured_limits(const Config& config, const Log& log) {
     return {config.dataset.min_range_m, with_max_range(config, log).dataset.max_range_m};
@@ -88,6 +87,20 @@ bool is_shown_instead(const RenderedScan& scan, std::size_t ray, std::size_t oth
     return returns ? glm::length(scan.end_of(ray)) < glm::length(scan.end_of(other)) : drop < other_drop;
 }
 
+using ShownRays = std::vector<std::optional<std::size_t>>;  // [pixels]
+/// Returns the ray that each pixel shows, or nothing for a pixel without rays.
+/// @param pixel_of_ray [rays] index of the pixel to which a ray belongs, or -1
+ShownRays select_shown_rays(const RenderedScan& scan, const std::vector<int>& pixel_of_ray,
+                            std::size_t n_pixels) {
+    ShownRays shown_rays(n_pixels);
+    for (std::size_t ray = 0; ray < pixel_of_ray.size(); ++ray) {
+        if (pixel_of_ray[ray] < 0) continue;
+        std::optional<std::size_t>& shown = shown_rays[std::size_t(pixel_of_ray[ray])];
+        if (!shown || is_shown_instead(scan, ray, *shown)) shown = ray;
+    }
+    return shown_rays;
+}
+
 }  // namespace
 
 bool is_rolling(const SimulatedSensor& sensor, const Config& config) {
@@ -96,8 +109,7 @@ bool is_rolling(const SimulatedSensor& sensor, const Config& config) {
 
 SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s) {
-    // Maximum difference between the requested time and the time stamp of a sweep.
-    constexpr double kSameTime_s = 1e-3;
+    constexpr double kSameTime_s = 1e-3;  // maximum difference of time stamps of the same sweep
     if (!sensor.follows_sweeps) return sensor;
     const auto is_now = [&](const Frame& f) {
         return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() &&
@@ -145,37 +157,32 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
     const RayTable pixel_rays = make_rays(grid);
     const std::size_t n = pixel_rays.size();
     check_channels(scan.channels, scan.median_range_m.size(), "a scan that is projected onto the grid");
-    const std::vector<int> pixels = pixels_of_rays(scan, grid);
-    std::vector<std::optional<std::size_t>> shown(n);  // the ray that each pixel shows
-    for (std::size_t ray = 0; ray < pixels.size(); ++ray) {
-        if (pixels[ray] < 0) continue;
-        std::optional<std::size_t>& current = shown[std::size_t(pixels[ray])];
-        if (!current || is_shown_instead(scan, ray, *current)) current = ray;
-    }
+    const std::vector<int> pixel_of_ray = pixels_of_rays(scan, grid);
+    const ShownRays shown_rays = select_shown_rays(scan, pixel_of_ray, n);
     RenderedScan result = empty_scan(pixel_rays, scan);
     result.time_offset_s.assign(n, 0.0f);
     for (std::size_t pixel = 0; pixel < n; ++pixel)
-        if (shown[pixel]) result.time_offset_s[pixel] = scan.time_offset_s[*shown[pixel]];
+        if (const auto ray = shown_rays[pixel]) result.time_offset_s[pixel] = scan.time_offset_s[*ray];
     const auto fill_channel = [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays,
                                            std::vector<T>& of_pixels) {
         of_pixels.assign(n, empty_value<T>(channel));
-        for (std::size_t pixel = 0; pixel < n; ++pixel) {
-            if (!shown[pixel]) continue;
-            const std::size_t ray = *shown[pixel];
-            of_pixels[pixel] = of_rays[ray];
+        for (std::size_t pixel = 0; pixel < n; ++pixel)
+            if (const auto ray = shown_rays[pixel]) of_pixels[pixel] = of_rays[*ray];
+        if constexpr (std::is_same_v<T, float>) {
             // A grid has distances from its origin, not from the origin of the ray.
-            if constexpr (std::is_same_v<T, float>)
-                if (channel.join == ChannelMergeRule::range)
-                    of_pixels[pixel] =
-                        glm::length(scan.image.origin[ray] + of_rays[ray] * scan.image.direction[ray]);
-        }
-        // A pixel has a return if any of its rays returns.
-        if constexpr (std::is_same_v<T, float>)
-            for (std::size_t ray = 0; ray < pixels.size(); ++ray)
-                if (channel.join == ChannelMergeRule::drop && pixels[ray] >= 0) {
-                    float& drop = of_pixels[std::size_t(pixels[ray])];
+            if (channel.join == ChannelMergeRule::range)
+                for (std::size_t pixel = 0; pixel < n; ++pixel)
+                    if (const auto ray = shown_rays[pixel])
+                        of_pixels[pixel] =
+                            glm::length(scan.image.origin[*ray] + of_rays[*ray] * scan.image.direction[*ray]);
+            // A pixel has a return if any of its rays returns.
+            if (channel.join == ChannelMergeRule::drop)
+                for (std::size_t ray = 0; ray < pixel_of_ray.size(); ++ray) {
+                    if (pixel_of_ray[ray] < 0) continue;
+                    float& drop = of_pixels[std::size_t(pixel_of_ray[ray])];
                     drop = std::min(drop, of_rays[ray]);
                 }
+        }
     };
     for_all_channels(scan, result, fill_channel);
     return result;
