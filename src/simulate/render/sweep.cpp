@@ -12,13 +12,10 @@
 namespace relidar {
 namespace {
 
-// Maximum time between the firing of a ray and the nearest end of the path.
-constexpr double kBeyondPath_s = 1.0;
-constexpr double kMaxCoordinate =
-    1e10;  // limit for coordinates in metres and for times in seconds since 1970
+constexpr double kBeyondPath_s = 1.0;    // limit from the firing of a ray to the nearest end of the path
+constexpr double kMaxCoordinate = 1e10;  // limit of coordinates in metres and of times in s since 1970
 
-/// Checks the track of a sensor or an actor.
-/// @throws DataError if poses or times are invalid
+/// Checks that the poses and times of a sensor or an actor are valid.
 void check_track(const PoseTrack& track, const std::string& object_name) {
     const auto refuse = [&](const std::string& found, const char* expected) {
         fail("cannot render a scan: the poses of {} are invalid: found {}, expected {}", object_name, found,
@@ -45,7 +42,6 @@ void check_track(const PoseTrack& track, const std::string& object_name) {
 }
 
 /// Checks that the rays of a sweep are fired while the path of the sensor is known.
-/// @throws DataError if rays are fired long before or after the path
 void check_path(const SimulatedSweep& sweep) {
     const std::vector<double>& times_s = sweep.world_from_sensor.time_s;
     if (times_s.size() < 2 || sweep.rays().size() == 0) return;
@@ -85,7 +81,7 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
       log_world_from_vehicle_(log.world_from_vehicle),
       shifted_(frames_with_shifts(log)),
       n_logged_(scene.instances.size()),
-      shown_(scene.instances.size(), true) {
+      is_shown_(scene.instances.size(), true) {
     log_.lidars = log.lidars;
     log_.boxes = log.boxes;
     log_.world_offset_m = log.world_offset_m;
@@ -108,7 +104,7 @@ void SimulatedSweepBuilder::add_model(const SurfelModel& model, const BoxTrack& 
 
 std::uint32_t SimulatedSweepBuilder::add_instance(std::uint32_t model) {
     layout_.instances.push_back({model, ""});
-    shown_.push_back(false);
+    is_shown_.push_back(false);
     return std::uint32_t(layout_.instances.size() - 1);
 }
 
@@ -117,7 +113,7 @@ void SimulatedSweepBuilder::name_instance(std::uint32_t instance, const std::str
     instance_of_.erase(track);
     track = name;
     if (!name.empty()) instance_of_.emplace(name, instance);
-    shown_[instance] = !name.empty();
+    is_shown_[instance] = !name.empty();
 }
 
 std::uint32_t SimulatedSweepBuilder::find_actor(const std::string& name) const {
@@ -144,20 +140,21 @@ void SimulatedSweepBuilder::show_instances(const std::vector<bool>& shown) {
     if (shown.size() != n_logged_)
         fail<UsageError>("cannot select the objects to render: found {} values, expected {}", shown.size(),
                          n_logged_);
-    std::copy(shown.begin(), shown.end(), shown_.begin());
+    std::copy(shown.begin(), shown.end(), is_shown_.begin());
 }
 
 SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor, double time_s) const {
     return follow_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-/// Makes a sweep for a sensor on a given track. First lets the vehicle of `log_` drive so
-/// that its LiDAR follows this track, because pose_instances() reads the log.
+/// Makes a sweep for a sensor on a given track, with the actors on their tracks. Changes
+/// the vehicle of `log_`, which then has the poses of this sweep.
 /// @param world_from_actor [instances] null if absent
 SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
                                                   PoseTrack world_from_sensor,
                                                   const InstanceTracks& world_from_actor) {
     const bool is_rolling = relidar::is_rolling(sensor, config_);
+    // The vehicle drives so that its LiDAR follows the track of the sensor.
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     lidar.pattern = sensor.pattern;
     log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
@@ -169,11 +166,12 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (is_rolling) check_path(sweep);
     else sweep.world_from_sensor = {{time_s}, {sweep.pose}};  // all rays are fired from this pose
-    // The times of the instances depend on the azimuth at which the sweep starts.
+    // Reads the changed log. The times of the instances depend on the azimuth at which
+    // the sweep starts.
     const SweepTiming timing{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     sweep.instances = pose_instances(layout_, log_, timing, world_from_actor);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i)
-        if (!shown_[i]) sweep.instances[i].present = false;
+        if (!is_shown_[i]) sweep.instances[i].present = false;
     return sweep;
 }
 
@@ -198,18 +196,18 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
              request.time_s, kMaxCoordinate);
     }
     PoseTrack world_from_sensor = to_scene_frame(request.dataset_from_sensor, "the sensor");
-    // Owns the tracks of the request. Pointers to elements of a deque stay valid.
-    std::deque<PoseTrack> world_from_actor;
+    std::deque<PoseTrack> actor_tracks;  // a deque does not move the tracks to which `tracks` points
     InstanceTracks tracks(layout_.instances.size(), nullptr);
     if (!request.dataset_from_actor) tracks = logged_tracks(request.time_s);
     else
         for (const auto& [name, track] : *request.dataset_from_actor) {
             const auto [first, end] = instance_of_.equal_range(name);
             if (first == end) fail_unknown_actor(name);
-            const PoseTrack& in_scene = world_from_actor.emplace_back(to_scene_frame(track, "actor " + name));
+            const PoseTrack& in_scene = actor_tracks.emplace_back(to_scene_frame(track, "actor " + name));
             // Several instances can have the same name.
             for (auto match = first; match != end; ++match) tracks[match->second] = &in_scene;
         }
+    // Poses by handle replace those by name and those of the log.
     for (const auto& [actor, track] : request.placed) {
         const auto instance = std::size_t(actor);
         if (instance >= tracks.size() || layout_.instances[instance].track.empty())
@@ -217,7 +215,7 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
                 "cannot place an actor: found the handle {}, expected that of an actor of the scene",
                 instance);
         const std::string& name = layout_.instances[instance].track;
-        tracks[instance] = &world_from_actor.emplace_back(to_scene_frame(track, "actor " + name));
+        tracks[instance] = &actor_tracks.emplace_back(to_scene_frame(track, "actor " + name));
     }
     return along_track(sensor, request.time_s, std::move(world_from_sensor), tracks);
 }

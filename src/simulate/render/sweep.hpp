@@ -50,7 +50,7 @@ public:
     const Log& sequence() const { return log_; }
     const Scene& layout() const { return layout_; }
     bool is_background_shown() const {
-        return shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
+        return is_shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
     }
     /// Returns the probability that a ray is blocked, for example by the vehicle.
     float permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,
@@ -64,7 +64,7 @@ private:
     const PoseTrack log_world_from_vehicle_;
     const std::vector<Frame> shifted_;
     const std::size_t n_logged_;  ///< number of instances of the run; others were added
-    std::vector<bool> shown_;     ///< [instances] false also for a free instance
+    std::vector<bool> is_shown_;  ///< [instances] false also for a free instance
     /// Actors by name. Instances with the same track have separate entries.
     std::unordered_multimap<std::string, std::uint32_t> instance_of_;
     std::vector<std::optional<std::size_t>> box_of_;  ///< [n_logged_] index in Log::boxes
