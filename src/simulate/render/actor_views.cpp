@@ -57,8 +57,7 @@ struct CrossingRays {
 
     /// Returns the estimated visibility, or nothing if no ray would hit the object.
     std::optional<ActorVisibility> visibility(const std::string& track) const {
-        // Rays near an edge of a box can miss the object in it.
-        constexpr std::size_t kMinEmptyRays = 5;
+        constexpr std::size_t kMinEmptyRays = 5;  // fewer rays at an edge of the box can miss the object
         const std::size_t n_open = n_hits + n_dropped + n_empty;
         if (n_hits > 0)
             return ActorVisibility{track, n_hits, n_hits + (n_blocked * n_hits + n_open / 2) / n_open};
@@ -90,7 +89,7 @@ void ScanRenderer::Impl::count_standing(const std::vector<WorldRay>& rays, const
     for (const BoxTrack& box : standing) {
         const Pose &world_from_box = box.world_from_box.pose.front(),
                    box_from_world = inverse(world_from_box);
-        // The sphere contains the box with the margin of object_interval().
+        // The sphere contains the box, which object_interval() enlarges on each side.
         const double radius_m = 0.5 * glm::length(box.size_m) + 2.0 * kObjectMargin_m;
         CrossingRays crossing;
         for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -105,11 +104,12 @@ void ScanRenderer::Impl::count_standing(const std::vector<WorldRay>& rays, const
 }
 
 /// Measures the visibility of actors, and of standing objects if the background is shown.
-/// For each actor, traces the nearby rays in a scene that contains only this actor.
+/// For each actor, traces the nearby rays again in a scene that contains only this actor.
+/// @param plan of the scan; the rays are traced in the same way, but without a network
 /// @param scan rays of the sweep, before a network or noise changes the drops
 ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, ScanRenderPlan plan,
                                            const RenderedScan& scan) {
-    plan.network = ScanRenderPlan::RayDropStage::none;  // it does not change what a ray hits
+    plan.network = ScanRenderPlan::RayDropStage::none;
     const std::vector<WorldRay> rays = fired_rays(sweep);
     ActorViews views = count_first_hits(scan);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
@@ -118,7 +118,8 @@ ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, ScanRend
         const RayIndices nearby =
             rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (nearby.empty()) continue;
-        // The same sweep with only these rays, and with all other instances hidden.
+        // The same sweep with only these rays, and with all other instances hidden. They
+        // replace the rays of the sensor.
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), nearby);
         for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
@@ -130,7 +131,7 @@ ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, ScanRend
     // Removes the background and actors that no ray would hit.
     std::erase_if(views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
-    prepare_scene(lanes->first(), sweep);  // shows all instances again
+    prepare_scene(lanes->first(), sweep);  // shows the other instances again
     if (sweeps.is_background_shown()) count_standing(rays, scan, sweeps.limits_of(sweep.sensor).max_m, views);
     return views;
 }

@@ -11,8 +11,7 @@
 namespace relidar {
 namespace {
 
-// A ray counts as observed if at least this share of its path was observed.
-constexpr float kMinObservedFraction = 0.5f;
+constexpr float kMinObservedFraction = 0.5f;  // observed share of the path of an observed ray
 
 bool is_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
 
@@ -38,6 +37,7 @@ ChannelValues make_normals(const RenderedRayValues& rendering, const RenderedSca
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (rendering.weight[i] < kMinWeight) continue;
+        // rendering.normal is in the world frame
         const glm::dvec3 in_sensor =
             glm::conjugate(firing.pose_of(i).rotation) * glm::dvec3(rendering.normal[i]);
         const double length = glm::length(in_sensor);
@@ -76,8 +76,7 @@ ChannelValues make_classes(const RenderedScan& scan, const ChannelInputs& contex
         const std::int32_t instance = scan.instance[ray];
         if (instance < 0) return;
         classes[ray] = context.classes[std::size_t(instance)];
-        const bool is_background = classes[ray] == 0;
-        if (!is_background || !context.background) return;
+        if (classes[ray] != std::int32_t(SurfaceClass::unknown) || !context.background) return;
         const glm::dvec3 hit_m =
             scan.firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m;
         classes[ray] = std::int32_t(context.background->find_class(hit_m));
@@ -126,8 +125,7 @@ ChannelComputation find_maker(const ChannelInfo& channel) {
 }  // namespace
 
 RayMotion MotionDuringScan::motion_of_ray(const RenderedScan& scan, std::size_t ray) const {
-    // half of the time span of the central difference
-    constexpr double kVelocityStep_s = 0.005;
+    constexpr double kVelocityStep_s = 0.005;  // half of the time span of the central difference
     const double time_s = scan.time_s + double(scan.time_offset_s[ray]);
     const Pose world_from_firing = world_from_sensor.pose_at(time_s);
     const glm::dvec3 origin_m(scan.image.origin[ray]);
@@ -191,14 +189,15 @@ static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
               1 + int(ObjectKind::other) == int(SurfaceClass::other_actor));
 
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence) {
-    std::vector<std::int32_t> classes;
-    for (const ModelInstance& instance : scene.instances) {
-        // A copied actor has no box. The name of its model is the id of the original's
-        // box.
+    std::vector<std::int32_t> classes(scene.instances.size(), 0);
+    for (std::size_t i = 0; i < classes.size(); ++i) {
+        const ModelInstance& instance = scene.instances[i];
+        if (instance.track.empty()) continue;  // the background
+        // The log has no box for a copied actor. The name of the model, which it shares
+        // with the original, is the id of the original's box.
         const BoxTrack* box = find_box(sequence, instance.track);
         if (!box) box = find_box(sequence, scene.models[instance.model].name);
-        const ObjectKind kind = box ? guess_kind(*box) : ObjectKind::other;
-        classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
+        classes[i] = 1 + std::int32_t(box ? guess_kind(*box) : ObjectKind::other);
     }
     return classes;
 }

@@ -121,16 +121,16 @@ void ResidentScene::add_instance(const ModelInstance& instance) {
 Scene ResidentScene::copy_model(std::uint32_t model) {
     Scene copy;
     copy.instances = {{.model = 0, .track = "copy"}};  // a placeholder, because actors need a track
-    if (!renderer_) {                                  // a scene in blocks before its first scan
+    if (!renderer_) {
+        // No blocks were loaded yet, so the model is only in host memory.
         append_model(copy, scene_, model);
         return copy;
     }
     const DeviceScene& scene = renderer_->scene();
     copy.models = {scene.layout().models[model]};
-    SurfelModel& copied = copy.models.front();
+    SurfelModel& copied = copy.models.front();  // has the range of the surfels on the device
     copy.surfels = scene.surfel_parameters().download_range(copied.first, copied.count);
-    // The copied surfels begin at 0 in the new scene.
-    copied.first = 0;
+    copied.first = 0;  // `copy` has only these surfels
     return copy;
 }
 

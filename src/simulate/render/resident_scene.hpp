@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps the scene on the device. If the scene is divided into blocks, loads only the
-// blocks that rays can reach.
+// Keeps the scene on the device, or only those of its blocks that rays can reach.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -10,9 +9,8 @@
 
 namespace relidar {
 
-/// A scene on the device. Of a scene in blocks, only blocks near the sensor must be
-/// loaded. Others stay while they fit into config.render.memory_mib; the least recently
-/// needed go first.
+/// A scene on the device. Of a scene in blocks, loads the blocks near the sensor. Others
+/// stay while they fit into config.render.memory_mib; the least recently needed go first.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);

@@ -76,7 +76,8 @@ SpawnSlot* ScanRenderer::Impl::find_slot(const std::string& name) {
     return slot == slots.end() ? nullptr : &*slot;
 }
 
-/// Gives an actor a free instance of its model, or a new one.
+/// Gives an actor an instance of its model: one that a removed actor has left, which has
+/// no name, or a new one.
 /// @param source model of the actor
 ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
     auto slot = std::ranges::find_if(slots, [&](const SpawnSlot& candidate) {
@@ -93,7 +94,7 @@ ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor act
 ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& name) {
     Impl& renderer = *impl_;
     renderer.check_new_name(name);
-    const std::uint32_t instance = renderer.sweeps.find_actor(actor);
+    const std::uint32_t instance = renderer.sweeps.find_actor(actor);  // throws if it is unknown
     renderer.finish_pending();
     // A copy of a spawned actor has the same source model.
     if (const SpawnSlot* original = renderer.find_slot(actor)) {
@@ -110,16 +111,16 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     renderer.check_new_name(name);
     const std::string track = only_track(asset);
     const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
-    Scene model;  // a scene with only this model
+    Scene model;  // a scene with only the model of the actor
     model.instances = {{.model = 0, .track = track}};
     append_model(model, asset.scene, instance->model);
     SpawnedActor actor = make_spawned(name, find_box(asset.sequence, track));
     renderer.finish_pending();
-    // Equal models are added only once.
+    // Equal models are added only once. Their hash identifies them.
     const std::uint64_t hash = hash_model(model);
     auto known = renderer.asset_models.find(hash);
     if (known == renderer.asset_models.end()) {
-        // The channel "class" finds the box of a spawned actor by the name of its model.
+        // The box has the name of the model, by which the channel "class" finds it.
         std::string& model_name = model.models.front().name;
         model_name = fmt::format("spawned model {}", hash);
         const std::uint32_t added =

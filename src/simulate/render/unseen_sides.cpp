@@ -16,14 +16,14 @@ struct PartlyObservedActor {
     const BoxTrack* box;
     const ObservedBoxSurface* surface;
     std::int32_t instance;                ///< index of the actor in Scene::instances
-    ObservedSideFractions side_coverage;  ///< observed or completed fraction of each side
+    ObservedSideFractions side_coverage;  ///< observed or mirrored fraction of each side
     /// bounding sphere of the box at the times of the first and of the last ray, in the
     /// world frame
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     /// [sides] rays that enter through an unobserved side, and rays that hit mirrored
-    /// surfels of a side
-    std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
+    /// surfels, which complete a side
+    std::array<std::size_t, kBoxSides> n_unobserved{}, n_mirrored{};
 
     /// Counts a ray of a scan if it sees a side that the log has not observed.
     void count_ray(const RenderedScan& scan, std::size_t ray, const WorldRay& in_world) {
@@ -36,7 +36,7 @@ struct PartlyObservedActor {
         const bool hits_actor = !scan.instance.empty() && scan.instance[ray] == instance;
         if (hits_actor && range_m > 0.0)
             if (const auto side = surface->find_mirrored_side(origin + range_m * direction))
-                ++n_completed[std::size_t(*side)];
+                ++n_mirrored[std::size_t(*side)];
         const glm::dvec3 half_m = 0.5 * box->size_m;
         const std::optional<BoxCrossing> inside = cross_box(origin, direction, -half_m, half_m);
         const bool starts_outside = inside && inside->enter > 0.0;
@@ -45,7 +45,7 @@ struct PartlyObservedActor {
             // The ray enters through this side, and not at a grazing angle.
             const bool enters = kSideFrames[s].normal == inside->axis &&
                                 -kSideFrames[s].sign * direction[inside->axis] >= min_cosine(BoxSide(s));
-            if (enters && side_coverage[s] < kUnseenSide) ++n_through[s];
+            if (enters && side_coverage[s] < kUnseenSide) ++n_unobserved[s];
         }
     }
 };
@@ -80,7 +80,7 @@ std::vector<PartlyObservedActor> list_partly_observed(const RenderedScan& scan, 
 UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& scene, const Log& log) {
     std::vector<PartlyObservedActor> actors = list_partly_observed(scan, scene, log);
     if (actors.empty()) return {};
-    // The poses of a scan are in the dataset's frame.
+    // Boxes are in the world frame, but the poses of a scan are in the dataset's frame.
     FiringPoseInterpolator world_from_firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -log.world_offset_m});
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         const Pose& pose = world_from_firing.pose_of(i);
@@ -95,8 +95,8 @@ UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& sc
     };
     for (const PartlyObservedActor& actor : actors)
         for (std::size_t s = 0; s < kBoxSides; ++s) {
-            report(actor.box->id, s, actor.n_through[s], /*is_completed=*/false);
-            report(actor.box->id, s, actor.n_completed[s], /*is_completed=*/true);
+            report(actor.box->id, s, actor.n_unobserved[s], /*is_completed=*/false);
+            report(actor.box->id, s, actor.n_mirrored[s], /*is_completed=*/true);
         }
     return sides;
 }
