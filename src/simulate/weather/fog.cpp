@@ -15,8 +15,7 @@ namespace {
 constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
 // Per metre and steradian, times the visibility in metres (Rasshofer et al. 2011).
 constexpr double kFogBackscatter = 0.046;
-// Standard deviation of the logarithm of the density. The value is an assumption.
-constexpr double kFogSpread = 1.0;
+constexpr double kFogSpread = 1.0;  // assumption: standard deviation of the logarithm of the density
 // Fog that is denser by this many standard deviations is too rare to extend the table.
 constexpr double kRareFog = 5.0;
 

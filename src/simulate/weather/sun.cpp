@@ -10,8 +10,7 @@
 namespace relidar {
 namespace {
 
-// At 905 nm in W/m^2/nm, for 100 klux of direct light. The value is an assumption.
-constexpr double kSunIrradiance = 0.65;
+constexpr double kSunIrradiance = 0.65;     // assumption: W/m^2/nm at 905 nm on a day with 100 klux
 constexpr double kSunRadius_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSunSolidAngle_sr = kPi * kSunRadius_rad * kSunRadius_rad;
 // A dusty window scatters sunlight: radiance / irradiance in 1/sr at one degree from the
@@ -19,8 +18,7 @@ constexpr double kSunSolidAngle_sr = kPi * kSunRadius_rad * kSunRadius_rad;
 constexpr double kAureole_sr = 5.0;
 constexpr double kRadPerDegree = kPi / 180.0;
 constexpr double kFilterWidth_nm = 20.0;
-// A lens with a diameter of 5 cm and a transmission of one half.
-constexpr double kReceiverArea_m2 = 1e-3;
+constexpr double kReceiverArea_m2 = 1e-3;   // lens with a diameter of 5 cm that transmits one half
 constexpr double kQuantumEfficiency = 0.7;  // quantum efficiency, electrons per photon
 constexpr double kExcessNoiseFactor = 3.0;  // excess noise factor F of an avalanche photodiode
 constexpr double kPeak_W = 75.0;            // peak power of a pulse
@@ -92,23 +90,25 @@ constexpr WeatherParameter kSunNumbers[] = {
 
 double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_rad, double albedo_or_0,
                  bool sees_sky) {
-    const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
-    const double off_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
-    // Sum of radiance / irradiance, 1/sr: light that the dusty window scatters, the lit
-    // surface, and the part of the solar disc in the beam.
-    double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
+    const double irradiance = kSunIrradiance * sun.klux / kClearDay_klux;  // E in W/m^2/nm
+    const double half_beam_rad = 0.5 * sensor.divergence_rad;
+    const double sun_angle_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
+    // Radiance that the receiver sees, divided by E, in 1/sr: light that the dusty window
+    // scatters, light of the surface, and the part of the beam that the solar disc fills.
+    double per_sr = kAureole_sr / (sun_angle_deg * sun_angle_deg) + albedo_or_0 / kPi;
     if (sees_sky) {
-        const double disc_share = (kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad;
+        const double disc_share = (kSunRadius_rad + half_beam_rad - angle_rad) / sensor.divergence_rad;
         per_sr += std::clamp(disc_share, 0.0, 1.0) / kSunSolidAngle_sr;
     }
-    const double view_sr = kPi * half_rad * half_rad;
-    const double sun_W = irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2;
+    const double view_sr = kPi * half_beam_rad * half_beam_rad;
+    const double sunlight_W = irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2;
     // A diffuse surface with reflectivity 1 at 1 m reflects 1 / pi of the pulse per
     // steradian. By definition, its relative power is 1.
     const double unit_power_W = kPeak_W * kReceiverArea_m2 / kPi;
     constexpr double kElectronsPerJ = kQuantumEfficiency / kPhoton_J;
     const auto count_electrons = [&](double watt) { return watt * sensor.pulse_s * kElectronsPerJ; };
-    return std::sqrt(kExcessNoiseFactor * count_electrons(sun_W)) / count_electrons(unit_power_W);
+    // N electrons have a standard deviation of sqrt(F N).
+    return std::sqrt(kExcessNoiseFactor * count_electrons(sunlight_W)) / count_electrons(unit_power_W);
 }
 
 double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas) {

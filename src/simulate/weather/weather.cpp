@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts weather between text and numbers. kWeatherEffects describes the form of the
-// text.
+// Converts weather between numbers and text, whose form kWeatherEffects describes.
 #include <relidar/simulate/weather.hpp>
 
 #include <charconv>

@@ -16,14 +16,11 @@ constexpr double kWaterIndex = 1.33;      // refractive index of water in the ne
 constexpr double kTextureDepth_mm = 1.0;  // depth of the texture of asphalt
 
 constexpr double kCellSize_m = 2.0;
-// Ground points are at most this much above the lowest point of their cell.
-constexpr double kGroundLayer_m = 0.25;
-// Root mean square distance of the points from the plane.
-constexpr double kMaxPlaneError_m = 0.1;
+constexpr double kGroundLayer_m = 0.25;     // height of ground points above the lowest point of their cell
+constexpr double kMaxPlaneError_m = 0.1;    // root mean square distance of the points from the plane
 constexpr double kMaxSlope = 0.25;          // maximum slope of ground, rise over run
 constexpr double kMinPointsPerPlane = 6.0;  // minimum number of points for a plane
-// If the points form a narrower strip, the slope across the strip is unknown, and set to
-// 0.
+// If the points form a narrower strip, the slope across the strip is unknown: 0.
 constexpr double kMinStripWidth_m = 0.2;
 
 /// Sums over points, relative to the sensor, along the axes of the world.
@@ -156,17 +153,15 @@ struct WetGroundRay {
     LidarEcho mirrored{};        // return of the object that the mirrored ray hits
 };
 
-// The rays of a scan, and the rays that the water mirrors.
 struct WetGroundRays {
-    std::vector<WetGroundRay> of_scan;  // [rays of the scan]
-    WorldRays mirrored;
-    std::vector<std::size_t> of_mirrored;  // [mirrored] index of the ray in the scan
+    std::vector<WetGroundRay> of_scan;   // [rays of the scan]
+    WorldRays mirrored;                  // rays that the water mirrors
+    std::vector<std::size_t> scan_rays;  // [mirrored] index of the mirrored ray in the scan
 };
 
 // Mirrored rays start above the water, so that they do not hit the rough ground itself.
 constexpr double kRayLift_m = 0.1;
-// Hits below this height belong to the ground.
-constexpr double kMinMirroredHeight_m = 0.3;
+constexpr double kMinMirroredHeight_m = 0.3;  // hits below this height belong to the ground
 
 float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
     return sigmoid(rendering.drop_logit[ray] - rendering.hit_logit[ray]);
@@ -174,7 +169,7 @@ float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
 
 /// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
 /// out mirrored rays that return less light than the ground.
-/// @param normals [rays] from ground_normals_of()
+/// @param normals [rays] unit normal of the ground, or 0 for a ray that hits no ground
 WetGroundRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals) {
     const RenderedScan& scan = input.scan;
     const double wet_share = film_fraction(input.weather.wet_mm);  // of the ground under water
@@ -185,6 +180,7 @@ WetGroundRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, normals[i]);
         if (!(cosine > 0.0)) continue;
+        // An intensity is the reflectivity multiplied by a factor that depends on range.
         const double albedo = scan.image.intensity[i] / input.response.range_factor(range_m);
         WetGroundRay& wet = rays.of_scan[i];
         wet.through_water = 1.0 - wet_share + wet_share * wet_ratio(cosine, albedo);
@@ -198,7 +194,7 @@ WetGroundRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec
         rays.mirrored.origin.push_back(glm::vec3(hit_m + kRayLift_m * normals[i]));
         rays.mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * normals[i]));
         rays.mirrored.time_s.push_back(scan.time_offset_s[i]);
-        rays.of_mirrored.push_back(i);
+        rays.scan_rays.push_back(i);
     }
     return rays;
 }
@@ -208,14 +204,14 @@ WetGroundRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec
 std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
     const std::vector<glm::dvec3> normals = ground_normals_of(input.scan);
     WetGroundRays wet = mirror_rays(input, normals);
-    const RenderedRayValues hits = wet.of_mirrored.empty() ? RenderedRayValues{} : input.trace(wet.mirrored);
+    const RenderedRayValues hits = wet.scan_rays.empty() ? RenderedRayValues{} : input.trace(wet.mirrored);
     for (std::size_t k = 0; k < hits.size(); ++k) {
-        const std::size_t ray = wet.of_mirrored[k];
-        const double from_water_m = hits.median_depth[k];
+        const std::size_t ray = wet.scan_rays[k];
+        const double from_water_m = hits.median_depth[k];  // 0 if the mirrored ray hits nothing
         const glm::dvec3 direction(wet.mirrored.direction[k]);
         if (!(from_water_m > 0.0) || drop_chance(hits, k) >= kDropThreshold) continue;
         const double height_m = kRayLift_m + from_water_m * glm::dot(direction, normals[ray]);
-        if (height_m < kMinMirroredHeight_m) continue;
+        if (height_m < kMinMirroredHeight_m) continue;  // the mirrored ray hits the ground again
         // The sensor measures the length of the path via the water.
         LidarEcho& echo = wet.of_scan[ray].mirrored;
         echo.range_m = double(input.scan.median_range_m[ray]) + from_water_m;
@@ -225,7 +221,7 @@ std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
         const glm::dvec3 hit_m = glm::dvec3(wet.mirrored.origin[k]) + from_water_m * direction;
         const glm::dvec3 object_mps =
             input.motion->object_velocity(hits.instance[k], double(wet.mirrored.time_s[k]), hit_m);
-        echo.away_mps = glm::dot(direction, object_mps);
+        echo.away_mps = glm::dot(direction, object_mps);  // positive if the range increases
     }
     return std::move(wet.of_scan);
 }
