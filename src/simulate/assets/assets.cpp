@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Extracts an actor of a run as a separate run. Removes surfels that are never visible.
+// Extracts an actor of a run as a separate run, without surfels that are never visible.
 // Completes the unobserved side of vehicles with mirrored surfels.
 
 #include <fmt/format.h>

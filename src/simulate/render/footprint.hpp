@@ -16,19 +16,15 @@ using RayIndices = std::vector<std::size_t>;
 /// divergence
 RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
-/// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
-/// range. Neighbours are in the same group if their ranges differ by less than
-/// config.return_separation_m. They are also in the same group if they lie on the same
-/// plane. Each group forms one return. Its range is the mean range of the group, weighted
-/// by intensity. Its intensity is the sum of intensities divided by the number of all
-/// sub-rays.
+/// Joins the returns of sub-rays to the returns of the beams. Hits form a group if they
+/// lie on the same plane, or have gaps below config.return_separation_m in range. Each
+/// group forms one return, with the mean range, weighted by intensity, and the sum of
+/// intensities divided by the number of all sub-rays.
 ///
-/// The strongest group is the return of the beam. If config.returns is 2, the last group
-/// is the second return. If the last group is also the strongest, the second strongest
-/// group is the second return. A second return must reach the power that the sensor
-/// detects. The drop probability is the mean over the sub-rays, because the returned
-/// light is the sum over the footprint. Weight, normal and instance are copied from the
-/// sub-ray of the strongest group that is nearest to the centre.
+/// The strongest group is the return of the beam. If config.returns is 2, the last
+/// group is the second return if the sensor can detect it (the second strongest if the
+/// last is the strongest). The drop probability is the mean over the sub-rays. Weight,
+/// normal and instance are copied from a sub-ray near the joined range.
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
 /// @param sensor limits of detection
 RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config,

@@ -11,8 +11,7 @@
 namespace relidar {
 namespace {
 
-// number of points that one parallel task places
-constexpr std::size_t kPointsTogether = 4096;
+constexpr std::size_t kPointsTogether = 4096;  // number of points that one parallel task places
 
 struct RayReturnIndex {
     std::size_t ray;
