@@ -123,7 +123,6 @@ DevicePoints ScanRenderer::Impl::upload_points(const RenderedPoints& rendered) {
 /// Waits for the points of a submitted scan, and replaces the scan by them. Does nothing
 /// if the request already has its points.
 /// @param reused earlier points, whose memory is reused
-/// @throws DeviceError if a ray had too many hits to be traced completely
 void ScanRenderer::Impl::finish_scan(PendingPoints& request, LidarPoints reused) {
     auto* scan = std::get_if<SubmittedScan>(&request);
     if (!scan) return;

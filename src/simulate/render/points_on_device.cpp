@@ -67,8 +67,7 @@ std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::record(
 /// Records copies of the results to host buffers that no pending scan uses.
 std::shared_ptr<DevicePointComputer::PointReadback> DevicePointComputer::copy_to_host(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_truncated, bool has_points) {
-    // Only this object holds a free entry. A pending scan is a second owner.
-    const auto is_free = [](const std::shared_ptr<PointReadback>& one) { return one.use_count() == 1; };
+    const auto is_free = [](const auto& one) { return one.use_count() == 1; };  // no pending scan has it
     auto match = std::ranges::find_if(readbacks_, is_free);
     if (match == readbacks_.end()) match = readbacks_.insert(match, std::make_shared<PointReadback>(device_));
     PointReadback& results = **match;

@@ -232,7 +232,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
 }
 
 /// Traces sub-rays (parts) of each beam and joins them to returns. Beams at edges, which
-/// hit several surfaces, are traced again with more sub-rays, up to kMaxRays.
+/// hit several surfaces, are traced again with more sub-rays if kMaxRays allows them.
 RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan) {
     const RayTable& rays = sweep.rays();
     const auto trace_parts = [&](const RayTable& beams, int sub_rays_per_beam) {

@@ -126,6 +126,7 @@ bool DeviceSensorRays::has_rays_of(const RayTable& rays, const std::string& name
 
 void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
                               const RayFunction& drop_probability) {
+    if (has_rays_of(rays, name)) return;
     std::vector<shared::SensorRay> device_rays(rays.size());
     parallel_blocks(device_rays.size(), [&](std::size_t index) {
         device_rays[index] = {.origin = rays.origin[index],

@@ -35,7 +35,8 @@ class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);
 
-    /// Uploads the rays of a sensor. Pending GPU commands must not use the old rays.
+    /// Uploads the rays of a sensor unless they are already on the device. Pending GPU
+    /// commands must not use the old rays.
     /// @param drop_probability probability that the sensor never gets a return along a
     /// ray, for example because the vehicle blocks it
     void upload(const RayTable& rays, const std::string& name, const RayFunction& drop_probability);
