@@ -1,17 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Searches the azimuth of the head at the start of the sweep (the seam) and the time of
-// the start with LatticeFitter, first on a coarse grid. The spread is the robust standard
-// deviation of the points from their cones. The elevations do not show the rotation about
-// z (yaw). It follows from the azimuths, which are multiples of a tick of the head.
 #include "read/scans/firing_recovery.hpp"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <numeric>
 
 #include <fmt/format.h>
-#include <Eigen/Dense>
 
 #include <relidar/read/clouds.hpp>
 
@@ -24,13 +18,12 @@
 namespace relidar::read {
 namespace {
 
-// numbers of points of a sweep in the coarse and the fine search, and in the fit of a
-// motion
+// points of a sweep in the coarse search, in the fine search, and in the fit of a motion
 constexpr std::size_t kCoarsePoints = 1000, kFinePoints = 3000, kMotionPoints = 30000;
 constexpr int kSeams = 16, kStarts = 5;  // hypotheses of the coarse search
 // If no hypothesis reduces the spread by this factor, the search ends.
 constexpr double kPromisingRatio = 0.9;
-constexpr double kFinestStep = 1.0 / 4096.0;  // of the fine search, in turns
+constexpr double kFinestStep_turns = 1.0 / 4096.0;  // of the fine search
 // The search is successful if it reduces the spread at least by this factor, and if
 // distant seams have a larger spread by the other factor.
 constexpr double kMaxSpreadRatio = 0.75, kMinOtherSeam = 1.2;
@@ -77,9 +70,11 @@ double spread_without_motion(const LatticeFitter& fitter) {
     return still.spread_rad;
 }
 
-/// Fits all hypotheses of the seam and the start time. The head turns clockwise, because
-/// the other direction with the opposite motion fits equally well.
+/// Fits cones and motions for each hypothesis of the turn. The head is at one of kSeams
+/// azimuths when the sweep starts, 0 to 1 turns before the time of the frame. It turns
+/// clockwise, because the other direction with the opposite motion fits equally well.
 std::vector<LatticeFit> try_turns(const LatticeFitter& fitter) {
+    constexpr int kSteps = 4;  // Gauss-Newton steps, enough to compare the hypotheses
     std::vector<LatticeFit> fits;
     for (int start = 0; start < kStarts; ++start)
         for (int seam = 0; seam < kSeams; ++seam)
@@ -87,19 +82,22 @@ std::vector<LatticeFit> try_turns(const LatticeFitter& fitter) {
                                              .seam_rad = kFullTurn_rad * seam / kSeams - kPi,
                                              .start_turns = -double(start) / (kStarts - 1)}));
     parallel_for(int(fits.size()),
-                 [&](int index) { fitter.improve(fits[std::size_t(index)], 4, FreeValues::all); });
+                 [&](int index) { fitter.improve(fits[std::size_t(index)], kSteps, FreeValues::all); });
     return fits;
 }
 
-/// Improves the seam and the start time of a fit. Tries a step of each in both
-/// directions, accepts the best one, or else halves the step. The cost counts errors far
-/// above scale_rad as outliers.
+/// Improves the turn of a fit: the azimuth of the head at the start of the sweep (seam),
+/// and the time of the start. Tries a step of each in both directions, accepts the best
+/// one, or else halves the step.
 void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
     // Smaller gains are noise, with which the search could go back and forth.
     constexpr double kMinGain = 1e-3;
-    fitter.improve(best, 8, FreeValues::all);
-    double scale_rad = 2.0 * best.spread_rad;
-    for (double step_turns = 1.0 / 64.0; step_turns >= kFinestStep;) {
+    constexpr double kFirstStep_turns = 1.0 / 64.0;
+    // Gauss-Newton steps before the search, after each step of it, and after the search
+    constexpr int kStepsBefore = 8, kStepsOfTrial = 2, kStepsAfter = 5;
+    fitter.improve(best, kStepsBefore, FreeValues::all);
+    double scale_rad = 2.0 * best.spread_rad;  // The cost counts much larger errors as outliers.
+    for (double step_turns = kFirstStep_turns; step_turns >= kFinestStep_turns;) {
         const double best_cost = fitter.cost(best, scale_rad);
         std::array<LatticeFit, 4> neighbours;
         neighbours.fill(best);
@@ -110,7 +108,7 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
         std::array<double, 4> costs{};
         parallel_for(4, [&](int index) {
             LatticeFit& fit = neighbours[std::size_t(index)];
-            fitter.improve(fit, 2, FreeValues::all);
+            fitter.improve(fit, kStepsOfTrial, FreeValues::all);
             costs[std::size_t(index)] = fitter.cost(fit, scale_rad);
         });
         const auto least = std::ranges::min_element(costs);
@@ -121,7 +119,7 @@ void refine_turn(const LatticeFitter& fitter, LatticeFit& best) {
             scale_rad = 2.0 * best.spread_rad;
         }
     }
-    fitter.improve(best, 5, FreeValues::all);
+    fitter.improve(best, kStepsAfter, FreeValues::all);
 }
 
 /// Returns the share of the points at azimuths between two seams, on the shorter arc.
@@ -140,23 +138,24 @@ double share_between(const std::vector<CompensatedSweep>& sweeps, double seam_ra
     return double(n_between) / double(n);
 }
 
-/// Returns the smallest spread with a clearly different seam: at least 60 degrees away,
-/// and with some of the points in between.
+/// Returns the smallest error (spread of the elevations of a beam) of fits with a clearly
+/// different seam, the azimuth at which a sweep starts. The found seam is certain only if
+/// all of these fits are worse. Seams without points in between fit equally well, so they
+/// are not counted as different.
 double other_seam_spread(const std::vector<LatticeFit>& fits, const std::vector<CompensatedSweep>& sweeps,
                          double seam_rad) {
     constexpr double kFar_rad = kPi / 3.0, kMinShare = 0.1;
-    double least = INFINITY;
+    double least_rad = INFINITY;
     for (const LatticeFit& fit : fits) {
         const double distance_rad = std::abs(std::remainder(fit.turn.seam_rad - seam_rad, kFullTurn_rad));
-        if (fit.spread_rad < least && distance_rad >= kFar_rad &&
+        if (fit.spread_rad < least_rad && distance_rad >= kFar_rad &&
             share_between(sweeps, seam_rad, fit.turn.seam_rad) >= kMinShare)
-            least = fit.spread_rad;
+            least_rad = fit.spread_rad;
     }
-    return least;
+    return least_rad;
 }
 
-/// Returns the same turn in the opposite direction of rotation. The motions are then
-/// opposite, too.
+/// Returns the turn in the opposite direction of rotation, which has opposite motions.
 HeadTurn reverse_turn(HeadTurn turn) {
     turn.clockwise = !turn.clockwise;
     turn.start_turns = -turn.end_turns();
@@ -189,7 +188,7 @@ double motion_along(const std::vector<SweepMotion>& motions, const glm::dvec3& d
 
 /// Returns the factor k with which k * reference fits the motions best by least squares:
 /// the sum over the sweeps of dot(motion, reference) / sum of dot(reference, reference).
-double motion_share(const std::vector<SweepMotion>& motions, const std::vector<SweepMotion>& reference) {
+double motion_ratio(const std::vector<SweepMotion>& motions, const std::vector<SweepMotion>& reference) {
     double product = 0.0, squares = 0.0;
     for (std::size_t s = 0; s < motions.size(); ++s) {
         product += glm::dot(velocity_of(motions[s]), velocity_of(reference[s]));
@@ -198,9 +197,10 @@ double motion_share(const std::vector<SweepMotion>& motions, const std::vector<S
     return squares > 0.0 ? product / squares : 0.0;
 }
 
-/// Returns the turn of a fit, or the reverse turn if the motion of the fit is opposite to
-/// that of the poses. Without poses, the vehicle is assumed to drive forward. Returns
-/// nothing if the motion contradicts the poses, or is too short.
+/// Chooses the direction of rotation. The fit assumes a clockwise turn. The reverse turn
+/// with the opposite motion fits equally well, so it is right if the motion of the fit is
+/// opposite to the true one: that of the poses, or without poses, forward.
+/// @return nothing if the motion contradicts the poses, or is too short
 std::optional<HeadTurn> choose_direction(const LatticeFit& fit, const CompensatedSensor& sensor,
                                          const std::vector<SweepMotion>& pose_motions) {
     if (!sensor.world_from_sensor) {
@@ -210,33 +210,37 @@ std::optional<HeadTurn> choose_direction(const LatticeFit& fit, const Compensate
     }
     // Inverse poses look as if the vehicle drives backward. They would reverse the turn.
     if (motion_along(pose_motions, sensor.forward) < 0.0) return std::nullopt;
-    const double share = motion_share(fit.motions, pose_motions);
-    if (std::abs(share) < kMinMotion || std::abs(share) > kMaxMotion) return std::nullopt;
-    return share < 0.0 ? reverse_turn(fit.turn) : fit.turn;
+    // near 1 if the fit moves like the poses, near -1 if it moves the opposite way
+    const double ratio = motion_ratio(fit.motions, pose_motions);
+    if (std::abs(ratio) < kMinMotion || std::abs(ratio) > kMaxMotion) return std::nullopt;
+    return ratio < 0.0 ? reverse_turn(fit.turn) : fit.turn;
 }
 
-/// Fits the motion of the sensor in a sweep to its points. The cones show all but the
-/// yaw, which follows from the ticks.
+/// Fits the motion of the sensor in a sweep, so that the points of each beam are on its
+/// cone around the z axis. A rotation about z (yaw) moves points along their cones, so it
+/// follows from the azimuths, which are multiples of the angle of a tick.
 SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery) {
+    constexpr int kSteps = 6, kMoreSteps = 2;  // Gauss-Newton steps, and those of a nearly right motion
     const std::size_t n_rings = recovery.rings.size();
+    const LatticeFitter few_points({pick_points(points, kFinePoints, n_rings)}, n_rings);
+    const LatticeFitter many_points({pick_points(points, kMotionPoints, n_rings)}, n_rings);
     LatticeFit fit{.turn = recovery.turn, .rings = recovery.rings, .motions = {SweepMotion{}}};
+    few_points.improve(fit, kSteps, FreeValues::motions);
+    many_points.improve(fit, kMoreSteps, FreeValues::motions);
     SweepMotion& motion = fit.motions[0];
-    // A fit of few points is the start for the fit of many points.
-    LatticeFitter({pick_points(points, kFinePoints, n_rings)}, n_rings).improve(fit, 6, FreeValues::motions);
-    const LatticeFitter fitter({pick_points(points, kMotionPoints, n_rings)}, n_rings);
-    fitter.improve(fit, 2, FreeValues::motions);
-    if (recovery.ticks.n == 0) return motion;
+    if (recovery.ticks.n == 0) return motion;  // The yaw stays unknown.
     // The yaw changes the firing times a little, so both fits are repeated.
-    std::vector<FiredPoint> fired(points.size());
     for (int pass = 0; pass < 2; ++pass) {
-        for (std::size_t i = 0; i < points.size(); ++i) {
-            const glm::dvec3 p(points.position_m[i]);
-            fired[i] = find_firing(p, azimuth_rad_of(p), motion, recovery.turn);
+        std::vector<FiredPoint> fired;
+        for (const glm::vec3& point_m : points.position_m) {
+            const glm::dvec3 p(point_m);
+            fired.push_back(find_firing(p, azimuth_rad_of(p), motion, recovery.turn));
         }
         const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.ticks);
         if (yaw.coherence < kMinCoherence) break;
-        for (std::size_t half = 0; half < 2; ++half) motion[half][kYaw] += yaw.turned_rad[half];
-        fitter.improve(fit, 2, FreeValues::motions);
+        motion[0][kYaw] += yaw.turned_rad[0];  // before the time of the frame
+        motion[1][kYaw] += yaw.turned_rad[1];  // after it
+        many_points.improve(fit, kMoreSteps, FreeValues::motions);
     }
     return motion;
 }
@@ -260,9 +264,10 @@ int round_ticks(double count) {
     return int(std::lround(count));
 }
 
-/// Estimates the ticks from restored sweeps. If the head has N ticks, the phases of n
-/// ticks drift by 2 pi (N - n) in a clockwise turn, as they do in a yaw. So the function
-/// subtracts the yaw of the poses. Without poses, it prefers a round number.
+/// Estimates the number N of ticks at which the head fires in a turn. A fit gives a
+/// number n near N. The phases n * azimuth then drift by 2 pi (N - n) in a clockwise
+/// turn, like those of a yaw (rotation of the sensor) of 2 pi (N - n) / n. Subtracts the
+/// yaw of the poses. Without poses, prefers a round number near N.
 /// @param pose_motions  [sweeps] motions of the poses; empty if the log has none
 /// @return no ticks if the azimuths show none
 HeadTicks estimate_ticks(const std::vector<LidarPoints>& restored, const FiringRecovery& recovery,
@@ -278,10 +283,11 @@ HeadTicks estimate_ticks(const std::vector<LidarPoints>& restored, const FiringR
     for (std::size_t s = 0; s < restored.size(); ++s) {
         const YawFit yaw = fit_remaining_yaw(restored[s], recovery.turn, ticks);
         if (yaw.coherence < kMinCoherence) continue;
-        double drift_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
-        if (!pose_motions.empty()) drift_rad -= 0.5 * (pose_motions[s][0][kYaw] + pose_motions[s][1][kYaw]);
+        // means of the yaw before and after the time of the frame
+        double yaw_rad = 0.5 * (yaw.turned_rad[0] + yaw.turned_rad[1]);
+        if (!pose_motions.empty()) yaw_rad -= 0.5 * (pose_motions[s][0][kYaw] + pose_motions[s][1][kYaw]);
         const double sign = recovery.turn.clockwise ? 1.0 : -1.0;
-        counts.push_back(ticks.n * (1.0 + sign * drift_rad / kFullTurn_rad));
+        counts.push_back(ticks.n * (1.0 + sign * yaw_rad / kFullTurn_rad));
     }
     if (counts.empty()) return {};
     const double count = compute_median(std::move(counts));
@@ -289,14 +295,17 @@ HeadTicks estimate_ticks(const std::vector<LidarPoints>& restored, const FiringR
     return ticks;
 }
 
-/// Returns the ticks of the head. Tests the known number, or else estimates it.
+/// Returns the ticks at which the head fires: the known ones if the azimuths of the
+/// points fit them, or else estimated ones.
 HeadTicks find_ticks(const std::vector<CompensatedSweep>& sweeps, const FiringRecovery& recovery,
                      const std::vector<SweepMotion>& pose_motions) {
     const int n_known = recovery.sensor.n_ticks;
-    // Without poses and ticks, restoring keeps the yaw, which fit_yaw() measures.
+    // The elevations do not show the yaw. Restoring without poses keeps it in the
+    // azimuths, where the ticks show it.
     FiringRecovery without_yaw = recovery;
     without_yaw.uses_poses = false;
     std::vector<LidarPoints> restored;
+    // If the number is known, only the distances of the beams from the axis are fitted.
     const std::size_t n_restored = n_known > 0 ? std::min(kOffsetSweeps, sweeps.size()) : sweeps.size();
     for (std::size_t s = 0; s < n_restored; ++s) {
         restored.push_back(sweeps[s].points);
@@ -309,35 +318,38 @@ HeadTicks find_ticks(const std::vector<CompensatedSweep>& sweeps, const FiringRe
     return estimate_ticks(restored, recovery, pose_motions);
 }
 
-/// Finds the firing of a point near the seam. Its azimuth does not show whether the point
-/// is at the start or at the end of the sweep, so the end at which it is nearer to its
-/// cone is chosen. Returns nothing if it is outside of the sweep at both ends.
+/// Finds the firing of a point near the seam, the azimuth at which a sweep starts and
+/// ends. The azimuth does not show at which of both times the point was fired. So the
+/// time is chosen at which the point is nearer to the cone of its beam.
+/// @return nothing if both times are outside of the sweep
 template <class Motion>
 std::optional<FiredPoint> find_seam_firing(const glm::dvec3& point_m, const Motion& motion,
                                            const HeadTurn& turn, const RingCone& cone) {
     std::optional<FiredPoint> best;
     double least_error = INFINITY;
     for (const double end_turns : {turn.start_turns, turn.end_turns()}) {
-        FiredPoint fired{point_m, end_turns};
-        // The azimuth depends on the firing time. It changes little, so three passes are
-        // enough.
+        double fired_turns = end_turns;  // after the time of the frame, like all times here
+        // The azimuth changes little with the firing time, so three passes are enough.
         for (int pass = 0; pass < 3; ++pass) {
-            const glm::dvec3 moved_m = undo_motion(point_m, motion, fired.time_turns);
+            const glm::dvec3 moved_m = undo_motion(point_m, motion, fired_turns);
             const double time_turns = turn.time_turns(azimuth_rad_of(moved_m));
             // the time with the same azimuth that is nearest to this end
-            fired.time_turns = time_turns + std::round(end_turns - time_turns);
+            fired_turns = time_turns + std::round(end_turns - time_turns);
         }
-        fired.position_m = undo_motion(point_m, motion, fired.time_turns);
-        const bool is_inside = fired.time_turns >= turn.start_turns && fired.time_turns <= turn.end_turns();
-        const double error = std::abs(cone_error(fired.position_m, cone));
+        const glm::dvec3 position_m = undo_motion(point_m, motion, fired_turns);
+        const bool is_inside = fired_turns >= turn.start_turns && fired_turns <= turn.end_turns();
+        const double error = std::abs(cone_error(position_m, cone));
         if (!is_inside || !(error < least_error)) continue;
         least_error = error;
-        best = fired;
+        best = FiredPoint{position_m, fired_turns};
     }
     return best;
 }
 
-/// Sets the times of points, and moves them to their firing times with a known motion.
+/// Sets the times of points, and moves each point to the sensor frame at its firing time,
+/// which follows from its azimuth. At the seam, where a sweep starts and ends, the
+/// azimuth fits both ends, so the cone of the beam decides.
+/// @param motion  of the sensor: a PoseTrack or a SweepMotion, with times in turns
 template <class Motion>
 void restore_points(LidarPoints& points, const Motion& motion, const FiringRecovery& recovery) {
     constexpr double kNearSeam_turns = 0.05;
@@ -362,14 +374,17 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
     const std::size_t n_rings = count_rings(sweeps);
     if (n_rings == 0 || n_rings > kMaxRecoveredRings) return std::nullopt;
     const LatticeFitter fitter = make_fitter(sweeps, kFinePoints);
+    // Each beam draws a cone. Motion compensation moves points off the cones.
     const double still_rad = spread_without_motion(fitter);
     if (!(still_rad > kMinSpread_rad)) return std::nullopt;
 
-    // the turn and the motions with the smallest spread
+    // Finds the turn and motions that move points back to their cones.
     const std::vector<LatticeFit> fits = try_turns(make_fitter(sweeps, kCoarsePoints));
     LatticeFit best = *std::ranges::min_element(fits, {}, &LatticeFit::spread_rad);
     if (best.spread_rad > kPromisingRatio * still_rad) return std::nullopt;
     refine_turn(fitter, best);
+
+    // The turn must explain the points clearly better than no motion and other turns.
     const double other_seam_rad = other_seam_spread(fits, sweeps, best.turn.seam_rad);
     if (best.spread_rad > kMaxSpreadRatio * still_rad || other_seam_rad < kMinOtherSeam * best.spread_rad)
         return std::nullopt;
@@ -377,15 +392,13 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
     const std::vector<SweepMotion> pose_motions = list_pose_motions(sweeps, sensor);
     const std::optional<HeadTurn> turn = choose_direction(best, sensor, pose_motions);
     if (!turn) return std::nullopt;
-    FiringRecovery recovery;
-    if (sensor.world_from_sensor) {
+    FiringRecovery recovery{.sensor = sensor, .turn = *turn, .rings = {}, .ticks = {}};
+    if (sensor.world_from_sensor) {  // Exact poses are better than fitted motions.
         LatticeFit of_poses{.turn = *turn, .rings = {}, .motions = pose_motions};
         fitter.improve(of_poses, 5, FreeValues::cones);
         recovery.uses_poses = of_poses.spread_rad <= kMaxPoseSpread * best.spread_rad;
         if (recovery.uses_poses) best = std::move(of_poses);
     }
-    recovery.sensor = sensor;
-    recovery.turn = *turn;
     recovery.rings = best.rings;
     recovery.spread_rad = best.spread_rad;
     recovery.compensated_spread_rad = still_rad;
@@ -405,13 +418,15 @@ std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweep
         last_s.push_back(double(last));
     }
     if (sweeps.empty() || count_rings(sweeps) > kMaxRecoveredRings) return std::nullopt;
+    // Points at their firing times have one elevation per ring, so their spread is small.
     const double as_is_rad = spread_without_motion(make_fitter(sweeps, kFinePoints));
     if (!(as_is_rad > kMinSpread_rad)) return std::nullopt;
-    double least_rad = kMaxSpreadRatio * as_is_rad;
+    double least_rad = kMaxSpreadRatio * as_is_rad;  // A clear improvement is required.
     std::optional<double> best;
     for (const double moved_to_s : {0.0, compute_median(first_s), compute_median(last_s)}) {
         std::vector<CompensatedSweep> restored = sweeps;
-        for (auto& [points, time_s] : restored) undo_deskew_to(points, world_from_sensor, time_s, moved_to_s);
+        for (CompensatedSweep& sweep : restored)
+            undo_deskew_to(sweep.points, world_from_sensor, sweep.time_s, moved_to_s);
         const double spread_rad = spread_without_motion(make_fitter(restored, kFinePoints));
         if (!(spread_rad < least_rad)) continue;
         least_rad = spread_rad;
@@ -433,13 +448,13 @@ void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, dou
 void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s) {
     if (points.size() == 0) return;
     const CompensatedSensor& sensor = recovery.sensor;
-    // Extrapolated poses do not show the motion at the start and the end of the log.
-    const double start_s = frame_time_s + recovery.turn.start_turns * sensor.period_s;
-    const bool has_poses = recovery.uses_poses && sensor.world_from_sensor->contains_time(start_s) &&
-                           sensor.world_from_sensor->contains_time(start_s + sensor.period_s);
-    if (has_poses)
-        restore_points(points, make_track(*sensor.world_from_sensor, frame_time_s, sensor.period_s),
-                       recovery);
+    const double sweep_start_s = frame_time_s + recovery.turn.start_turns * sensor.period_s;
+    const double sweep_end_s = sweep_start_s + sensor.period_s;
+    const std::optional<PoseTrack>& poses = sensor.world_from_sensor;
+    // Poses at other times would be extrapolated, so the points are better there.
+    const bool has_poses =
+        recovery.uses_poses && poses->contains_time(sweep_start_s) && poses->contains_time(sweep_end_s);
+    if (has_poses) restore_points(points, make_track(*poses, frame_time_s, sensor.period_s), recovery);
     else restore_points(points, fit_motion(points, recovery), recovery);
 }
 
@@ -455,13 +470,14 @@ void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const E
 
 std::string describe_recovery(const FiringRecovery& recovery) {
     constexpr double kDegrees = 180.0 / kPi;
+    const double share_before_frame = 0.0 - recovery.turn.start_turns;  // 0.0 -: never -0
     return fmt::format(
         "the scans are motion-compensated; relidar moved each point back to its firing time. The head turns "
         "{}, a sweep of {:.4g} s starts at azimuth {:.1f} degrees, and {:.1f} % of it precede the time of "
         "the frame; the motion is that of the {}. The elevations of a beam then differ by {:.4f} instead "
         "of {:.4f} degrees (other starts: at least {:.4f})",
         recovery.turn.clockwise ? "clockwise" : "counter-clockwise", recovery.sensor.period_s,
-        recovery.turn.seam_rad * kDegrees, 100.0 * (0.0 - recovery.turn.start_turns),
+        recovery.turn.seam_rad * kDegrees, 100.0 * share_before_frame,
         recovery.uses_poses ? "poses" : "points", recovery.spread_rad * kDegrees,
         recovery.compensated_spread_rad * kDegrees, recovery.other_seam_rad * kDegrees);
 }

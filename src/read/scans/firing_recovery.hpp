@@ -19,8 +19,7 @@ struct EncoderTickGrid;
 
 namespace relidar::read {
 
-/// The turn of a head in a sweep. The unit of times is the duration of a turn, and time 0
-/// is that of the frame.
+/// The turn of a head in a sweep. Times are in turns after the time of the frame.
 struct HeadTurn {
     bool clockwise = true;
     double seam_rad = kPi;      ///< azimuth of the head at the start and the end of the sweep
@@ -65,8 +64,7 @@ struct FiringRecovery {
     /// True if the poses of the log explain the compensation. Otherwise each sweep gets
     /// the motion that fits its points best.
     bool uses_poses = false;
-    /// Robust standard deviation of the elevations of a ring, with the motion undone and
-    /// in the log.
+    /// robust standard deviation of the elevations of a ring, restored and in the log
     double spread_rad = 0.0, compensated_spread_rad = 0.0;
     double other_seam_rad = 0.0;  ///< smallest spread with a clearly different seam
 };
@@ -77,7 +75,8 @@ struct FiringRecovery {
 std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& sweeps,
                                            const CompensatedSensor& sensor);
 
-/// Sets the times of points, and moves each point to the sensor frame at its time.
+/// Sets the times of points, and moves each point to the sensor frame at its time. Uses
+/// the motion of the poses, or else fits the motion to the points.
 /// @param points  points with the rings that `recovery` was made of
 void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double frame_time_s);
 
@@ -89,15 +88,14 @@ void restore_firings(LidarPoints& points, const FiringRecovery& recovery, double
 void set_head_times(LidarPoints& points, const std::vector<Beam>& beams, const EncoderTickGrid& ticks,
                     const FiringRecovery& recovery);
 
-/// Tests whether points with times were moved to a common time, with the poses of the
-/// log. Compares the elevations of each ring before and after the motion is undone.
+/// Tests whether points with times were moved to a common time, and undoes this with the
+/// poses of the log for each possible time: that of the frame, the first and the last
+/// point. At the right one, the elevations of a ring are nearly equal.
 /// @param sweeps  some sweeps with rings and times
-/// @return this time in seconds after the frame: 0, or that of the first or last point.
-/// Nothing if the points are in the frames at their firing times.
+/// @return this time in seconds after the frame. Nothing if the points were not moved.
 std::optional<double> find_moved_time(const std::vector<CompensatedSweep>& sweeps,
                                       const PoseTrack& world_from_sensor);
-/// Moves points with times from the frame at `moved_to_s` after the frame's time to their
-/// firing times.
+/// Moves points with times back to them from the time `moved_to_s` after the frame.
 void undo_deskew_to(LidarPoints& points, const PoseTrack& world_from_sensor, double frame_time_s,
                     double moved_to_s);
 

@@ -113,15 +113,16 @@ LatticeFitter::Firings LatticeFitter::compute_firings(const LatticeFit& fit) con
 }
 
 void LatticeFitter::set_median_slopes(LatticeFit& fit, const Firings& firings) const {
-    std::vector<std::vector<double>> slopes(n_rings_);
+    std::vector<std::vector<double>> slopes_of_ring(n_rings_);
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
         for (std::size_t i = 0; i < firings[s].size(); ++i) {
             const glm::dvec3& p = firings[s][i].position_m;
-            slopes[sweeps_[s].ring[i]].push_back(p.z / axis_distance_m(p));
+            const std::size_t ring = sweeps_[s].ring[i];
+            slopes_of_ring[ring].push_back(p.z / axis_distance_m(p));
         }
-    fit.rings.assign(n_rings_, {0.0, NAN});
+    fit.rings.assign(n_rings_, {.z0_m = 0.0, .slope = NAN});
     for (std::size_t r = 0; r < n_rings_; ++r)
-        if (!slopes[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes[r]));
+        if (!slopes_of_ring[r].empty()) fit.rings[r].slope = compute_median(std::move(slopes_of_ring[r]));
 }
 
 template <class Visit>
@@ -206,9 +207,11 @@ void LatticeFitter::apply_change(LatticeFit& fit, const Eigen::VectorXd& change)
         fit.rings[r].slope += change[Eigen::Index(2 * r + 1)];
     }
     for (std::size_t s = 0; s < sweeps_.size(); ++s)
-        for (std::size_t half = 0; half < 2; ++half)
+        for (std::size_t half = 0; half < 2; ++half) {  // before and after the time of the frame
+            const std::size_t first = motion_index(s, half);
             for (std::size_t k = 0; k < kMotionParameters; ++k)
-                fit.motions[s][half][k] += change[Eigen::Index(motion_index(s, half) + k)];
+                fit.motions[s][half][k] += change[Eigen::Index(first + k)];
+        }
 }
 
 }  // namespace relidar::read

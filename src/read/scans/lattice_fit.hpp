@@ -20,8 +20,7 @@ inline constexpr std::size_t kMotionParameters = kYaw;
 
 inline constexpr double kFullTurn_rad = 2.0 * kPi;
 
-/// Motion of the sensor in a full turn, with the twist before the time of the frame and
-/// the twist after it.
+/// Motion of the sensor in a full turn: twists before and after the time of the frame.
 using SweepMotion = std::array<Twist, 2>;
 
 /// Points of a sweep in the frame of the log.
@@ -110,8 +109,7 @@ public:
         return {.turn = turn, .rings = {}, .motions = std::vector<SweepMotion>(sweeps_.size())};
     }
     /// Improves a fit. Starts with the median slopes if the fit has no cones.
-    /// @param n_steps  Gauss-Newton steps: 2 after a small change of the turn, otherwise
-    /// 4 to 8
+    /// @param n_steps  Gauss-Newton steps: 2 after a small change, otherwise 4 to 8
     void improve(LatticeFit& fit, int n_steps, FreeValues free_values) const;
     /// Returns the mean robust error of all points, from 0 to 1.
     double cost(const LatticeFit& fit, double scale_rad) const;
@@ -124,8 +122,9 @@ private:
 
     /// Moves all points to their firing times, with the turn and the motions of the fit.
     Firings compute_firings(const LatticeFit& fit) const;
-    /// Sets the first cones: z0 = 0, and the median slope of the points of the ring. The
-    /// slope of a ring without points is NaN; no error depends on it.
+    /// Sets the first cones, which start at the origin (z0 = 0). The slope is the median
+    /// of z / (distance from the z axis) over the points of a ring. Without points, it is
+    /// NaN, and never used.
     void set_median_slopes(LatticeFit& fit, const Firings& firings) const;
     /// Calls visit(sweep, point, elevation error), in radians at a slope of 0.
     template <class Visit>
@@ -144,7 +143,8 @@ private:
     /// Adds a weak penalty on the difference of both twists of a sweep, so that a twist
     /// without points equals the other one.
     void join_halves(const LatticeFit& fit, Eigen::MatrixXd& normal, Eigen::VectorXd& gradient) const;
-    /// @param change  step of all unknowns
+    /// Adds a step of all unknowns to the cones and twists of a fit.
+    /// @param change  z0 and slope of each ring, then the twists; see motion_index()
     void apply_change(LatticeFit& fit, const Eigen::VectorXd& change) const;
 };
 

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The phase of a point is its azimuth in ticks. Points at multiples of the tick have
-// equal phases. A beam that starts beside the axis adds an angle that depends on the
-// range, and a rotation of the sensor adds an angle that grows with the time.
 #include "read/scans/lattice_ticks.hpp"
 
 #include <algorithm>
@@ -16,11 +13,11 @@ namespace {
 // The azimuths of nearer points are inaccurate, because beams start beside the axis.
 constexpr double kMinYawDistance_m = 4.0;
 
-/// Returns the distance by which a beam starts to the left of the axis. Adds up the
-/// phases of neighbouring points for each trial of the distance. A sum is longest if its
-/// phases are equal, which the right trial makes them. The trials have equal steps, so
-/// each phase follows from the one before by a multiplication.
-/// @param bins  azimuth and distance from the axis of the points at neighbouring azimuths
+/// Returns the distance by which a beam starts to the left of the axis. At the distance
+/// rho, this adds left / rho to the azimuth. The head fires at multiples of 2 pi /
+/// n_ticks, so the factors exp(i n_ticks (azimuth - left / rho)) are equal, and their sum
+/// is longest. Tries many values of left, and adds the lengths of the sums of all bins.
+/// @param bins  azimuth and rho of the points, in bins of neighbouring azimuths
 double find_left_offset(std::span<const std::vector<glm::dvec2>> bins, int n_ticks) {
     constexpr std::size_t kTrials = 121;
     constexpr double kStep_m = 0.001;
@@ -30,11 +27,12 @@ double find_left_offset(std::span<const std::vector<glm::dvec2>> bins, int n_tic
         std::array<std::complex<double>, kTrials> sums{};
         for (const glm::dvec2& point : points) {
             const double azimuth_rad = point.x, rho_m = point.y;
-            std::complex<double> phase = std::polar(1.0, n_ticks * (azimuth_rad - left_m(0) / rho_m));
+            std::complex<double> factor = std::polar(1.0, n_ticks * (azimuth_rad - left_m(0) / rho_m));
+            // from the factor of a trial to that of the next, because the steps are equal
             const std::complex<double> step = std::polar(1.0, -n_ticks * kStep_m / rho_m);
             for (std::complex<double>& sum : sums) {
-                sum += phase;
-                phase *= step;
+                sum += factor;
+                factor *= step;
             }
         }
         for (std::size_t trial = 0; trial < kTrials; ++trial) lengths[trial] += std::abs(sums[trial]);
@@ -49,7 +47,8 @@ std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std
                                      int n_ticks) {
     constexpr std::size_t kBins = 256;
     const std::size_t n_sweeps = std::min(kOffsetSweeps, sweeps.size());
-    // [rings][sweeps][bins of the azimuth] azimuth and rho of each point
+    // [rings][sweeps][bins of the azimuth] azimuth and distance from the axis (rho) of
+    // each point. The yaw of the sensor hardly changes within a bin.
     std::vector<std::vector<glm::dvec2>> points_of_bin(n_rings * n_sweeps * kBins);
     for (std::size_t s = 0; s < n_sweeps; ++s)
         for (std::size_t i = 0; i < sweeps[s].size(); ++i) {

@@ -23,13 +23,13 @@ inline constexpr double kMinCoherence = 0.1;
 inline constexpr std::size_t kOffsetSweeps = 3;
 
 /// Returns [rings] the distances in metres by which beams start to the left of the axis.
-/// With the right distance, neighbouring points at different ranges have equal phases.
+/// Collects the points of each ring in bins of the azimuth. In a bin, the right distance
+/// turns the azimuths at all ranges into multiples of the angle of a tick.
 std::vector<double> fit_left_offsets(const std::vector<LidarPoints>& sweeps, std::size_t n_rings,
                                      int n_ticks);
 
 /// Measures the rotation about z that the compensation added to the azimuths. The phases
-/// of the ticks then drift in the turn. Compares the phases of bins that are more and
-/// more distant.
+/// (ticks.n * azimuth) of bins of the turn then differ in proportion to their distance.
 YawFit fit_yaw(const std::vector<FiredPoint>& points, const std::vector<std::uint16_t>& rings,
                const HeadTurn& turn, const HeadTicks& ticks);
 

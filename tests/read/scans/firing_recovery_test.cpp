@@ -148,6 +148,7 @@ TEST(FiringRecovery, FindsBothDirectionsAndAllSeams) {
     expect_recovered({.speed_mps = 10.0}, true, 2e-3);
     expect_recovered({.turn = {false, 0.5 * kPi, -0.5}, .speed_mps = 20.0}, true, 2e-3);
     expect_recovered({.turn = {true, -2.0, -1.0}, .speed_mps = 5.0}, true, 2e-3);
+    expect_recovered({.speed_mps = 8.0, .yaw_rate_radps = 0.3}, true, 2e-3);
 }
 
 /// The azimuths of a beam beside the axis depend on the range. They are multiples of the
@@ -159,6 +160,7 @@ TEST(FiringRecovery, FindsTheYawOfBeamsBesideTheAxis) {
 TEST(FiringRecovery, NeedsNoPoses) {
     expect_recovered({.speed_mps = 30.0}, false, 0.02);
     expect_recovered({.turn = {false, 0.3, 0.0}, .speed_mps = 10.0}, false, 0.02);
+    expect_recovered({.speed_mps = 8.0, .yaw_rate_radps = 0.3}, false, 0.02);
 }
 
 TEST(FiringRecovery, AcceptsEmptySweepsAndOtherRings) {
@@ -175,16 +177,8 @@ TEST(FiringRecovery, AcceptsEmptySweepsAndOtherRings) {
     EXPECT_EQ(other.time_offset_s.size(), other.size());
 }
 
-TEST(FiringRecovery, FindsTurns) {
-    expect_recovered({.speed_mps = 8.0, .yaw_rate_radps = 0.3}, true, 2e-3);
-    expect_recovered({.speed_mps = 8.0, .yaw_rate_radps = 0.3}, false, 0.02);
-}
-
-TEST(FiringRecovery, AcceptsConstantVelocity) {
+TEST(FiringRecovery, AcceptsAnInexactCompensation) {
     expect_recovered({.yaw_rate_radps = 0.2, .has_constant_velocity = true}, true, 0.02);
-}
-
-TEST(FiringRecovery, AcceptsACompensationWithAWrongSpeed) {
     expect_recovered({.compensated_share = 1.3}, true, 0.02);
 }
 
