@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the beams and columns of a spinning LiDAR from its points. The elevation of a
-// ring is the median over its points. The number of columns is computed from azimuth
-// steps. The azimuth offsets of the rings are computed from the phases of
-//   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
-// If N is the number of columns, |S_r| is the number of points, and the phase of S_r is N
-// times the azimuth offset of the ring. Also checks whether points come from a spinning
-// LiDAR. Other LiDARs scan a window or a rosette pattern.
+// ring is the median over its points. The number of columns and the azimuth offsets of
+// the rings are computed from the azimuths. Also checks whether points come from a
+// spinning LiDAR. Other LiDARs scan a window or a rosette pattern.
 #include <relidar/read/clouds.hpp>
 
 #include <algorithm>
@@ -24,8 +21,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
-constexpr double kLargestStep_rad = 0.2;
+constexpr double kLeastStep_rad = 2e-4;   // minimum azimuth step between two firings (about 0.01 degrees)
+constexpr double kLargestStep_rad = 0.2;  // Larger steps are gaps without returns.
 // The first estimate of the number of columns may be wrong by this share.
 constexpr double kColumnSearchMargin = 0.03;
 // Minimum coherence: 1 if the points of each ring are on a regular azimuth grid.
@@ -91,8 +88,7 @@ std::vector<std::vector<double>> far_elevations(std::span<const LidarPoints> sca
     return elevations;
 }
 
-/// Returns the median over all rings of the spread of elevations (10th to 90th
-/// percentile).
+/// Returns the median, over all rings, of 90th minus 10th percentile of the elevations.
 double ring_spread(const LidarPoints& scan) {
     const std::size_t n_rings = scan.size() == 0 ? 0 : std::size_t(std::ranges::max(scan.ring)) + 1;
     std::vector<double> spreads;
@@ -178,30 +174,33 @@ int raise_columns(int n_columns, const RingPointLists& rings) {
     return std::clamp(int(std::min<std::size_t>(most, kMaxRays)), n_columns, int(kMostColumns * n_columns));
 }
 
+/// Returns the azimuth offset of each ring from a grid of N columns. The phase of the sum
+/// of exp(i N azimuth) over the points of a ring is N * offset, plus a shared phase.
+std::vector<double> fit_ring_offsets(const RingPointLists& rings, int n_columns) {
+    std::vector<std::complex<double>> sums(rings.size());
+    for (std::size_t r = 0; r < rings.size(); ++r)
+        for (const double azimuth : rings[r].azimuth_rad) sums[r] += std::polar(1.0, n_columns * azimuth);
+    const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
+    std::vector<double> offsets_rad(rings.size(), 0.0);
+    for (std::size_t r = 0; r < rings.size(); ++r)
+        if (sums[r] != 0.0) offsets_rad[r] = std::arg(sums[r] * std::conj(common)) / n_columns;
+    return offsets_rad;
+}
+
 /// Estimates the number of columns and the azimuth offset of each ring. Searches around
-/// the first estimate for the grid that all rings fit best. If the azimuths fit no grid,
-/// for example after motion compensation, the offsets stay 0.
+/// the first estimate for the grid that the azimuths of all rings fit best. If they fit
+/// no grid, for example after motion compensation, the offsets are 0.
 FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& rings) {
     const int estimate = estimate_columns(scan, rings);
-    FiringColumnGrid grid{.columns = estimate, .offset_rad = std::vector<double>(rings.size(), 0.0)};
     const int margin = std::max(1, int(kColumnSearchMargin * estimate));
     const int first = std::max(1, estimate - margin), last = estimate + margin;
     const std::vector<double> scores = score_columns(rings, first, std::size_t(last + 1 - first));
     const auto best = std::ranges::max_element(scores);
-    if (*best <= kMinCoherence * double(scan.size())) {
-        grid.columns = raise_columns(estimate, rings);
-        return grid;
-    }
-    grid.columns = first + int(best - scores.begin());
-    // The phase of S_r is N times the offset of the ring, plus a phase that all rings
-    // share.
-    std::vector<std::complex<double>> sums(rings.size());
-    for (std::size_t r = 0; r < rings.size(); ++r)
-        for (const double azimuth : rings[r].azimuth_rad) sums[r] += std::polar(1.0, grid.columns * azimuth);
-    const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
-    for (std::size_t r = 0; r < rings.size(); ++r)
-        if (sums[r] != 0.0) grid.offset_rad[r] = std::arg(sums[r] * std::conj(common)) / grid.columns;
-    return grid;
+    // A score is the number of points if all of them are on the grid.
+    if (*best <= kMinCoherence * double(scan.size()))
+        return {raise_columns(estimate, rings), std::vector<double>(rings.size(), 0.0)};
+    const int n_columns = first + int(best - scores.begin());
+    return {.columns = n_columns, .offset_rad = fit_ring_offsets(rings, n_columns)};
 }
 
 /// Returns the rotation rate of the LiDAR's head in radians per second, positive if
@@ -265,8 +264,7 @@ FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double p
         sensor.beams.push_back({.elevation_rad = elevation_rad, .azimuth_offset_rad = grid.offset_rad[r]});
     }
     sensor.columns = grid.columns;
-    // The sweep starts backward. The first column is centred half a column after the
-    // start.
+    // The sweep starts backward, half a column before the centre of the first column.
     sensor.first_azimuth_rad = kPi - kPi / grid.columns;
     const std::optional<double> rate = fit_rotation_rate(fullest, rings);
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;

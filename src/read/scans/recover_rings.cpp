@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Determines the rings of points without ring numbers. A beam draws a cone when the head
 // rotates. Seen from the centre of the sensor, all far points of a beam have nearly the
-// same elevation. So a histogram of the elevations has one narrow band per beam. The bins
-// between bands are empty.
+// same elevation. So a histogram has narrow bands of beams, with empty bins in between.
 #include <relidar/read/clouds.hpp>
 
 #include <algorithm>
@@ -33,9 +32,8 @@ double compute_elevation(const glm::dvec3& vector) {
     return std::atan2(vector.z, std::hypot(vector.x, vector.y));
 }
 
-/// Returns elevations of points in ascending order. Uses only the farther half of the
-/// points in each degree. Near points are less accurate, because beams start beside the
-/// sensor origin.
+/// Returns elevations of points in ascending order. Leaves out the nearer half of the
+/// points in each degree, because beams start beside the sensor origin.
 std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
@@ -60,6 +58,9 @@ std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
     return elevations_rad;
 }
 
+/// Returns the bin of the histogram of elevations. Bin 0 begins at -90 degrees.
+int bin_of(double elevation_rad) { return int((elevation_rad + kPi / 2) / kBinWidth_rad); }
+
 /// Consecutive bins of the histogram of elevations that contain the points of one beam.
 struct RingBand {
     int first, last;             ///< first and last bin
@@ -68,13 +69,13 @@ struct RingBand {
     bool contains(const RingBand& other) const { return other.first >= first && other.last <= last; }
 };
 
-/// Groups consecutive bins that have at least `min_points_per_bin` points. At least
-/// kLeastGap empty bins separate two groups.
+/// Groups consecutive bins that have points, at least `min_points_per_bin`. Two groups
+/// are separated by at least kLeastGap other bins.
 std::vector<RingBand> group_bins(const std::vector<int>& points_per_bin, double min_points_per_bin) {
     std::vector<RingBand> bands;
     for (int b = 0; b < int(points_per_bin.size()); ++b) {
-        if (points_per_bin[std::size_t(b)] == 0 || points_per_bin[std::size_t(b)] < min_points_per_bin)
-            continue;
+        const int n_points = points_per_bin[std::size_t(b)];
+        if (n_points == 0 || n_points < min_points_per_bin) continue;
         if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b});
         bands.back().last = b;
     }
@@ -129,26 +130,8 @@ double find_least_count(std::vector<int> points_per_bin) {
     return kMinBinShare * *well_filled;
 }
 
-/// Returns the bands in the histogram of elevations, from the lowest to the highest beam.
-/// Bin 0 begins at -90 degrees. First finds strong bands, whose bins have enough points.
-/// Then adds weak bands.
-std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
-    if (sorted_elevations_rad.empty()) return {};
-    const int n_bins = int(kPi / kBinWidth_rad) + 1;
-    const auto bin_of = [](double elevation_rad) { return int((elevation_rad + kPi / 2) / kBinWidth_rad); };
-    std::vector<int> points_per_bin(std::size_t(n_bins) + 1, 0);
-    for (const double elevation_rad : sorted_elevations_rad)
-        ++points_per_bin[std::size_t(bin_of(elevation_rad))];
-
-    std::vector<RingBand> candidates = group_bins(points_per_bin, 1.0);
-    const std::vector<RingBand> strong = group_bins(points_per_bin, find_least_count(points_per_bin));
-    // A pass extends a regular spacing only in its direction, so a second pass goes down.
-    std::vector<RingBand> bands = add_weak_bands(candidates, strong);
-    std::ranges::reverse(candidates);
-    std::ranges::reverse(bands);
-    bands = add_weak_bands(candidates, bands);
-    std::ranges::reverse(bands);
-
+/// Sets the elevation of each band to the median elevation of its points.
+void set_elevations(std::vector<RingBand>& bands, const std::vector<double>& sorted_elevations_rad) {
     for (RingBand& band : bands) {
         const auto begin = std::ranges::partition_point(
             sorted_elevations_rad, [&](double elevation_rad) { return bin_of(elevation_rad) < band.first; });
@@ -157,6 +140,26 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
         });
         band.elevation_rad = *(begin + (end - begin) / 2);
     }
+}
+
+/// Returns the bands in the histogram of elevations, from the lowest to the highest beam:
+/// strong bands, whose bins have many points, and weak bands, which have few points but
+/// continue the regular distances of strong bands.
+std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
+    if (sorted_elevations_rad.empty()) return {};
+    std::vector<int> points_per_bin(std::size_t(bin_of(kPi / 2)) + 2, 0);
+    for (const double elevation_rad : sorted_elevations_rad)
+        ++points_per_bin[std::size_t(bin_of(elevation_rad))];
+
+    std::vector<RingBand> candidates = group_bins(points_per_bin, 1.0);  // of all bins with points
+    const std::vector<RingBand> strong = group_bins(points_per_bin, find_least_count(points_per_bin));
+    // A pass continues distances only in its direction: upward, then downward.
+    std::vector<RingBand> bands = add_weak_bands(candidates, strong);
+    std::ranges::reverse(candidates);
+    std::ranges::reverse(bands);
+    bands = add_weak_bands(candidates, bands);
+    std::ranges::reverse(bands);
+    set_elevations(bands, sorted_elevations_rad);
     return bands;
 }
 
@@ -189,8 +192,7 @@ std::uint16_t find_beam(const glm::dvec3& point_m, const std::vector<Beam>& beam
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     const std::vector<RingBand> bands = find_bands(collect_elevations(scans));
     if (bands.size() < kFewestBands) return {};
-    // Every band must be narrow compared with its distance from the next band. Otherwise
-    // the bands are not beams.
+    // Bands of beams are narrow compared with their distance from the next band.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double n_bins = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})

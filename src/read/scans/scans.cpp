@@ -72,8 +72,7 @@ std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_tic
 }
 
 /// Returns for each column of a scan the index of its firing (one shot of all lasers at
-/// one azimuth). If the sweep has fewer firings than columns, several columns get the
-/// same firing.
+/// one azimuth). If there are fewer firings than columns, some get several columns.
 std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> n_columns_of(n, 1);       // [firings]
@@ -115,8 +114,7 @@ public:
     }
     /// [returns per ray][rings x firings] index of the point, or kNoIndex
     std::vector<std::vector<int>> by_return;
-    /// [points] firing that measured each point; kNoIndex if the point is too near
-    /// or too far
+    /// [points] firing that measured the point; kNoIndex: the point is too near or far
     std::vector<int> firing_of;
 
 private:
@@ -164,8 +162,7 @@ private:
         column_of_.push_back(kNoIndex);
         const double range_m = point_range_m(point_index);
         if (range_m > sensor_.max_range_m || range_m < kLeastRange_m) return;
-        // The azimuth of the next return can differ, because beams start beside the
-        // centre.
+        // The azimuths of returns can differ, because beams start beside the centre.
         const bool shares_firing =
             points_.firing.empty() && is_next_return(point_index) && column_of_[point_index - 1] != kNoIndex;
         const std::size_t firing =
@@ -188,8 +185,7 @@ private:
         }
     }
 
-    /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
-    /// point yet.
+    /// Assigns a point beyond the maximum range to its ray, if the ray has no point yet.
     void assign_far_point(std::size_t point_index) {
         if (!(double(point_range_m(point_index)) > sensor_.max_range_m)) return;
         int& point = point_of_ray(return_index_of(points_, point_index), points_.ring[point_index],
@@ -239,8 +235,7 @@ std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor
     return time_s;
 }
 
-/// Resizes all arrays of a scan. Every ray starts at the sensor origin without a
-/// return.
+/// Resizes all arrays of a scan. Rays start at the sensor origin and have no returns.
 void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     scan.rays.rows = rows;
@@ -274,8 +269,7 @@ bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azim
     return true;
 }
 
-/// Throws unless the sensor has a valid number of rays and the sweep has the firings of
-/// all points.
+/// Throws if the number of rays is invalid, or if the sweep lacks the firing of a point.
 void check_sweep(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep) {
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)

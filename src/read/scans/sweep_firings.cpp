@@ -5,6 +5,8 @@
 #include <cmath>
 #include <complex>
 #include <functional>
+#include <optional>
+#include <utility>
 
 #include "log/sensor/beam_geometry.hpp"
 
@@ -22,9 +24,8 @@ constexpr int kMostMissing = 8;
 std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
-    // The deviation of a point is its head azimuth minus the azimuth at a constant
-    // rotation rate. The mean deviation of a firing is the angle of the sum of exp(i
-    // deviation).
+    // The deviation of a point is its head azimuth minus firing * step, the azimuth at a
+    // constant rotation rate. Deviations are averaged as angles of exp(i deviation).
     std::map<int, std::complex<double>> sum_of_firing;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const double head_rad = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
@@ -34,14 +35,18 @@ std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vect
     const auto set_head = [&](int firing, double deviation_rad) {
         head_of_firing[firing] = std::remainder(deviation_rad + firing * azimuth_step_rad, 2.0 * kPi);
     };
-    for (auto firing = sum_of_firing.begin(), next = firing; firing != sum_of_firing.end(); firing = next) {
-        const double deviation_rad = std::arg(firing->second);
-        set_head(firing->first, deviation_rad);
-        if (++next == sum_of_firing.end()) break;
-        const double change_rad = std::remainder(std::arg(next->second) - deviation_rad, 2.0 * kPi);
-        const int n_steps = next->first - firing->first;
-        for (int step = 1; step < n_steps; ++step)  // firings without points
-            set_head(firing->first + step, deviation_rad + change_rad * step / n_steps);
+    std::optional<std::pair<int, double>> before;  // number and deviation of the firing before
+    for (const auto& [firing, sum] : sum_of_firing) {
+        const double deviation_rad = std::arg(sum);
+        if (before) {
+            const auto [firing_before, deviation_before_rad] = *before;
+            const double change_rad = std::remainder(deviation_rad - deviation_before_rad, 2.0 * kPi);
+            const int n_steps = firing - firing_before;
+            for (int step = 1; step < n_steps; ++step)  // firings without points
+                set_head(firing_before + step, deviation_before_rad + change_rad * step / n_steps);
+        }
+        set_head(firing, deviation_rad);
+        before = {firing, deviation_rad};
     }
     return head_of_firing;
 }

@@ -42,8 +42,7 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
 }
 
 /// Applies pose corrections to the origins and directions of all rays of a frame.
-/// @return maximum distance in metres by which a point at kLeverArm_m is moved; 0 if
-/// nothing was changed
+/// @return maximum movement of a point at kLeverArm_m in metres; 0: nothing was changed
 double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {

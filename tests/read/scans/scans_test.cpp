@@ -297,8 +297,7 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(estimate_beams({points}).empty());
     EXPECT_TRUE(estimate_beams({}).empty());
     SpinningSensor wide = make_true_sensor();
-    // Viewed from the centre, the elevation range of each beam is wider than the beam
-    // spacing.
+    // From the centre, the elevations of a beam have a wider range than the beam spacing.
     for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
     EXPECT_TRUE(estimate_beams({make_points_on(wide, 1)}).empty());
 }
