@@ -17,8 +17,7 @@
 namespace relidar::read {
 namespace {
 
-// A unit is accepted only if (cloud duration / time between clouds) is within these
-// limits.
+// limits of (cloud duration / time between clouds) with a possible unit
 constexpr double kMinDuration = 0.05, kMaxDuration = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
@@ -84,9 +83,8 @@ bool are_firsts_similar(const std::vector<TimeRange>& ranges, double time_unit_s
     });
 }
 
-/// Returns what the point times of the clouds are relative to: the stamp of the cloud (if
-/// they are near 0), the zero of the stamps (epoch, if they are near the stamps), or else
-/// another zero.
+/// Returns what the point times are relative to: the stamp of the cloud (if they are near
+/// 0), the zero of the stamps (epoch, if they are near the stamps), or else another zero.
 PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
     const auto is_near = [&](const TimeRange& range, double time_s) {
         return std::abs(range.first * unit_s - time_s) <= kBesideStamp_s &&
@@ -103,8 +101,8 @@ PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, dou
                                                  : PointTimeReference::sensor_clock;
 }
 
-/// Returns true if a cloud has one time that is its stamp in some unit, rounded to steps
-/// that are too long for the time between clouds.
+/// Returns true if the time of a cloud is its stamp in some unit, rounded to steps that
+/// are too long for the time between clouds.
 bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
     return std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
         const double resolution_s = cloud.resolution * unit.seconds;
@@ -113,18 +111,20 @@ bool is_rounded_stamp(const TimeRange& cloud, double cloud_interval_s) {
     });
 }
 
-/// Returns true if the times of clouds are rounded too much to order the clouds. All
-/// points of a cloud have the same time. The unit is not known yet, so all are tried.
+/// Returns true if the times of clouds were rounded, for example to 32-bit floats, so
+/// that they do not order the clouds. In each cloud, all points have the same time. The
+/// unit of the times is not known yet, so all units are tried.
 bool are_cloud_times_coarse(const std::vector<TimeRange>& ranges, double cloud_interval_s) {
-    const TimeRange& cloud = ranges[ranges.size() / 2];
-    if (is_rounded_stamp(cloud, cloud_interval_s)) return true;
-    // Times that increase like the stamps are exact times of the clouds.
-    const auto is_clock = [&](const TimeUnit& unit) { return follow_stamps(ranges, unit.seconds); };
-    if (ranges.size() > 1 && std::ranges::any_of(kTimeUnits, is_clock)) return false;
+    const TimeRange& typical = ranges[ranges.size() / 2];
+    if (is_rounded_stamp(typical, cloud_interval_s)) return true;
+    // Times that advance like the stamps are exact times of the clouds.
+    const auto is_exact = [&](const TimeUnit& unit) { return follow_stamps(ranges, unit.seconds); };
+    if (ranges.size() > 1 && std::ranges::any_of(kTimeUnits, is_exact)) return false;
+    // A constant, such as 0 for "no time", is not rounded, unless it is very large.
     const bool is_constant = std::ranges::all_of(
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
-    return cloud.resolution > kLargestStep ||
-           (!is_constant && is_coarse_time(cloud.resolution, cloud_interval_s));
+    return typical.resolution > kLargestStep ||
+           (!is_constant && is_coarse_time(typical.resolution, cloud_interval_s));
 }
 
 /// Returns the longest of the units s, ms, us and ns with which the duration of a cloud
@@ -187,19 +187,20 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
 
 namespace fs = std::filesystem;
 
-/// Reads the points of a few scans. Files of rays have no points and are left out.
+/// Reads the points of a few scans. Leaves out files of rays, which have no points.
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
                                       const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points = scan_files;
-    if (!has_npz_points(scan_files))  // The .npz files then contain rays.
-        std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
+    const bool are_npz_rays = !has_npz_points(scan_files);
+    if (are_npz_rays) std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
     std::vector<PointTable> samples;
     read_samples(with_points.size(),
                  [&](std::size_t i) { samples.push_back(read_point_file(with_points[i], column_names)); });
     return samples;
 }
 
-/// Reads the arrays "intensity" and "time" of a few .npz files with rays.
+/// Reads a few .npz files with rays as tables with the fields "intensity" and "time",
+/// which show the scale and the resolution of the values.
 std::vector<PointTable> sample_images(std::vector<fs::path> files) {
     std::erase_if(files, [](const fs::path& file) { return file.extension() != ".npz"; });
     std::vector<PointTable> samples;
@@ -214,8 +215,8 @@ std::vector<PointTable> sample_images(std::vector<fs::path> files) {
     return samples;
 }
 
-/// Makes the reader ignore the times if a sample shows that they have lost their
-/// precision. Adds a note.
+/// Makes the reader ignore the times, with a note, if those of a sample have lost their
+/// precision: neighbouring values are too distant to order the points of a sweep.
 void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
     constexpr double kTypicalSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
@@ -235,9 +236,11 @@ void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& sam
 
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
                                      const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
+    // Times of counters that overflow within a cloud become continuous.
     std::vector<PointTable> continuous_clouds = clouds;
     for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, /*are_offsets=*/false);
-    // Large unsigned times may be negative offsets, so both are compared.
+    // The same clouds if large unsigned times are negative offsets. estimate_times()
+    // decides which of both is right.
     std::vector<PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, restore_signs);
 

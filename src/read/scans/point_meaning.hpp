@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds the meaning of a LiDAR's point values from some clouds: which field holds the
 // intensities, their scale, and the position that marks dropped rays. Also finds the two
-// returns of a ray without return numbers. Sensors in dual-return mode repeat the only
-// return of most rays, so many points occur twice.
+// returns of a ray without return numbers.
 #pragma once
 
 #include <optional>
@@ -26,8 +25,7 @@ struct IntensityScale {
     bool is_sure = true;  ///< false if other scales are equally probable
     std::string note;     ///< text about the scale for the user; empty if the scale is 0 to 1
 };
-/// Estimates which intensity becomes 1: 1, or 255, or a value that only a few intensities
-/// exceed.
+/// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);
 
 /// How clouds store two returns of each ray without numbers.
@@ -39,7 +37,9 @@ struct UnnumberedReturns {
     bool are_halves = false;  ///< true: all second returns follow, so a block is half of each cloud
 };
 
-/// Finds out whether clouds have two returns of each ray without return numbers.
+/// Finds out whether clouds have two returns of each ray without return numbers. They
+/// store most single returns twice. Without copies, pairs of points with equal ring, time
+/// and direction are second returns. In some clouds, all rays can have one return.
 UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds);
 
 /// Returns the number of each selected point: 1 for the stronger return of a ray, 2 for

@@ -22,8 +22,7 @@ constexpr std::array kCounterPeriods = {65536.0, 4294967296.0, 4294967.296, 4294
 // a second, a minute, an hour, a day and a week
 constexpr std::array kClockPeriods_s = {1.0, 60.0, 3600.0, 86400.0, 604800.0};
 constexpr std::array kUnitsOfSecond = {1.0, 1e3, 1e6, 1e9};
-// A counter overflows in a cloud if its times span nearly a period, and leave out more
-// than half of the period.
+// A counter overflows if the times span nearly a period, but leave out more than half.
 constexpr double kMinSpanShare = 0.9, kLeastPause = 0.5;
 // Times in the last part of the period of a counter can be negative offsets.
 constexpr double kLastPart = 15.0 / 16.0;
@@ -31,20 +30,21 @@ constexpr double kLastPart = 15.0 / 16.0;
 // scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
-/// Lists the periods after which times in this range can start again: those of counters
-/// with 16 or 32 bits, and those of clocks, in ascending order. The unit of the file is
-/// not known here, so the periods of clocks are listed in s, ms, us and ns.
-/// @param are_offsets  true: times are relative to the scan, so no clock starts again
+/// Lists the periods after which times in this range can jump back, in ascending order:
+/// those of counters with 16 or 32 bits, and those of clocks. The unit of the file is not
+/// known here, so the periods of clocks are listed in s, ms, us and ns.
+/// @param are_offsets  true: times are relative to the scan, so no clock period is listed
 std::vector<double> list_periods(std::array<double, 2> range, bool are_offsets) {
     std::vector<double> periods(kCounterPeriods.begin(), kCounterPeriods.end());
     if (are_offsets) return periods;
     for (const double period_s : kClockPeriods_s)
         for (const double units_per_s : kUnitsOfSecond) {
             const double period = period_s * units_per_s;
-            // Times within a minute, a day or a week begin at 0. Those that repeat every
+            // Times within a minute, day or week begin at 0. Those that jump back every
             // second or hour can begin at another value, so they can be in any range.
-            const bool can_start_anywhere = period_s == 1.0 || period_s == 3600.0;
-            if (can_start_anywhere || (range[0] >= 0.0 && range[1] <= period)) periods.push_back(period);
+            const bool can_begin_anywhere = period_s == 1.0 || period_s == 3600.0;
+            const bool is_within_period = range[0] >= 0.0 && range[1] <= period;
+            if (can_begin_anywhere || is_within_period) periods.push_back(period);
         }
     std::ranges::sort(periods);
     return periods;

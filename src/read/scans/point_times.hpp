@@ -24,16 +24,14 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 /// clock, such as a second or a day
 void unwrap_times(PointTable& table, bool are_offsets);
 
-/// Makes offsets negative if the file stores small negative offsets of all points as
-/// large unsigned numbers.
+/// Makes offsets negative if all are small, and stored as large unsigned numbers.
 void restore_signs(PointTable& table);
 
 /// Returns the distance between neighbouring values that the times of a cloud can have,
 /// in the unit of the file. Detects numbers that were 32-bit floats before, and whole
 /// seconds since 1970. Returns 0 for other numbers.
 double time_resolution(const PointTable& table);
-/// Returns true if times in steps of `resolution` cannot order the points of a scan that
-/// lasts `span`.
+/// Returns true if steps of `resolution` cannot order the points of a scan of `span`.
 inline bool is_coarse_time(double resolution, double span) {
     constexpr double kFineStep = 1e-4;  // precise, even if the unit is seconds
     return resolution > kFineStep && resolution > 0.05 * span;
@@ -45,16 +43,15 @@ std::string describe_coarse(double time, double resolution);
 /// points, extrapolated to all points.
 double sweep_span_s(const LidarPoints& points);
 
-/// Returns a note if the time of a scan does not fit the time between scans. The usual
-/// cause is a wrong unit.
+/// Returns a note if the duration of scans does not fit the time between them, usually
+/// because of a wrong unit, or if the points are too far from the time of their scan.
 std::string describe_span(const std::vector<LidarPoints>& scans, double frame_step_s);
 
 /// Share of the scans that must agree before a scan with other times is skipped.
 inline constexpr double kMinScanShare = 0.8;
 
 /// Returns the usual time of the points of a scan, relative to its frame: the median of
-/// the scans' medians. Returns nothing if too many scans are farther from it than
-/// `limit_s`.
+/// the scans' medians. Returns nothing if too many of these differ by over `limit_s`.
 std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
 
 /// Keeps only the points with the given indices, in this order.

@@ -26,7 +26,7 @@ constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 // parallax of a beam that starts kLargestOffset_m beside the centre.
 constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
 // Columns of no sensor are this close. Such pairs are returns, even if they are frequent.
-constexpr double kSameRay_rad = 2e-4;
+constexpr double kExactRay_rad = 2e-4;
 // Number of points of equal ring and time that are compared. It limits the search in
 // clouds with coarse times.
 constexpr std::size_t kMostNeighbours = 64;
@@ -58,8 +58,7 @@ bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double lim
     return angle_rad < limit_rad + parallax_rad;
 }
 
-/// Returns the pairs of indices of points that occur exactly twice. In a pair, the
-/// smaller index is first.
+/// Returns pairs of indices of points that occur exactly twice, the smaller index first.
 std::vector<IndexPair> find_repeated(const std::vector<glm::vec3>& points, std::vector<std::size_t> indices) {
     const auto position = [&](std::size_t i) { return std::array{points[i].x, points[i].y, points[i].z}; };
     std::ranges::stable_sort(indices, {}, position);
@@ -77,7 +76,7 @@ struct PairCounts {
     std::size_t n_pairs = 0;   ///< groups of two points
     std::size_t n_large = 0;   ///< groups of more points
     std::size_t n_on_ray = 0;  ///< pairs that can be returns of one ray, within kOneRay_rad
-    std::size_t n_exact = 0;   ///< pairs with equal directions, within kSameRay_rad
+    std::size_t n_exact = 0;   ///< pairs with equal directions, within kExactRay_rad
 
     /// Returns true if the pairs are the two returns of one ray. If most groups are
     /// pairs, they could also be two columns that share a time, so their directions must
@@ -91,7 +90,9 @@ struct PairCounts {
     }
 };
 
-/// Adds the groups of a cloud to the counts.
+/// Counts the groups of points with equal ring and time in a cloud. A group of two is a
+/// pair: returns of one ray, or points of two columns that share a time. Counts pairs on
+/// nearly the same ray, and exact ones, which are closer than columns of any sensor.
 /// @param keys  [points] ring and time
 /// @param indices  points that are compared
 void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
@@ -103,14 +104,14 @@ void count_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const
         ++counts.n_groups;
         if (group_size > 2) ++counts.n_large;
         if (group_size != 2) continue;
-        const glm::vec3 &first = points[indices[begin]], &second = points[indices[begin + 1]];
         ++counts.n_pairs;
+        const glm::vec3 &first = points[indices[begin]], &second = points[indices[begin + 1]];
         if (are_on_same_ray(first, second, kOneRay_rad)) ++counts.n_on_ray;
-        if (are_on_same_ray(first, second, kSameRay_rad)) ++counts.n_exact;
+        if (are_on_same_ray(first, second, kExactRay_rad)) ++counts.n_exact;
     }
 }
 
-/// Returns true if a point is in a block of first returns.
+/// Returns true if a point is in a block of first returns, which alternate with second.
 bool is_first_return(std::size_t point, std::size_t block_size) { return point / block_size % 2 == 0; }
 
 /// Returns the size of the blocks in which a cloud stores its first and second returns,
@@ -126,33 +127,36 @@ std::size_t find_block_size(const std::vector<IndexPair>& pairs, std::size_t n_p
     return 0;
 }
 
-/// Returns the layout of a cloud's second returns, from the points that occur twice. A
-/// sensor repeats the only return of a ray, so such a pair is stored like a first and a
-/// second return: in blocks, or with equal ring and time.
+/// Finds where a cloud stores the second return of a ray: in the block after the block of
+/// the first return, or at any place, with equal ring and time. If a ray has only one
+/// return, the sensor stores it twice, so pairs of equal points show the layout.
 /// @param repeated  pairs of equal points
 /// @param keys  [points] ring and time; may be empty
+/// @return `exist` is false if the pairs follow neither rule, so that they are accidental
 UnnumberedReturns find_layout(const std::vector<IndexPair>& repeated, const std::vector<RayKey>& keys,
                               std::size_t n_points) {
-    UnnumberedReturns returns;
-    returns.block_size = find_block_size(repeated, n_points);
-    returns.are_halves = 2 * returns.block_size == n_points;
+    const std::size_t block_size = find_block_size(repeated, n_points);
     const auto n_equal_keys = std::ranges::count_if(
         repeated, [&](const IndexPair& pair) { return !keys.empty() && keys[pair[0]] == keys[pair[1]]; });
     const bool share_keys = double(n_equal_keys) >= kMinRegularShare * double(repeated.size());
-    returns.exist = returns.block_size > 0 || share_keys;
-    return returns;
+    return {.exist = block_size > 0 || share_keys,
+            .block_size = block_size,
+            .are_halves = 2 * block_size == n_points};
 }
 
 /// Pairs each selected first return with the point at the same place in the next block.
-/// Returns positions in `selected`, or kNoPoint.
+/// Blocks of first and second returns alternate, and each first one has a second one.
+/// @param selected  indices of points
+/// @return [selected] position of the other return in `selected`, or kNoPoint
 std::vector<std::size_t> pair_by_block(const std::vector<std::uint32_t>& selected, std::size_t n_points,
                                        std::size_t block_size) {
     std::vector<std::size_t> position_of_point(n_points, kNoPoint);
     for (std::size_t k = 0; k < selected.size(); ++k) position_of_point[selected[k]] = k;
     std::vector<std::size_t> partner(selected.size(), kNoPoint);
-    for (std::size_t k = 0; k < selected.size(); ++k)
-        if (is_first_return(selected[k], block_size))
-            partner[k] = position_of_point[selected[k] + block_size];
+    for (std::size_t k = 0; k < selected.size(); ++k) {
+        const std::size_t point = selected[k];
+        if (is_first_return(point, block_size)) partner[k] = position_of_point[point + block_size];
+    }
     return partner;
 }
 
@@ -185,12 +189,16 @@ struct ReturnPairs {
     std::vector<std::size_t> partner;  ///< [points] the other return, or kNoPoint; each pair occurs once
 };
 
-/// Pairs the selected points of a table. Points are positions in `selected`.
+/// Pairs the two returns of each ray: by their places in the table if it stores blocks of
+/// first and second returns, or else by ring, time and direction.
+/// @param selected  indices in the table; the result contains positions in this array
+/// @param points  [selected] positions
 ReturnPairs pair_returns(const PointTable& table, const UnnumberedReturns& layout,
                          const std::vector<std::uint32_t>& selected, const std::vector<glm::vec3>& points) {
-    ReturnPairs pairs{std::vector<std::size_t>(selected.size()),
-                      std::vector<std::size_t>(selected.size(), kNoPoint)};
+    ReturnPairs pairs{.order = std::vector<std::size_t>(selected.size()),
+                      .partner = std::vector<std::size_t>(selected.size(), kNoPoint)};
     std::iota(pairs.order.begin(), pairs.order.end(), std::size_t(0));
+    // The size of half a cloud differs from cloud to cloud.
     const std::size_t block_size = layout.are_halves ? table.n / 2 : layout.block_size;
     const bool has_full_blocks = block_size > 0 && table.n % (2 * block_size) == 0;
     if (has_full_blocks) {
@@ -216,9 +224,8 @@ std::vector<glm::vec3> read_positions(const PointTable& table) {
 }
 
 UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds) {
-    PairCounts counts;
-    UnnumberedReturns returns;
-    for (const PointTable& cloud : clouds) {  // in some clouds, all rays can have one return
+    PairCounts counts;  // of clouds without copies
+    for (const PointTable& cloud : clouds) {
         if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
             continue;
         const std::vector<glm::vec3> points = read_positions(cloud);
@@ -228,13 +235,16 @@ UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds) {
         const std::vector<RayKey> keys = read_ray_keys(cloud);
         const std::vector<IndexPair> repeated = find_repeated(points, valid);
         const double n_points_in_pairs = 2.0 * double(repeated.size());
-        const bool has_copies = n_points_in_pairs >= kLeastRepeated * double(valid.size());
-        if (!repeated.empty() && has_copies) returns = find_layout(repeated, keys, cloud.n);
-        else if (!keys.empty()) count_pairs(counts, points, keys, std::move(valid));
-        if (returns.exist) return returns;
+        const bool has_copies =
+            !repeated.empty() && n_points_in_pairs >= kLeastRepeated * double(valid.size());
+        if (has_copies) {
+            const UnnumberedReturns returns = find_layout(repeated, keys, cloud.n);
+            if (returns.exist) return returns;
+        } else if (!keys.empty()) {
+            count_pairs(counts, points, keys, std::move(valid));
+        }
     }
-    returns.exist = counts.are_returns();
-    return returns;
+    return {.exist = counts.are_returns()};
 }
 
 std::vector<std::uint8_t> number_returns(const PointTable& table, const UnnumberedReturns& layout,

@@ -118,19 +118,16 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
 }
 
 TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {
-    EXPECT_EQ(
-        estimate_units(make_f8([](double t_s, double k) { return 0.3 + 0.1 * k + t_s; })).time_reference,
-        read::PointTimeReference::sensor_clock);
-    // The times are within a second, and the clouds are 0.7 s apart.
-    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) {
-                  return std::fmod(0.7 * k + t_s, 1.0);
-              })).time_reference,
-              read::PointTimeReference::sensor_clock);
+    using Reference = read::PointTimeReference;
+    const auto reference_of = [](const auto& value) { return estimate_units(make_f8(value)).time_reference; };
+    const auto recent = [](double t_s, double k) { return 0.3 + 0.1 * k + t_s; };
+    EXPECT_EQ(reference_of(recent), Reference::sensor_clock);
+    // The clouds are 0.7 s apart.
+    const auto within_second = [](double t_s, double k) { return std::fmod(0.7 * k + t_s, 1.0); };
+    EXPECT_EQ(reference_of(within_second), Reference::sensor_clock);
     // One late cloud of six does not turn offsets into a clock.
-    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) {
-                  return t_s + (k == 2.0 ? 1.5 : 0.0);
-              })).time_reference,
-              read::PointTimeReference::stamp);
+    const auto with_late_cloud = [](double t_s, double k) { return t_s + (k == 2.0 ? 1.5 : 0.0); };
+    EXPECT_EQ(reference_of(with_late_cloud), Reference::stamp);
 }
 
 TEST(PointTimes, LostPrecisionIsReported) {
