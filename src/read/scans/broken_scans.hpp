@@ -53,7 +53,6 @@ public:
 private:
     static constexpr const char* kSkipBrokenHint =
         "; use dataset.skip_broken=true to skip scans that cannot be read";
-
     static constexpr const char* kOtherHint = "set \"columns\" in sequence.json";
 
     const bool skip_;

@@ -18,8 +18,7 @@ inline constexpr float kNearestReturn_m = 1e-3f;
 /// Maximum number of returns of a ray. Real sensors have two or three.
 inline constexpr std::size_t kMostReturns = 8;
 
-/// Files store rays without a return with the range 0, NaN, infinity, or a negative
-/// value.
+/// Files store rays without a return with the range 0, NaN, infinity, or below 0.
 inline bool is_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }
 
 /// Files store rays without a return at the sensor, or with NaN or infinite coordinates.
@@ -30,9 +29,8 @@ bool is_return_point(const Vector& point_m) {
 }
 
 /// Turns returns at the maximum range of a LiDAR into dropped rays and adds a note. Real
-/// ranges have noise. The largest range of the log stands for dropped rays if many
-/// returns have exactly this range, it is a multiple of half a metre, and other returns
-/// are nearer.
+/// ranges have noise. The largest range of the log stands for dropped rays if it is a
+/// multiple of half a metre, and exactly that of many returns, but not of nearly all.
 void remove_drop_markers(Log& sequence);
 
 }  // namespace relidar

@@ -71,8 +71,7 @@ glm::dquat read_quaternion(const JsonField& field) {
     return rotation;
 }
 
-/// Reads the pose of a sensor in the vehicle: a 4 x 4 matrix by rows, or a translation
-/// and a quaternion.
+/// Reads the pose of a sensor: a 4 x 4 matrix by rows, or a translation and a quaternion.
 Pose read_mounting(const JsonField& field, const std::string& where) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();
@@ -101,8 +100,7 @@ void read_named_sensor(const JsonField& field, const fs::path& folder, Lidar& li
 }
 
 /// Sets the sensor of a LiDAR from a JSON object: {"<kind>": {members}}, or only the
-/// members of a spinning sensor. Without the member max_range_m, the LiDAR keeps its
-/// maximum range.
+/// members of a spinning sensor. max_range_m may be missing and then stays the same.
 void read_sensor_object(const JsonField& field, Lidar& lidar) {
     const double default_max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_kind(field);
@@ -113,7 +111,8 @@ void read_sensor_object(const JsonField& field, Lidar& lidar) {
     if (!members.has_member("period_s")) lidar.sensor.period_s = 0.0;
 }
 
-/// Reads an element of "lidars".
+/// Reads an element of "lidars". A LiDAR with a list of beams must spin. Otherwise
+/// "spins" tells whether beams can be estimated.
 /// @param json_file  name for error messages
 /// @param folder  folder of the log
 HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, const fs::path& folder,
@@ -142,7 +141,7 @@ HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, con
         field.at("spins").reject("found false, but the key sensor defines the beams of a spinning LiDAR",
                                  "expected true, or a sensor without a list of beams");
 
-    header.scans = read_text_or(field, "scans", "", kLongestPath);
+    header.scans = read_text_or(field, "scans", "", kLongestPath);  // folder of the scans
     header.lowest_first =
         field.has_member("ring_0") && read_word(field.at("ring_0"), {"highest", "lowest"}) == "lowest";
     return header;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and checks the files that describe a log in a plain folder. docs/datasets.md
-// documents the format.
+// Reads and checks the files that describe a log in a plain folder; see docs/datasets.md.
 #pragma once
 
 #include <filesystem>
@@ -29,13 +28,10 @@ inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestP
 struct PointFileUnits {
     /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
     std::vector<std::string> columns;
-    /// Intensities are divided by this value. If it is not set, values above 1 are an
-    /// error.
+    /// Intensities are divided by this value. If not set, values above 1 are an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    /// True: point times use the clock of the log, otherwise the time of their frame is
-    /// 0.
-    bool absolute_times = false;
+    bool absolute_times = false;  ///< true: point times use the clock of the log; false: 0 is the frame
     /// Field with the intensities. If empty, the first field with a usual name.
     std::string intensity_field = {};
     /// Position that marks a ray without a return, as NaN does.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 #include <tuple>
 #include <utility>
@@ -60,8 +61,7 @@ struct SelectedPoints {
     std::vector<glm::vec3> position_m;  ///< in the axes of the table
 };
 
-/// Selects the points at which a pulse was reflected. Leaves out points that only mark
-/// rays without a return.
+/// Selects the points of returns. Other points only mark rays without a return.
 SelectedPoints select_returns(const PointTable& table, const PointFileUnits& units) {
     const std::vector<glm::vec3> positions_m = read_positions(table);
     const std::vector<char> has_no_range = flag_no_returns(table, positions_m);
@@ -99,21 +99,27 @@ struct FieldConverter {
     }
 };
 
-/// Sets the times of the points, in seconds relative to the time of the frame. With
-/// units.skip_wrong_times, a wrong time becomes the longest offset, so that read_scans()
-/// removes its point.
-/// @throws DataError otherwise, and MostTimesWrong if most times are wrong
+/// Sets the times of the points, in seconds relative to the time of the frame. First
+/// repairs counters that overflow in the scan, and offsets without their signs.
+/// @throws DataError if a time is wrong. With units.skip_wrong_times, only MostTimesWrong
+/// if most times are wrong. Otherwise, a wrong time becomes kMaxTimeOffset_s, which is
+/// so long that read_scans() removes the point.
 void convert_times(LidarPoints& points, const FieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
     unwrap_times(table, !units.absolute_times);
     if (!units.absolute_times) restore_signs(table);
+    const PointFieldView* times = table.find_field(PointAttribute::time);
+    const auto offset_of = [&](double time) { return frame_offset_s(time, units, frame_time_s, ""); };
+    if (!units.skip_wrong_times) {
+        convert.convert_field(points.time_offset_s, times, offset_of);
+        return;
+    }
     std::size_t n_wrong = 0;
     std::string first_error;  // begins with ": "
-    convert.convert_field(points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
+    convert.convert_field(points.time_offset_s, times, [&](double time) {
         try {
-            return frame_offset_s(value, units, frame_time_s, "");
+            return offset_of(time);
         } catch (const DataError& error) {
-            if (!units.skip_wrong_times) throw;
             if (n_wrong == 0) first_error = error.what();
             ++n_wrong;
             return kMaxTimeOffset_s;
@@ -184,8 +190,8 @@ void convert_intensities(LidarPoints& points, const FieldConverter& convert, con
                           [&](double value) { return scale_intensity(value, units, ""); });
 }
 
-/// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1. Every
-/// file has first returns, so the smallest number is that of a first return.
+/// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1. The
+/// smallest number shows where they begin, because every file has first returns.
 void convert_numbers(LidarPoints& points, const FieldConverter& convert, const PointFieldView& numbers,
                      std::size_t n_points) {
     double least = numbers[0];
@@ -209,7 +215,7 @@ void convert_returns(LidarPoints& points, const FieldConverter& convert, const P
         convert_numbers(points, convert, *numbers, table.n);
     } else if (types && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> type_of_point;
-        convert.convert_field(type_of_point, types, [](double value) { return value; });
+        convert.convert_field(type_of_point, types, std::identity());
         set_return_numbers(points, type_of_point);
     }
 }
@@ -220,16 +226,16 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
                           const std::string& where) {
     SelectedPoints selected = select_returns(table, units);
     LidarPoints points;
-    if (units.returns.exist)  // also sorts the selected points by ray
+    if (units.returns.exist)  // Two returns of a ray have no numbers. Sorts `selected` by ray.
         points.return_number =
             number_returns(table, units.returns, units.intensity_field, selected.index, selected.position_m);
     check_positions(table, selected, where);
     points.position_m = std::move(selected.position_m);
 
-    const FieldConverter convert{selected.index, where};
+    const FieldConverter convert{.selected = selected.index, .where = where};
     convert_intensities(points, convert, table, units);
-    convert.convert_field(points.ring, table.find_field(PointAttribute::ring),
-                          [&](double value) { return convert_ring(value, ""); });
+    const auto ring_of = [](double value) { return convert_ring(value, /*where=*/""); };  // `convert` adds it
+    convert.convert_field(points.ring, table.find_field(PointAttribute::ring), ring_of);
     if (!units.ignore_times) convert_times(points, convert, table, units, frame_time_s);
     convert_returns(points, convert, table);
     return points;

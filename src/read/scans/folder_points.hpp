@@ -28,8 +28,7 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
 /// intensity scales are possible, sets none. Intensities above 1 are then an error.
 void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files, Notes& notes);
 
-/// Scan of each frame, from files or messages. Several threads can call the functions at
-/// the same time.
+/// Scan of each frame, from files or messages. Several threads can call the functions.
 class ScanProvider {
 public:
     virtual ~ScanProvider() = default;
@@ -40,9 +39,9 @@ public:
     virtual Scan read_rays(std::size_t) const { return {}; }
 };
 
-/// Reads the scans of all frames. The poses of the frames must be set before. Estimates
-/// unknown beams from the points. Undoes motion compensation, unless the user sets
-/// dataset.poses=none, because the true poses are then unknown.
+/// Reads the scans of all frames, whose poses must be known. First plans from some scans
+/// how the points of each LiDAR become rays. Scans that cannot be read are errors, or are
+/// removed from the log with options.skip_broken.
 void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options);
 

@@ -18,8 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Counts the points that are the first return of their ray. Ignores points at the
-/// sensor.
+/// Counts the first returns of rays. Ignores points at the sensor.
 std::size_t count_firsts(const LidarPoints& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -67,8 +66,7 @@ private:
 };
 
 /// Reads the scans of all frames of a log. First decides for each LiDAR, from a few
-/// sample scans, how its points become rays. Then reads the frames, several at the same
-/// time.
+/// sample scans, how its points become rays. Several threads then read the frames.
 class ScanReader {
 public:
     ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source,
@@ -89,8 +87,7 @@ public:
         const std::vector<Lidar> lidars = sequence_.lidars;
         plan_each_lidar();
         if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undoes_motion)) return;
-        // Only some LiDARs could undo the compensation. Plans all of them again without
-        // it.
+        // Only some LiDARs could undo the compensation, so all are planned to keep it.
         may_undo_motion_ = false;
         sequence_.notes = notes;
         sequence_.lidars = lidars;
@@ -99,8 +96,7 @@ public:
         plan_each_lidar();
     }
 
-    /// Reads the scan of a frame according to the plan of its LiDAR. Several threads call
-    /// it.
+    /// Reads the scan of a frame by the plan of its LiDAR. Several threads call it.
     void read_frame_scan(std::size_t frame_index) {
         if (!source_.stores_points(frame_index)) {
             sequence_.frames[frame_index].scan = source_.read_rays(frame_index);
@@ -167,8 +163,7 @@ private:
     }
 
     /// Returns the points of a frame, each at its firing time if this is possible. Reuses
-    /// a sample that was read for the plan. A scan with wrong times is recorded as
-    /// broken.
+    /// samples that were read for the plan. Records a scan with wrong times as broken.
     LidarPoints load_points(std::size_t frame_index) {
         const auto sample = samples_.find(frame_index);
         if (sample != samples_.end()) return std::move(sample->second);
@@ -263,8 +258,7 @@ private:
         return samples;
     }
 
-    /// Searches how the points of a LiDAR were moved, if the log does not say it. Then
-    /// restores the samples.
+    /// Searches how points were moved if the log does not say it. Restores the samples.
     void recover_firings(int lidar_index, std::map<std::size_t, LidarPoints>& samples, double sweep_s) {
         const auto l = std::size_t(lidar_index);
         if (!recovers_firings_ || !layout_.lidars[l].spins) return;
@@ -287,8 +281,7 @@ private:
         for (auto& [frame_index, points] : samples) restore(frame_index, points);
     }
 
-    /// Moves points back to their firing times, if recover_firings() found how they were
-    /// moved.
+    /// Moves points back to their firing times, as far as recover_firings() found them.
     void restore(std::size_t frame_index, LidarPoints& points) {
         const Frame& frame = sequence_.frames[frame_index];
         const ScanPlan& plan = plan_of(frame_index);
@@ -330,8 +323,7 @@ private:
         samples_.merge(sample_of_frame);
     }
 
-    /// Replaces ring numbers of the file by beam numbers. Removes points of rings without
-    /// a beam.
+    /// Replaces ring numbers by beam numbers. Removes points of rings without a beam.
     void map_rings(LidarPoints& points, const ScanPlan& plan, std::size_t frame_index) {
         std::vector<std::size_t> kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
@@ -373,6 +365,7 @@ void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& sca
     reader.plan_lidars();
     const std::vector<std::size_t> frames = select_frames(sequence, options.max_scans);
     progress_for(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
+        // guard() records an error of the frame, or throws it without skip_broken.
         broken.guard(frames[index], [&] { reader.read_frame_scan(frames[index]); });
     });
     note_skipped_points(sequence, layout, reader.counts());

@@ -217,10 +217,13 @@ void fix_inverted_poses(Log& sequence) {
     if (!sequence.has_poses) return;
     PoseTrack stored_poses = sequence.world_from_vehicle;  // as in the file, before centre_log()
     for (Pose& pose : stored_poses.pose) pose.translation += sequence.world_offset_m;
-    std::vector<PoseReading> readings = {
-        {"world-from-sensor poses", sequence.world_from_vehicle},
-        {"sensor-from-world poses", convert_poses(stored_poses, inverse), /*needs_scans=*/true}};
-    // The reader assumed quaternions w x y z, but had no scans, which now decide.
+    std::vector<PoseReading> readings = {{.name = "world-from-sensor poses",  // assumed by the reader
+                                          .world_from_vehicle = sequence.world_from_vehicle},
+                                         {.name = "sensor-from-world poses",
+                                          .world_from_vehicle = convert_poses(stored_poses, inverse),
+                                          .needs_scans = true}};
+    // If the reader could not decide the order of the quaternions, it assumed w x y z and
+    // left a note. The scans now decide the order, too.
     const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
     if (undecided != sequence.notes.end()) {
         readings[0].name = kScalarFirst;
@@ -230,11 +233,11 @@ void fix_inverted_poses(Log& sequence) {
     const auto read_pairs = [&] { return collect_pairs(sequence); };
     Notes notes;
     const std::size_t best = choose_poses(readings, read_pairs, sequence.source, notes);
-    // Leaves out the ids of the notes, because the order of the quaternions is final now.
+    // Without their ids, the notes do not say again that the order is undecided.
     for (const Note& note : notes) sequence.notes.push_back(note.text);
     if (best == 0) return;
+    // The other readings are not centred.
     set_trajectory(sequence, readings[best].world_from_vehicle);
-    // The new poses are not centred.
     sequence.world_offset_m = glm::dvec3(0.0);
     sequence.georeference.reset();
     centre_log(sequence);

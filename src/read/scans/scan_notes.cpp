@@ -11,8 +11,7 @@ namespace {
 
 // If a larger share of the points fits no ray, the sensor of the log is probably wrong.
 constexpr double kMaxSkippedShare = 0.1;
-// If scans are farther apart, the unit of their times is probably wrong, which the check
-// "time_unit" reports.
+// If scans are farther apart, the check "time_unit" reports a wrong unit of their times.
 constexpr double kMaxFrameStep_s = 20.0;
 
 void add_lidar_note(Log& sequence, int lidar_index, const std::string& text) {
@@ -22,7 +21,7 @@ void add_lidar_note(Log& sequence, int lidar_index, const std::string& text) {
 
 /// Adds a note if points of a LiDAR are skipped because their ray has a nearer point. If
 /// they are many, the note names the usual cause.
-/// @param counts  [frames]
+/// @param counts  [frames] `first` includes the skipped points
 void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index,
                         const std::vector<PointCounts>& counts) {
     std::size_t n_skipped = 0, n_all = 0;
@@ -46,7 +45,8 @@ void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index
                                n_skipped, n_all, 100.0 * double(n_skipped) / double(n_all), cause));
 }
 
-/// Returns how points are assigned to rays, or an empty text if this is as usual.
+/// Returns how points are assigned to rays. Returns an empty text in the usual cases: the
+/// rings are numbers of known beams, or the LiDAR does not spin.
 /// @param is_described  the user describes the LiDAR in sequence.json
 std::string describe_assignment(const ScanPlan& plan, bool is_described) {
     if (!plan.why_no_beams.empty())
@@ -74,21 +74,19 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
     };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
     add(describe_assignment(plan, layout.is_described));
-    if (layout.motion_compensated) {
-        if (!plan.undoes_motion)
-            add(fmt::format(
-                "the scans stay motion-compensated, because the firing times{} or the poses are not "
-                "known; all rays start at the sensor's position at the time of the frame",
-                layout.lidars.size() > 1 ? " of all LiDARs" : ""));
-    } else {
-        if (plan.has_beams && !plan.has_times)
-            add(fmt::format(
-                "the points have no times; relidar computes them from the azimuths and assumes that "
-                "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
-                plan.sensor.period_s));
-        const double step_s = median_step_s(sequence, lidar_index).value_or(INFINITY);
-        if (step_s <= kMaxFrameStep_s) add(describe_span(samples, step_s));
-    }
+    if (layout.motion_compensated && !plan.undoes_motion)
+        add(
+            fmt::format("the scans stay motion-compensated, because the firing times{} or the poses are not "
+                        "known; all rays start at the sensor's position at the time of the frame",
+                        layout.lidars.size() > 1 ? " of all LiDARs" : ""));
+    if (!layout.motion_compensated && plan.has_beams && !plan.has_times)
+        add(
+            fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
+                        "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
+                        plan.sensor.period_s));
+    const std::optional<double> step_s = median_step_s(sequence, lidar_index);
+    if (!layout.motion_compensated && step_s && *step_s <= kMaxFrameStep_s)
+        add(describe_span(samples, *step_s));
     if (plan.firings) add(describe_recovery(plan.firings->recovery));
     if (plan.moved_to_s)
         add(

@@ -15,8 +15,9 @@ constexpr double kUsualPeriod_s = 0.1;  // if the log has only one frame
 // farther apart, the log has only some of the scans.
 constexpr double kLongestPeriod_s = 0.25;
 
-/// Sets ring numbers of points that have none. Returns false if neither their elevations
-/// nor their order show the rings.
+/// Sets ring numbers of points that have none. If only their order in the files shows the
+/// rings, the plan gets `ring_order`, which numbers the rings of all scans.
+/// @return false if neither the elevations nor the order show the rings
 bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     // Elevations are tried first. The order fails for Ouster LiDARs, because their rings
     // begin at different azimuths.
@@ -86,7 +87,7 @@ std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps,
     const auto n_without_rings = std::ranges::count_if(
         sweeps, [](const CompensatedSweep& sweep) { return sweep.points.ring.empty(); });
     const bool are_alike = n_without_rings == 0 || n_without_rings == std::ssize(sweeps);
-    if (!are_alike) return std::nullopt;
+    if (!are_alike) return std::nullopt;  // Stored and found ring numbers would be mixed.
     FiringPlan plan;
     if (n_without_rings > 0) {
         std::vector<LidarPoints> samples;
@@ -143,7 +144,7 @@ void plan_rays(ScanPlan& plan, const LidarScanLayout& layout, double sweep_s,
     } else if (layout.spins && !samples.empty()) {
         fit_sensor(plan, samples);
     }
-    if (!plan.has_beams) plan.sensor.period_s = 0.0;
+    if (!plan.has_beams) plan.sensor.period_s = 0.0;  // The sensor does not rotate.
 }
 
 }  // namespace relidar::read

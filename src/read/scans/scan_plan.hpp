@@ -46,13 +46,11 @@ struct LidarScanLayout {
 struct ScanLayout {
     std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
-    /// True if the user describes the LiDARs in sequence.json. Points that contradict the
-    /// text are then an error.
+    /// True if the user describes the LiDARs in sequence.json. Other points are an error.
     bool is_described = false;
 };
 
-/// Recovered firing times of the points of a LiDAR, and where the rings for this come
-/// from.
+/// Recovered firing times of the points of a LiDAR, and how it finds their rings.
 struct FiringPlan {
     FiringRecovery recovery;
     /// Finds the rings of points without rings by their order in the file. If it is not
@@ -64,9 +62,9 @@ struct FiringPlan {
     /// these times. Without rings, the points stay as they are.
     void restore(LidarPoints& points, double frame_time_s) const;
 };
-/// Searches the firing times of points that have none. Returns nothing if they show no
-/// clear optimum.
-/// @param sweeps  some sweeps
+/// Searches the firing times of motion-compensated points that have none. Finds the rings
+/// of points without rings first, because the search needs them.
+/// @return nothing if the points show no rings, or no clear optimum
 std::optional<FiringPlan> plan_firings(std::vector<CompensatedSweep> sweeps, const CompensatedSensor& sensor);
 
 /// Interval of plausible times of points, relative to the time of the frame.
@@ -82,14 +80,11 @@ struct ScanPlan {
     std::optional<double> moved_to_s;
     bool undoes_motion = false;  ///< true: motion compensation is undone
 
-    SpinningSensor sensor;  ///< beams of the rays; period 0 if each point becomes a ray
-    /// True: points are assigned to the beams and columns of the sensor. False: each
-    /// point becomes a ray.
-    bool has_beams = false;
-    bool is_fitted = false;                     ///< true if the beams were fitted to the points
+    SpinningSensor sensor;   ///< beams of the rays; period 0 if each point becomes a ray
+    bool has_beams = false;  ///< true: rays are beams and columns of the sensor; false: points
+    bool is_fitted = false;  ///< true if the beams were fitted to the points
     bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
-    /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
-    /// ignored
+    /// [ring numbers in files] beam; kNoBeam: points of this ring are ignored
     std::vector<std::uint16_t> beam_of_ring;
     /// Finds the rings of points without rings by their order in the file. If it is not
     /// set, the elevations show them.
@@ -108,7 +103,8 @@ std::optional<double> median_step_s(const Log& sequence, int lidar);
 /// number of revolutions if the log has only every n-th scan.
 double estimate_sweep_s(const Log& sequence, int lidar);
 
-/// Plans how points become rays. Estimates unknown beams from the points.
+/// Plans how points become rays. Estimates unknown beams from the points. Without beams,
+/// each point becomes a ray of a sensor that does not rotate (period 0).
 /// @param plan  with the sensor of the LiDAR as far as it is known
 /// @param samples  points of some scans; may be empty
 void plan_rays(ScanPlan& plan, const LidarScanLayout& layout, double sweep_s,

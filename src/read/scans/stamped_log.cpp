@@ -73,8 +73,7 @@ std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     return gap_s > log.most_gap_s ? std::nullopt : std::optional(track.pose_at(time_s));
 }
 
-/// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
-/// axes.
+/// Reads point files in relidar's axes. Adds missing values such as rings.
 class StampedScans : public ScanProvider {
 public:
     StampedScans(const Log& sequence, const std::vector<fs::path>& files, const FileFormat& format)
@@ -89,9 +88,8 @@ public:
         // Rotates the points about z, from the axes of the files to relidar's axes.
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
-            const glm::dvec3 point_in_file_axes(p);
-            p = glm::vec3(c * point_in_file_axes.x - s * point_in_file_axes.y,
-                          s * point_in_file_axes.x + c * point_in_file_axes.y, point_in_file_axes.z);
+            const glm::dvec3 in_file(p);
+            p = glm::vec3(c * in_file.x - s * in_file.y, s * in_file.x + c * in_file.y, in_file.z);
         }
         if (!format_.beams.empty()) assign_rings(points, format_.beams);
         return points;
