@@ -115,22 +115,21 @@ Matrix6 twist_transfer(const glm::dvec3& offset_m) {
 /// Equations of `n_poses` poses without any points.
 PoseEquations::PoseEquations(std::size_t n_poses)
     : diagonal_(n_poses, Matrix6::Zero()),
-      next_(n_poses, Matrix6::Zero()),
+      off_diagonal_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
-    // The two poses with their interpolation weights. The residual's derivative by the
-    // twist of a pose is its weight times j.
+    // A residual's derivative by a pose is s j, where s is the weight of the pose in the
+    // interpolation. So block (i, k) of the matrix gets s_i s_k w j j^T.
     const auto [before, after] = poses_of_point(point);
-    const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
-    for (const auto& [pose, share] : {before, after}) {
-        if (share == 0.0) continue;
-        block_of(gradient_, pose) +=
-            plane_residual.weight * plane_residual.residual_m * share * plane_residual.j;
-        diagonal_[pose] += share * share * square;
+    const Matrix6 w_j_jt = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
+    for (const auto& [pose, s] : {before, after}) {
+        if (s == 0.0) continue;
+        block_of(gradient_, pose) += plane_residual.weight * plane_residual.residual_m * s * plane_residual.j;
+        diagonal_[pose] += s * s * w_j_jt;
     }
-    // The block below the diagonal is the transpose, so it is not stored.
-    next_[before.first] += before.second * after.second * square;
+    // Block (before, after). Its transpose below the diagonal is not stored.
+    off_diagonal_[before.first] += before.second * after.second * w_j_jt;
     cost_ += plane_residual.weight * plane_residual.residual_m * plane_residual.residual_m;
     weight_ += plane_residual.weight;
 }
@@ -139,51 +138,53 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
                              const std::vector<WorldPointWithOrigin>& world_points,
                              std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
                              double scale_m) {
-    const std::size_t begin = couplings_.size();
-    // Searches backwards, because points are almost sorted by pose.
-    const auto coupling = [&](std::size_t pose) -> PlanePoseCoupling& {
-        for (std::size_t k = couplings_.size(); k-- > begin;)
-            if (couplings_[k].pose == pose) return couplings_[k];
-        return couplings_.emplace_back(
-            PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
-    };
-    // Normal matrix and right-hand side of the plane's three unknowns. With other point
-    // weights than in the pose equations, the Schur complement is not positive definite.
-    Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
-    Eigen::Vector3d pull = Eigen::Vector3d::Zero();
+    // The steps x of the poses and p of the plane minimise the sum of w (r + J x + b p)^2
+    // over the points. b: plane_jacobian(). They solve
+    //   T x + C p = -g,   C^T x + S p = -h,   S = L L^T
+    // Eliminating p leaves (T - c c^T) x = -(g - c L^-1 h) with c = C L^-T. The points
+    // need the same weights w in all sums, otherwise T - c c^T is not positive definite.
+    Eigen::Matrix3d plane_matrix = Eigen::Matrix3d::Zero();    // S, the sum of w b b^T
+    Eigen::Vector3d plane_gradient = Eigen::Vector3d::Zero();  // h, the sum of w r b
     for (const std::uint32_t i : point_indices) {
         const PlaneResidual row = make_residual(world_points[i], plane, scale_m);
         const Eigen::Vector3d b = plane_jacobian(world_points[i], plane);
-        stiffness += row.weight * b * b.transpose();
-        pull += row.weight * row.residual_m * b;
+        plane_matrix += row.weight * b * b.transpose();
+        plane_gradient += row.weight * row.residual_m * b;
     }
-    // A coupling is c = C L^-T with the Cholesky factor L of this matrix. So the points
-    // are visited a second time: each adds its share of C, multiplied by L^-T.
-    const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
-    if (root.info() != Eigen::Success) return;
-    const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
-        return root.matrixL().solve(b);
+    const Eigen::LLT<Eigen::Matrix3d> cholesky(plane_matrix);
+    if (cholesky.info() != Eigen::Success) return;
+    const auto times_inverse_l = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
+        return cholesky.matrixL().solve(b);
+    };
+    const std::size_t begin = couplings_.size();
+    // Finds or adds block c of a pose. Starts with the last, as points are almost sorted.
+    const auto find_coupling = [&](std::size_t pose) -> Eigen::Matrix<float, 6, 3>& {
+        for (std::size_t k = couplings_.size(); k-- > begin;)
+            if (couplings_[k].pose == pose) return couplings_[k].c;
+        couplings_.push_back({static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
+        return couplings_.back().c;
     };
     for (const std::uint32_t i : point_indices) {
         const PlaneResidual row = make_residual(world_points[i], plane, scale_m);
-        add_point(points[i], row);
-        const Eigen::Vector3d b = whitened(plane_jacobian(world_points[i], plane));
-        for (const auto& [pose, share] : poses_of_point(points[i]))
-            if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
+        add_point(points[i], row);  // adds to T and g
+        const Eigen::Vector3d b = times_inverse_l(plane_jacobian(world_points[i], plane));
+        for (const auto& [pose, s] : poses_of_point(points[i]))
+            if (s != 0.0) find_coupling(pose) += (s * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
-        block_of(gradient_, couplings_[k].pose) -= couplings_[k].c.cast<double>() * whitened(pull);
+        block_of(gradient_, couplings_[k].pose) -=
+            couplings_[k].c.cast<double>() * times_inverse_l(plane_gradient);
     plane_end_.push_back(couplings_.size());
 }
 
-/// Adds the sums over other cells. All poses are in both equations.
+/// Adds the equations of other cells, for the same poses, and empties `other`.
 void PoseEquations::add_equations(PoseEquations&& other) {
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         diagonal_[k] += other.diagonal_[k];
-        next_[k] += other.next_[k];
+        off_diagonal_[k] += other.off_diagonal_[k];
     }
     gradient_ += other.gradient_;
-    // The couplings of the other planes follow those of the planes so far.
+    // `plane_end_` refers to `couplings_`, where those of the other planes follow.
     for (const std::size_t end : other.plane_end_) plane_end_.push_back(couplings_.size() + end);
     couplings_.insert(couplings_.end(), other.couplings_.begin(), other.couplings_.end());
     cost_ += other.cost_;
@@ -199,21 +200,21 @@ void PoseEquations::add_zero_prior(std::size_t pose, const Vector6& weights, con
 void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference) {
     diagonal_[pose].diagonal() += weights;
     diagonal_[pose + 1].diagonal() += weights;
-    next_[pose].diagonal() -= weights;
+    off_diagonal_[pose].diagonal() -= weights;
     block_of(gradient_, pose) -= weights.cwiseProduct(difference);
     block_of(gradient_, pose + 1) += weights.cwiseProduct(difference);
 }
 
 /// Computes H x with H = T - sum over planes of c c^T. T has the blocks diagonal_ and
-/// next_, because a point connects only neighbouring poses. c has the couplings of a
-/// plane, a block of 6 x 3 for each pose that sees it.
+/// off_diagonal_, because a point connects only neighbouring poses. c has the couplings
+/// of a plane, a block of 6 x 3 for each pose that sees it.
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         block_of(y, k) += diagonal_[k] * block_of(x, k);
         if (k + 1 == diagonal_.size()) break;
-        block_of(y, k) += next_[k] * block_of(x, k + 1);
-        block_of(y, k + 1) += next_[k].transpose() * block_of(x, k);
+        block_of(y, k) += off_diagonal_[k] * block_of(x, k + 1);
+        block_of(y, k + 1) += off_diagonal_[k].transpose() * block_of(x, k);
     }
     if (n_planes() == 0) return y;
     const std::size_t part_size = std::max(kMinPlanesPerPart, n_planes() / kMaxPlaneParts + 1);
@@ -248,7 +249,7 @@ public:
             find_block(group, group) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
             if (k + 1 == n_) break;
-            const Matrix6 pair_matrix = carry_[k].transpose() * equations.next_[k] * carry_[k + 1];
+            const Matrix6 pair_matrix = carry_[k].transpose() * equations.off_diagonal_[k] * carry_[k + 1];
             find_block(group, next_group) += pair_matrix;
             find_block(next_group, group) += pair_matrix.transpose();
         }
@@ -311,20 +312,23 @@ private:
     }
 };
 
-/// Solves (H + P) x = -(g + P c). P: diagonal prior, c: current corrections.
+/// Solves (H + P) x = -(g + P c) for the steps x of all poses. H: multiply(), g:
+/// gradient_, P: diagonal matrix of the prior, c: current corrections.
 Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
                                            double prior_weight) const {
     const std::size_t n = diagonal_.size();
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& block : diagonal_) mean += block.diagonal() / double(n);
-    const Vector6 pull = prior_weight * mean;  // block of P, the same for each pose
-    const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
-    // The preconditioner solves each pose alone, and adds a solution for groups of poses.
+    const Vector6 pose_prior = prior_weight * mean;
+    const Eigen::VectorXd prior = pose_prior.replicate(Eigen::Index(n), 1);  // diagonal of P
+    // The preconditioner, about the inverse of H + P, solves each pose alone, and adds a
+    // solution in which groups of poses move like rigid bodies.
     std::vector<Eigen::LLT<Matrix6>> factorised_blocks;
     for (const Matrix6& block : diagonal_)
         // The small constant keeps the matrix of a pose without points invertible.
-        factorised_blocks.emplace_back(block + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
-    const PoseGroupEquations groups(*this, track, pull);
+        factorised_blocks.emplace_back(block + Matrix6(pose_prior.asDiagonal()) +
+                                       1e-12 * Matrix6::Identity());
+    const PoseGroupEquations groups(*this, track, pose_prior);
     const auto precondition = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k) block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
@@ -332,9 +336,9 @@ Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::
         return z;
     };
     const auto multiply_with_prior = [&](const Eigen::VectorXd& p) -> Eigen::VectorXd {
-        return multiply(p) + pulls.cwiseProduct(p);
+        return multiply(p) + prior.cwiseProduct(p);
     };
-    return solve_conjugate_gradient(-gradient_ - pulls.cwiseProduct(current_corrections), multiply_with_prior,
+    return solve_conjugate_gradient(-gradient_ - prior.cwiseProduct(current_corrections), multiply_with_prior,
                                     precondition);
 }
 

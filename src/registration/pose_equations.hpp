@@ -58,7 +58,6 @@ public:
     /// Moves a pose by one Gauss-Newton step, unless the equations are empty.
     /// @param prior_weight  weight of a term that pulls the total correction of the pose
     /// to zero, relative to the mean weight of the points
-    /// @param current_correction  total correction of the pose so far
     /// @return the distance in metres by which points ten metres away move
     double move_pose(Pose& pose, double prior_weight, const Twist& current_correction = {}) const;
 
@@ -121,7 +120,8 @@ private:
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
     };
-    std::vector<Matrix6> diagonal_, next_;  ///< [poses] blocks (k, k) and (k, k + 1) of sum w J J^T
+    /// [poses] blocks (k, k) and (k, k + 1) of the sum of w J^T J; other blocks are zero
+    std::vector<Matrix6> diagonal_, off_diagonal_;
     Eigen::VectorXd gradient_;
     std::vector<PlanePoseCoupling> couplings_;  ///< of all planes, plane by plane
     std::vector<std::size_t> plane_end_;        ///< [planes] end of each plane's couplings
@@ -131,8 +131,7 @@ private:
         const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1];
         return std::span(couplings_).subspan(begin, plane_end_[plane] - begin);
     }
-    /// Adds the distance of a point from a fixed plane. The point moves with the two
-    /// poses between which it was measured.
+    /// Adds the distance of a point, which moves with its two poses, from a fixed plane.
     void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Returns H x without building H, which is dense because planes couple many poses.
     Eigen::VectorXd multiply(const Eigen::VectorXd& input_vector) const;
