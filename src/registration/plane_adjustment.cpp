@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-// Number of partial sums. It is fixed, so that rounding does not depend on threads.
+// Number of chunks of cells. It is fixed, so that rounding does not depend on threads.
 constexpr int kChunks = 64;
 // Number of optimisation rounds in which the grid cells for fitting planes shrink, and
 // number of further rounds with the smallest cells.
@@ -102,37 +102,38 @@ PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
     return fit_cell_planes(points_, points_to_world(track_, points_), round_settings, 0.0);
 }
 
-/// Sums the equations of the points in all cells with a plane.
+/// Returns the Gauss-Newton equations of all poses: the sum over the points in cells with
+/// a plane. Threads sum over chunks of cells, and the chunks are added in their order.
+/// @param scale_m  scale of the robust kernel, see make_residual()
 PoseEquations PoseAdjustment::sum_equations(const std::vector<WorldPointWithOrigin>& world_points,
                                             const PlaneMap& map, double scale_m) const {
-    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
+    std::vector<PoseEquations> chunk_sums(kChunks, PoseEquations(track_.pose.size()));
     const std::size_t chunk_size = map.cells.size() / kChunks + 1;
     parallel_ranges(map.cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
         for (std::size_t cell = begin; cell < end; ++cell)
             if (map.planes[cell])
-                parts[begin / chunk_size].add_cell(points_, world_points, map.cells.points_in_cell(cell),
-                                                   *map.planes[cell], scale_m);
+                chunk_sums[begin / chunk_size].add_cell(points_, world_points, map.cells.points_in_cell(cell),
+                                                        *map.planes[cell], scale_m);
     });
-    for (std::size_t chunk = 1; chunk < kChunks; ++chunk) parts[0].add_equations(std::move(parts[chunk]));
-    return std::move(parts[0]);
+    for (std::size_t chunk = 1; chunk < kChunks; ++chunk)
+        chunk_sums[0].add_equations(std::move(chunk_sums[chunk]));
+    return std::move(chunk_sums[0]);
 }
 
 /// Fits a plane to the points in each cell, and moves all poses by one Gauss-Newton step
 /// towards these planes.
-/// @param grid_shift_cells offset of the grid, so that cell borders differ from round to
-/// round
 /// @return the settings with the statistics of this round
 FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PlaneMap map = fit_cell_planes(points_, placed, round, grid_shift_cells);
-    const Eigen::VectorXd corrections = stack_twists(start_, track_);
+    const Eigen::VectorXd corrections = stack_twists(start_, track_);  // [poses * 6] so far
     PoseEquations equations = sum_equations(placed, map, round.scale_m);
-    if (prior_) add_prior(equations, corrections);
+    if (prior_) add_prior(equations, corrections);  // only for boxes of actors
     const Eigen::VectorXd step = equations.solve_steps(track_, corrections, kAdjustmentPrior);
     const PoseTrack previous = track_;
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         track_.pose[k] = apply_twist(track_.pose[k], to_twist(block_of(step, k)));
-    centre_poses();
+    centre_poses();  // undoes the motion of all poses together, which points leave open
     round.planes = equations.n_planes();
     round.residual_m = equations.rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
@@ -142,21 +143,21 @@ FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
 }
 
 /// Adds the terms of the prior: they pull each correction to zero, and consecutive
-/// corrections towards each other.
+/// corrections towards each other, the more the shorter the time between them is.
 /// @param corrections  [poses, 6] so far
 void PoseAdjustment::add_prior(PoseEquations& equations, const Eigen::VectorXd& corrections) const {
-    constexpr double kLinkTime_s = 0.1;
+    constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_->link refers
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         equations.add_zero_prior(k, prior_->pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
-        const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_smooth_prior(k, share * prior_->link,
+        const double link_scale = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
+        equations.add_smooth_prior(k, link_scale * prior_->link,
                                    block_of(corrections, k + 1) - block_of(corrections, k));
     }
 }
 
-/// Moves the track like one rigid body, so that the mean correction of the gauge poses
-/// (gauge_) is zero. Points leave this common motion open.
+/// Moves the track like one rigid body, so that the mean correction of some poses (those
+/// selected by gauge_) is zero. The points do not determine this common motion.
 void PoseAdjustment::centre_poses() {
     const auto n_gauge = double(std::ranges::count(gauge_, true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
@@ -192,8 +193,8 @@ void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_kno
         if (is_correction_known[k]) continue;
         auto [before, after] = find_neighbours(k, is_correction_known);
         if (before == k && after == k) continue;  // no known pose exists
-        if (before == k) before = after;
-        if (after == k) after = before;
+        if (before == k) before = after;          // at the start of the track
+        if (after == k) after = before;           // at the end
         const double s = before == after ? 0.0 : time_fraction(before, k, after);
         const Vector6 earlier = block_of(corrections, before), later = block_of(corrections, after);
         track_.pose[k] = apply_twist(start_.pose[k], to_twist(earlier + s * (later - earlier)));
@@ -218,7 +219,7 @@ bool PoseAdjustment::has_enough_planes(double fraction_on_planes, std::size_t n_
 
 double PoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<bool>& is_neighbour) const {
     const auto [before, after] = find_neighbours(pose_index, is_neighbour);
-    if (before == pose_index || after == pose_index) return 0.0;
+    if (before == pose_index || after == pose_index) return 0.0;  // no neighbour on one side
     const auto correction = [&](std::size_t index) {
         return track_.pose[index].translation - initial_track_.pose[index].translation;
     };
@@ -253,11 +254,13 @@ std::vector<std::size_t> PoseAdjustment::interpolate_lost(const SubsampledScans&
 void PoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
                                 const std::vector<SubsampledPoint>& points, double kernel_scale_m) {
     const SinglePoseEquations equations =
-        sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
+        sum_point_equations(points.size(), [&](SinglePoseEquations& sum, std::size_t i) {
             const WorldPointWithOrigin placed = point_to_world(track_, points[i]);
-            if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
-                part.add_residual(make_residual(placed, *plane, kernel_scale_m),
-                                  weight_of_pose(points[i], pose_index));
+            const LocalPlane* plane = map.find_plane_at(placed.point_m);
+            if (!plane) return;
+            // A point moves less than this pose if it was measured between two poses.
+            const double motion_fraction = weight_of_pose(points[i], pose_index);
+            sum.add_residual(make_residual(placed, *plane, kernel_scale_m), motion_fraction);
         });
     equations.move_pose(track_.pose[pose_index], kAdjustmentPrior);
 }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Optimises all poses of a track together, so that the points of all scans lie on common
-// planes (bundle adjustment).
+// Bundle adjustment: moves all poses, so that the points of all scans share planes.
 #pragma once
 
 #include <functional>
@@ -56,7 +55,6 @@ public:
     /// interpolation. Too few points of a failed pose lie on planes, or its correction
     /// differs from both neighbours by more than `max_deviation_m`.
     /// @param shares_on_planes  [poses] share_on_planes() of each scan
-    /// @param pose_has_points  [poses]
     /// @return indices of the failed poses
     std::vector<std::size_t> interpolate_lost(const SubsampledScans& scans,
                                               const std::vector<double>& shares_on_planes,
