@@ -15,9 +15,8 @@ namespace {
 
 constexpr double kKeyframeDistance_m = 4.0;  // path between keyframes, the poses that loop closures connect
 constexpr double kMinPassDistance_m = 80.0;  // minimum path between passes; odometry has aligned closer ones
-// A loop closure is searched between two poses that are at most this far apart. The limit
-// grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
-// drifts.
+// A loop closure is searched between poses that are at most this far apart. As odometry
+// drifts, the limit grows by kLoopDistanceGrowth per metre of path between the poses.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
 // A scan is aligned with a map of the earlier pass. The map extends this distance along
 // the road before and after the earlier pose that is nearest to the scan.
@@ -48,8 +47,7 @@ struct LoopClosure {
     Twist off;                   // correction of the later pose: translation, then rotation vector
 };
 
-/// Finds loop closures between keyframes of a track. Then corrects all poses, so that the
-/// passes over a road agree.
+/// Finds loop closures between keyframes of a track, and corrects all poses with them.
 class LoopCloser {
 public:
     LoopCloser(const PoseTrack& track, const SubsampledScans& scans, const FitRound& first,

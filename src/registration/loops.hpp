@@ -27,8 +27,7 @@ struct LoopClosureResult {
 /// of metres over kilometres
 /// @param first, last  coarsest and finest plane map (PlaneMaps)
 /// @param proceed  reports the progress, 0 to 1; loop closing stops if it returns false
-/// @return the unchanged track if fewer than two loop closures exist or `proceed`
-/// returned false
+/// @return the unchanged track if fewer than two closures exist or loop closing stopped
 LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
                               const FitRound& first, const FitRound& last,
                               const std::function<bool(double done)>& proceed);

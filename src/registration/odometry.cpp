@@ -28,8 +28,7 @@ constexpr double kMinStep_m = 1e-3;  // stops the iteration if a step is shorter
 constexpr double kPriorWeight = 3e-4;
 constexpr double kMinAlignedShare = 0.1;  // with fewer points on planes of the map, the alignment has failed
 // Map cells that got no new points while the vehicle drove this distance are removed.
-// Otherwise odometry could match an earlier pass over the same road. close_loops() aligns
-// such passes later.
+// Else odometry could match an earlier pass over the road, which close_loops() aligns.
 constexpr double kMaxCellAge_m = 80.0;
 // The vehicle drives this distance between two removals of old map cells. Removals are
 // rare, because checking all cells takes as long as adding a scan.
@@ -132,8 +131,7 @@ private:
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
-    /// Returns predictions of a pose, the most likely one first. The alignment of the
-    /// scan starts from each of them.
+    /// Returns start poses for the alignment of a scan, the most likely one first.
     std::vector<Pose> predict_poses(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
@@ -198,7 +196,7 @@ private:
 };
 
 /// Estimates the motion between the first two poses of a section without given poses.
-/// Returns the forward motion for which the first scans match best.
+/// Returns the forward motion with which most points of the first scans match planes.
 Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options, const LogSection& section) {
     Pose best;
@@ -224,7 +222,7 @@ Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& sc
 std::vector<Pose> track_section(const PoseTrack& initial_track, const SubsampledScans& scans,
                                 const OdometryOptions& options, const LogSection& section,
                                 const std::function<bool()>& should_continue) {
-    std::optional<Pose> first_motion;
+    std::optional<Pose> first_motion;  // not needed if the log's poses predict the motion
     if (!options.use_pose_motion) first_motion = find_first_motion(initial_track, scans, options, section);
     SectionOdometry follower(initial_track, options, section.begin, first_motion);
     for (std::size_t k = section.begin; k < section.end; ++k) {
@@ -252,7 +250,7 @@ std::vector<LogSection> divide_log(std::size_t n_scans) {
 /// @param section_poses  poses of all sections, one section after the other
 std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
                                 const std::vector<Pose>& section_poses, const SubsampledScans& scans) {
-    auto section_begin = section_poses.begin();  // first pose of the current section
+    auto section_begin = section_poses.begin();  // first pose of section i, which is pose `begin` of the log
     std::vector<Pose> track(section_begin, section_begin + std::ptrdiff_t(sections.front().end));
     for (std::size_t i = 1; i < sections.size(); ++i) {
         section_begin += std::ptrdiff_t(sections[i - 1].end - sections[i - 1].begin);

@@ -30,7 +30,7 @@ struct FrameRays {
 std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const RegistrationOptions& options) {
     std::vector<FrameRays> frames;
     for (int i = 0; i < static_cast<int>(log.frames.size()); ++i) {
-        if (log.frames[std::size_t(i)].time_s != log.world_from_vehicle.time_s[pose]) continue;
+        if (log.frames[std::size_t(i)].time_s != log.world_from_vehicle.time_s[pose]) continue;  // exact
         FrameRays selected{
             .frame_index = i, .rays = select_returns(log, i, options, kThinningCell_m), .points = {}};
         if (selected.rays.empty()) continue;
@@ -61,12 +61,11 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         for (const FrameRays& frame : frames) {
             // Rays are cast again after each step, because they then hit other surfaces.
             const std::vector<SurfaceHit> surfaces = scene_view(frame.frame_index, frame.rays, track);
-            equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
+            equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& sum, std::size_t k) {
                 if (surfaces[k].normal == glm::dvec3(0.0)) return;  // The ray hits no surface.
                 const LocalPlane plane{.point_m = surfaces[k].point_m, .normal = surfaces[k].normal};
-                part.add_residual(
-                    make_residual(point_to_world(track, frame.points[k]), plane, kKernelScale_m),
-                    weight_of_pose(frame.points[k], pose_index));
+                sum.add_residual(make_residual(point_to_world(track, frame.points[k]), plane, kKernelScale_m),
+                                 weight_of_pose(frame.points[k], pose_index));
             });
         }
         result.on_surfaces = double(equations.count_on_planes()) / double(n_rays);

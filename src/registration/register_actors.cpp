@@ -128,7 +128,8 @@ std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>
     return apply_twist(reference, to_twist(coefficients.row(0).transpose()));
 }
 
-double actor_share(const PoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
+/// Returns the share of an actor's points that lie on planes fitted to these points.
+double share_on_fitted_planes(const PoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
     return adjustment.share_on_planes(adjustment.fit_planes(kLastActorRound), points,
                                       kLastActorRound.scale_m);
 }
@@ -154,7 +155,8 @@ PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint>
     return adjustment;
 }
 
-/// Returns true if the points of an actor fit a fixed box about as well as a moving box.
+/// Returns true if the points of an actor fit a fixed box about as well as a moving box:
+/// about as many points then lie on common planes.
 /// @param moving_box_fraction_on_planes  share of the points on planes of the moving box
 bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
                    const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
@@ -162,16 +164,17 @@ bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kMaxStandingMotion_m) return false;
-    // Moves the points to the middle pose, as if the box had stood still there.
-    std::vector<SubsampledPoint> still = actor_points.points;
-    for (SubsampledPoint& point : still)
+    // The points in the frame of a fixed box, at the middle pose of the track.
+    std::vector<SubsampledPoint> in_fixed_box = actor_points.points;
+    for (SubsampledPoint& point : in_fixed_box)
         point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
-    const PoseAdjustment adjustment = make_adjustment(box, still, pose_has_points);
-    return actor_share(adjustment, still) >= moving_box_fraction_on_planes - kMinShareGain;
+    const PoseAdjustment adjustment = make_adjustment(box, in_fixed_box, pose_has_points);
+    return share_on_fitted_planes(adjustment, in_fixed_box) >= moving_box_fraction_on_planes - kMinShareGain;
 }
 
 /// Corrects the track of a box, so that its points from all frames lie on common planes.
 /// Keeps the labelled track if the corrected track does not fit the points better.
+/// Counts the box in `result`, and appends the median correction if it was registered.
 void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegistrationResult& result,
                   std::vector<double>& moved_distances_m) {
     std::vector<bool> has_points(actor_points.n_of_pose.size());
@@ -181,9 +184,9 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
     PoseAdjustment adjustment = make_adjustment(box, actor_points.points, has_points);
-    const double labelled_share = actor_share(adjustment, actor_points.points);
+    const double labelled_share = share_on_fitted_planes(adjustment, actor_points.points);
     adjustment.adjust_poses(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = actor_share(adjustment, actor_points.points);
+    const double registered_share = share_on_fitted_planes(adjustment, actor_points.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
@@ -219,7 +222,7 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
 
 ActorRegistrationResult register_actors(Log& log, const std::vector<int>& frames, const Progress& progress) {
     ActorRegistrationResult result;
-    std::vector<double> moved_m;  // typical correction of each registered box
+    std::vector<double> moved_m;  // [registered boxes] median correction of the poses
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : log.boxes)
         if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kMinObjectSize_m)
@@ -228,7 +231,7 @@ ActorRegistrationResult register_actors(Log& log, const std::vector<int>& frames
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
-        refine_track(*boxes[i], actors[i], result, moved_m);
+        refine_track(*boxes[i], actors[i], result, moved_m);  // also counts the box in `result`
     }
     result.moved_m = moved_m.empty() ? 0.0 : compute_median(std::move(moved_m));
     return result;

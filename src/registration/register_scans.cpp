@@ -29,8 +29,7 @@ constexpr FitRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale
 constexpr FitRound kFinalOdometryRound{0.5, 0.1};
 constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Returns the cell size for thinning. With few scans, the cells are smaller, so that
-/// each plane still has enough points.
+/// Returns the cell size for thinning. Few scans need small cells for enough points.
 double thinning_cell_m(std::size_t n_scans) {
     return std::clamp(kMaxThinningCell_m * std::sqrt(double(n_scans) / kScansPerCell), kMinThinningCell_m,
                       kMaxThinningCell_m);
@@ -52,7 +51,6 @@ std::vector<double> measure_shares(const PoseAdjustment& adjustment, const Subsa
 /// too much from those of the neighbouring training scans.
 /// @param test_scans [sweeps] points of the held-out scans; empty for other sweeps
 /// @param first_round cell size and kernel scale of the coarsest level
-/// @param max_deviation_m largest accepted difference of the corrections
 /// @return indices of the failed scans, which keep the poses that they had before
 std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
                                            const std::vector<bool>& is_training_sweep,
@@ -62,6 +60,7 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
     const std::vector<Pose> poses_before = adjustment.track().pose;
     for (int level = 0; level < kTestLevels; ++level) {
+        const bool is_finest = level + 1 == kTestLevels;
         const FitRound round = blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
         // The poses of the training scans are exact, so all maps have the final scale.
         const PlaneMap map = adjustment.fit_planes({round.cell_m, kFinalRound.scale_m});
@@ -74,8 +73,7 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
             if (!is_test_sweep[k]) continue;
             for (int step = 0; step < kStepsPerLevel; ++step)
                 adjustment.align_pose(map, k, test_scans[k], round.scale_m);
-            // Only the finest level shows whether the alignment has succeeded.
-            if (level + 1 < kTestLevels || !has_failed(k)) continue;
+            if (!is_finest || !has_failed(k)) continue;
             adjustment.set_pose(k, poses_before[k]);
             lost.push_back(k);
         }

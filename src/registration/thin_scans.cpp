@@ -34,7 +34,7 @@ SweepSet group_sweeps(const Log& sequence) {
     }
     SweepSet sweeps;
     for (std::size_t pose = 0; pose < has_main_frame.size(); ++pose) {
-        if (!has_main_frame[pose]) continue;
+        if (!has_main_frame[pose]) continue;  // spread_corrections() interpolates its correction
         sweeps.track.append(vehicle_track.time_s[pose], vehicle_track.pose[pose]);
         sweeps.pose.push_back(pose);
         sweeps.frames.push_back(std::move(frames_at_pose[pose]));
@@ -83,14 +83,15 @@ SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::siz
                            int frame_index, std::size_t ray_index) {
     const Frame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
-    const TrackInterpolation at = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
+    // The firing time is between the poses `left` and `left + 1`. `s` weights the second.
+    const TrackInterpolation firing = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
     // surface_return() corrects the range for the beam.
     const float range_m = surface_return(sequence, frame, ray_index).range_m;
     const glm::vec3 in_sensor_m = rays.origin[ray_index] + range_m * rays.direction[ray_index];
     const Pose& vehicle_from_sensor = sequence.lidar_of(frame).vehicle_from_sensor;
     return {.point_m = glm::vec3(vehicle_from_sensor * glm::dvec3(in_sensor_m)),
-            .s = static_cast<float>(at.s),
-            .left = static_cast<std::uint32_t>(at.left),
+            .s = static_cast<float>(firing.s),
+            .left = static_cast<std::uint32_t>(firing.left),
             .pose = static_cast<std::uint32_t>(pose_index)};
 }
 

@@ -21,7 +21,6 @@ struct SweepSet {
 /// Groups frames into sweeps, one for each vehicle pose with a frame of the main LiDAR.
 SweepSet group_sweeps(const Log& sequence);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
-/// @param initial  poses of the log
 /// @param corrected  poses of the sweeps after the registration
 PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected);
 
@@ -50,14 +49,12 @@ double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 /// @return indices in the order of the scan
 std::vector<std::size_t> select_returns(const Log& sequence, int frame, const RegistrationOptions& options,
                                         double cell_size_m);
-/// Computes the 3D point of one ray of a frame, corrected by the range offset of its
-/// beam.
-/// @param track poses of the sensor; the pose of the ray is interpolated
+/// Returns the measured point of one ray of a frame, corrected by the range offset of its
+/// beam, with the two vehicle poses of `track` between which the ray was fired.
 /// @param pose_index index in `track` of the pose of this frame
 SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index, int frame,
                            std::size_t ray);
-/// Returns some points of the selected sweeps: in each frame, at most one point per cell
-/// of a grid, and none in moving boxes.
+/// Returns some points of the selected sweeps, those of select_returns() in each frame.
 SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m);
