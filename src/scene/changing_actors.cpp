@@ -105,7 +105,8 @@ SamplesByFrame group_by_frame(const LidarSamples& samples) {
 }
 
 /// Returns how badly a shift per frame moves some points of a frame onto the points of
-/// two earlier and two later frames: the sum of the distances to the nearest points.
+/// two earlier and two later frames: the sum of the distances to the nearest points, each
+/// at most kMaxMatchDistance_m. `patch`: indices of the points
 double shift_cost(const SamplesByFrame& frames, std::size_t frame, const LidarSamples& samples,
                   const SampleIndices& patch, const glm::vec3& shift) {
     constexpr double kMaxMatchDistance_m = 0.15;
@@ -116,7 +117,7 @@ double shift_cost(const SamplesByFrame& frames, std::size_t frame, const LidarSa
     const std::size_t first = frame - std::min<std::size_t>(frame, 2),
                       last = std::min(frame + 2, frames.size() - 1);
     for (std::size_t other = first; other <= last; ++other) {
-        // Time between the frames, as a multiple of the mean walk per frame.
+        // The walk between both frames, in units of the mean walk from frame to frame.
         const auto n_frames = float((frames[other]->walked_m - here.walked_m) / here.spacing_m);
         if (other == frame || std::abs(n_frames) > kMaxFrames) continue;
         for (const std::uint32_t i : patch)
@@ -194,8 +195,9 @@ std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame&
 }
 
 /// Makes surfels with the shape of an actor in one frame, which fade out while the actor
-/// walks on (docs/method.md M14): their opacity is about a Gaussian of the walked
-/// distance, whose standard deviation is the distance between frames.
+/// walks on. A surfel has
+///   position = mean + swing sin(a),  opacity = o exp(sharpness^2 (cos(a) - 1))
+/// at the angle a = 2 pi (walked_m / period_m - phase) of the walk after this frame.
 /// @param changing samples of this frame where the shape of the actor changes
 /// @param period_m walked distance after which the motion repeats
 /// @param incidence strength of the dependence of intensities on the angle
@@ -207,9 +209,9 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
     parallel_blocks(changing.size(), [&](std::size_t i) {
         shifts[i] = estimate_shift(by_frame, frame_index, samples, changing[i]);
     });
-    // The angle of the walk, 2 pi walked_m / period_m, grows by 1 / frames_per_rad from
-    // frame to frame. At a small angle a after this frame, the position is mean + swing a
-    // and the opacity factor exp(-(sharpness a)^2 / 2).
+    // From frame to frame, a grows by 1 / frames_per_rad and a point moves by its shift,
+    // so the swing is frames_per_rad * shift. At a small a, the opacity has the factor
+    // exp(-(sharpness a)^2 / 2), whose standard deviation shall be one frame.
     const auto frames_per_rad = float(period_m / (2.0 * kPi * frame.spacing_m));
     std::vector<GaitPhaseWindow> gaits;
     for (const glm::vec3& shift : smooth_shifts(changing, shifts))
@@ -220,20 +222,21 @@ Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_ind
 }
 
 /// Returns the smallest sharpness with which a surfel is invisible when its centre swings
-/// out of the box of its actor, or 0 if the centre stays inside.
+/// out of the box of its actor, or 0 if the centre stays inside. At the angle a of the
+/// walk, the offset of the centre is swing_m sin(a), and the opacity has the factor
+/// exp(sharpness^2 (cos(a) - 1)) = exp(-(sharpness sin(a))^2 / (1 + cos(a))).
 /// @param room_m distance from the centre, without swing, to the sides of the box
+/// @param opacity  at a = 0; must exceed `alpha_min`, below which the surfel is invisible
 float find_hiding_sharpness(const glm::vec3& swing_m, const glm::vec3& room_m, float opacity,
                             float alpha_min) {
     constexpr float kMinRoom_m = 0.01f;  // for surfels whose mean is already outside
-    // The offset of the centre is swing_m * sin(angle). At this sine, it leaves the box.
-    float sine = 1.0f;
+    float sine = 1.0f;                   // of the angle at which the centre leaves the box
     for (int axis = 0; axis < 3; ++axis) {
         const float swing = std::abs(swing_m[axis]);
         if (swing > 0.0f) sine = std::min(sine, std::max(room_m[axis], kMinRoom_m) / swing);
     }
     if (sine >= 1.0f) return 0.0f;
-    // Solves alpha_min = opacity exp(sharpness^2 (cosine - 1)), with 1 - cosine =
-    // sine^2 / (1 + cosine).
+    // Solves alpha_min = opacity exp(-(sharpness sine)^2 / (1 + cosine)).
     const float cosine = std::sqrt(1.0f - sine * sine);
     return std::sqrt(std::log(opacity / alpha_min) * (1.0f + cosine)) / sine;
 }
@@ -287,14 +290,16 @@ void fade_far_swings(Scene& scene, float alpha_min) {
     Surfels& surfels = scene.surfels;
     if (!surfels.bends) return;
     for (const SurfelModel& model : scene.models) {
-        if (model.stride_m <= 0.0f) continue;
+        if (model.stride_m <= 0.0f) continue;  // does not walk, so its surfels do not swing
         for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
             GaitPhaseWindow& gait = surfels.gait[i];
             const glm::vec3 room_m = model.half_size_m + kSwingMargin_m - glm::abs(surfels.mean[i]);
             const float opacity = sigmoid(surfels.opacity_logit[i]);
             if (opacity <= alpha_min) continue;  // never visible
-            const float sharpness = find_hiding_sharpness(gait.swing, room_m, opacity, alpha_min);
-            if (sharpness > 0.0f) gait.sharpness = std::max(std::abs(gait.sharpness), sharpness);
+            // A larger sharpness makes the surfel fade at a smaller angle of the walk.
+            const float hiding_sharpness = find_hiding_sharpness(gait.swing, room_m, opacity, alpha_min);
+            if (hiding_sharpness > 0.0f)
+                gait.sharpness = std::max(std::abs(gait.sharpness), hiding_sharpness);
         }
     }
 }

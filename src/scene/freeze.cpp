@@ -87,7 +87,7 @@ void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
         glm::vec3(glm::dvec3(surfels.mean[surfel]) + std::sin(angle) * glm::dvec3(gait.swing));
     const double visibility = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
     if (visibility == 1.0) return;  // keeps the exact logit
-    const double opacity = visibility / (1.0 + std::exp(-double(surfels.opacity_logit[surfel])));
+    const double opacity = visibility / (1.0 + std::exp(-double(surfels.opacity_logit[surfel])));  // sigmoid
     constexpr double kMinOpacity = 1e-30;  // keeps the logit finite
     surfels.opacity_logit[surfel] = float(std::log(std::max(opacity, kMinOpacity) / (1.0 - opacity)));
 }
@@ -119,7 +119,7 @@ Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& poses)
         if (!poses[k].present) continue;
         const SurfelModel& model = scene.models[scene.instances[k].model];
         Surfels surfels = scene.surfels.slice(model.first, model.count);
-        if (model.stride_m > 0.0f && surfels.bends)
+        if (model.stride_m > 0.0f && surfels.bends)  // the actor walks
             for (std::size_t i = 0; i < surfels.size(); ++i) apply_gait(surfels, i, poses[k].phase);
         // The motion is now part of the positions, so the result has no gaits.
         surfels.gait.clear();
