@@ -16,8 +16,7 @@ constexpr double kSamePosition_m = 0.2;      // closer returns can be of one sta
 constexpr double kTrackedBoxMargin_m = 0.4;  // around the tracked box, because the object may still be there
 constexpr double kMinMovedReturnShare = 0.25;  // share of a track's returns that must prove the motion
 constexpr double kMinConfirmedShare = 0.85;    // minimum n_moved_returns / n_decided_returns of a track
-constexpr double kMinMovedFrameShare =
-    0.5;  // motion must be proven in at least this share of a track's frames
+constexpr double kMinMovedFrameShare = 0.5;    // share of a track's frames that must prove motion
 
 /// Number of frames which show that the object at a position has not moved, or has moved.
 struct MotionEvidence {
@@ -152,18 +151,20 @@ std::optional<BoxTrack> fit_moved_box(const VisibilityChecker& visibility, Mover
 
 /// Extends a labelled box to the times before its first and after its last label. Uses
 /// each of the two parts only if other frames prove that the object moved in it.
+/// @param track  observations of the object; loses returns and parts without motion
 std::optional<BoxTrack> extend_box(const VisibilityChecker& view, MoverTrack& track, const BoxTrack& label) {
     const BoxTrack box = extend_in_time(track, label);
-    TrackMotionEvidence before, after;  // of the observations before and after the labels
+    TrackMotionEvidence before, after;  // sums over the observations before and after the labels
     const auto evidence_of = [&](const MoverObservation& observation) -> TrackMotionEvidence& {
         return observation.frame_time_s < label.world_from_box.time_s.front() ? before : after;
     };
-    for (MoverObservation& o : track.observations)
+    for (MoverObservation& o : track.observations)  // removes the static returns, too
         if (!is_labelled(o)) evidence_of(o) += remove_static(view, o.cluster, box);
-    std::erase_if(track.observations, [&](const MoverObservation& o) {
-        if (is_labelled(o)) return false;
-        return o.cluster.points_m.size() < kMinMoverPoints || !evidence_of(o).is_moving();
-    });
+    const auto shows_motion = [&](const MoverObservation& o) {
+        return o.cluster.points_m.size() >= kMinMoverPoints && evidence_of(o).is_moving();
+    };
+    std::erase_if(track.observations,
+                  [&](const MoverObservation& o) { return !is_labelled(o) && !shows_motion(o); });
     if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
     return extend_in_time(track, label);  // again, without the removed returns
 }
@@ -217,14 +218,13 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, std::span<const Mo
 }
 
 /// Returns the boxes of all objects that are proven to have moved: fits boxes to tracks
-/// without a label, and extends the boxes of the labelled ones. Each process of the group
-/// processes a share of the tracks.
+/// without a label, and extends the boxes of labelled ones. The processes share the work.
 std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& tracks, const Log& log,
                                       const Progress& progress, const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.part_range(tracks.size());
     const std::span<MoverTrack> local_tracks =
         std::span(tracks).subspan(share.begin, share.end - share.begin);
-    for (const MoverTrack& track : local_tracks)  // the parallel loop only looks images up
+    for (const MoverTrack& track : local_tracks)  // not in the parallel loop, which only reads the images
         for (const MoverObservation& o : track.observations) view.make_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> boxes(local_tracks.size());
     progress_for(boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t i) {
@@ -298,10 +298,10 @@ void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
             if (has_label(box) && has_label(other)) return box.id == other.id;
             return is_same_object(other, box) || is_same_object(box, other);
         };
-        // true if `box` is kept instead of `other`: 2 n_other <= 3 n_box observations
-        const auto is_better = [&](const BoxTrack& box) {
+        const auto is_better = [&](const BoxTrack& box) {  // than `other`
             if (has_label(box) != has_label(other)) return has_label(box);
-            return 2 * other.world_from_box.time_s.size() <= 3 * box.world_from_box.time_s.size();
+            const std::size_t n = box.world_from_box.time_s.size();
+            return 2 * other.world_from_box.time_s.size() <= 3 * n;  // n_other <= 1.5 n
         };
         const auto is_same_and_better = [&](const BoxTrack& box) { return is_same(box) && is_better(box); };
         if (std::ranges::any_of(boxes, is_same_and_better)) continue;
@@ -315,11 +315,10 @@ void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 std::vector<BoxTrack> discover_tracks(const Log& log, const std::vector<int>& frames,
                                       const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // A joint search would add an object twice to one track if two LiDARs scanned at the
-    // same time.
+    // A joint search would add an object twice if two LiDARs scan it simultaneously.
     for (int lidar = 0; lidar < int(log.lidars.size()); ++lidar)
         merge_boxes(boxes, discover_in_lidar(lidar, log, frames, progress, group));
-    // Objects without a label come first and get a name.
+    // Objects without a label are listed first and get a name.
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !has_label(box); });
     int n_named = 0;
     for (BoxTrack& box : boxes)

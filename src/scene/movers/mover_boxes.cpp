@@ -131,11 +131,12 @@ std::vector<double> top_heights_m(const MoverTrack& track) {
 /// @param size_m length and width; if empty, the visible size is used
 std::vector<glm::dvec3> place_object(const MoverTrack& track, const GroundPath& poses,
                                      std::optional<glm::dvec2> size_m = {}) {
-    std::vector<glm::dvec3> forward, lateral, positions_m;
+    std::vector<glm::dvec3> forward, lateral, positions_m;  // [observations] horizontal axes
     for (const GroundPose& p : poses) {
         forward.push_back(p.forward_axis());
         lateral.push_back(p.lateral_axis());
     }
+    // World coordinates of the centre along these axes, and along z.
     const auto size_along = [&](int axis) { return size_m ? std::optional((*size_m)[axis]) : std::nullopt; };
     const std::vector<double> along = centres_along(track, forward, size_along(0)),
                               across = centres_along(track, lateral, size_along(1));
@@ -168,8 +169,7 @@ std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track, cons
 
 /// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
-/// length of a truck or a bus cannot be estimated from its rear. A longer truck would
-/// also show its side.
+/// rear of a truck does not show its length. A longer truck would also show its side.
 struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;
@@ -229,8 +229,7 @@ std::vector<glm::dvec3> cluster_centres_m(const MoverTrack& track) {
 }  // namespace
 
 BoxTrack fit_box(const MoverTrack& track) {
-    // The first path follows the means of the returns. Each round replaces them by
-    // estimated object positions.
+    // The first path follows the means of the returns, the next ones estimated centres.
     const std::vector<double> times = track.times_s();
     KinematicPath path = smooth_path(times, cluster_centres_m(track));
     for (int round = 0; round < kPathCorrections; ++round)

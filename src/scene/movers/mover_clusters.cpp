@@ -14,8 +14,7 @@ namespace {
 constexpr double kMaxRange_m = 40.0;     // beyond this range, a person has only one or two returns
 constexpr double kEvidenceCell_m = 0.2;  // the returns of a cell of this size move or rest together
 constexpr double kClusterSquare_m = 0.3;
-// Two returns belong to the same object if their squares are at most this many squares
-// apart along x and along y.
+// Returns belong to one object if their squares are at most this far apart in x and y.
 constexpr int kReach_squares = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
@@ -60,16 +59,15 @@ std::vector<LabelledBox> labelled_boxes_at(const Log& log, double time_s) {
             if (box.is_observed(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
-        BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
-        still.world_from_box = {
+        BoxTrack& parked = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
+        parked.world_from_box = {
             {time_s}, {track.pose_at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
     }
     return boxes;
 }
 
-/// LiDAR returns of one frame within 40 m. `others` are the returns outside all labelled
-/// boxes. `of_labels` has one cluster of returns for each moving labelled box. Returns in
-/// static labelled boxes are left out.
+/// LiDAR returns of one frame within 40 m: `others` outside all labelled boxes, and one
+/// cluster in each moving labelled box. Leaves out returns in static labelled boxes.
 struct FrameMoverReturns {
     std::vector<MoverReturn> others;
     std::vector<MoverCluster> of_labels;
@@ -252,7 +250,7 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
         frames[std::size_t(index)] = split_by_boxes(log, log.frames[position]);
     });
     // All frames vote whether the returns of a cell moved.
-    const std::vector<glm::vec3> cell_points = assign_cells(frames);
+    const std::vector<glm::vec3> cell_points = assign_cells(frames);  // sets MoverReturn::cell
     view.make_images(cell_points);
     std::vector<CellMotionState> motion(cell_points.size());
     parallel_blocks(motion.size(), [&](std::size_t cell) {
@@ -261,7 +259,7 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
         else if (votes.n_occupied <= kTooFewFrames) motion[cell] = CellMotionState::rarely_observed;
         else motion[cell] = CellMotionState::rests;
     });
-    // Clusters the moved returns, and adds the clusters inside moving labelled boxes.
+    // Clusters the moved returns outside labelled boxes. Adds the clusters inside them.
     ClustersByFrame clusters(frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         FrameMoverReturns& frame = frames[std::size_t(index)];

@@ -57,13 +57,14 @@ KalmanState predict_state(const KalmanState& previous, double dt_s) {
     return {f * previous.state, f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
 }
 
-/// Runs a Kalman filter over the positions, and a smoother back from the last position.
+/// Estimates position, velocity and acceleration at each time: runs a Kalman filter over
+/// the positions, and a smoother back from the last position.
 /// @param weights [times] weight of each observed position, 0 to 1
 KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m,
                            const std::vector<double>& weights) {
     const std::size_t n = times_s.size();
     std::vector<KalmanState> predicted(n), filtered(n);  // before and after each observed position
-    // The initial velocity and acceleration are unknown, so their variances are large.
+    // Nothing is known before the first position, so all variances are large.
     predicted[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
     for (int axis = 0; axis < 3; ++axis) predicted[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
@@ -82,7 +83,7 @@ KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector
     }
     KinematicPath path;
     for (const glm::dmat3& state : states) {
-        const glm::dmat3 rows = glm::transpose(state);
+        const glm::dmat3 rows = glm::transpose(state);  // position, velocity, acceleration
         path.push_back({rows[0], rows[1], rows[2]});
     }
     return path;

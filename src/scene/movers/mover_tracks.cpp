@@ -217,7 +217,7 @@ double gap_cost(const MoverTrack& earlier, const MoverTrack& later) {
 }
 
 /// Returns the pairs of tracks that may be parts of the same object, with a gap in time
-/// between them. The second track begins after the end of the first.
+/// between them and a gap_cost() below its limit 1. Sorts the pairs by this cost.
 /// @param tracks sorted by their first frames
 std::vector<Match> find_gap_pairs(const MoverTracks& tracks) {
     std::vector<Match> pairs;
@@ -284,8 +284,7 @@ MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<dou
 
 bool is_moving_track(const MoverTrack& track) {
     if (track.observations.size() < kMinObservations) return false;
-    std::vector<glm::dvec3> centres;
-    // Ignores motion in z.
+    std::vector<glm::dvec3> centres;  // without motion in z
     for (const MoverObservation& o : track.observations)
         centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
     const KinematicPath path = smooth_path(track.times_s(), centres);
@@ -301,7 +300,7 @@ bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> in_vehicle_m;
     for (const MoverObservation& o : track.observations)
         in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) * o.cluster.centre_m);
-    // More than three quarters of the observations must be near the middle one.
+    // More than three quarters of the observations must be near that of the middle frame.
     const glm::dvec3 middle_m = in_vehicle_m[in_vehicle_m.size() / 2];
     const auto n_near = std::ranges::count_if(in_vehicle_m, [&](const glm::dvec3& point) {
         return glm::distance(point, middle_m) < kMaxRelativeMotion_m;
