@@ -85,7 +85,7 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
 struct VoxelSample {
     LidarSample sample;
     VoxelCell cell;
-    std::uint32_t index_in_frame;
+    std::uint32_t index_in_frame;  ///< the first sample of a voxel defines its place in the result
 };
 
 /// Parts of the voxels, by hash. One thread per part adds samples without a lock.
@@ -93,6 +93,7 @@ constexpr std::size_t kHashParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kHashParts>;
 
 /// Finds the voxels of the background samples of a frame.
+/// @param sensors  finds the nearest sensor position, because near voxels are smaller
 VoxelSamplesByPart find_frame_voxels(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
                                      const NearestPointFinder<float>& sensors, const InitOptions& options) {
     VoxelSamplesByPart by_part;
@@ -165,8 +166,7 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
     return mean_samples(std::move(tables));
 }
 
-/// Removes samples at positions where other frames observe empty space. Such samples
-/// belong to moving objects.
+/// Removes samples where other frames observe empty space: they are on moving objects.
 LidarSamples remove_movers(const LidarSamples& samples, const Log& log, const std::vector<int>& frames,
                            const Progress& progress) {
     VisibilityChecker visibility(log, frames);

@@ -130,8 +130,7 @@ ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbour
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
     // neighbour on the next scan line.
     constexpr double kMinAcrossCosine = 0.7071;
-    // Maximum distance of a neighbour from the surface plane: kMaxSlope * distance +
-    // kMaxPlaneNoise_m.
+    // A neighbour is at most kMaxSlope * distance + kMaxPlaneNoise_m from the plane.
     constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbours[0]].position);
     ScanLineGap gap{.across = find_across_line(samples, neighbours, normal)};
@@ -151,16 +150,18 @@ ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbour
 ///   a (1 - q (1 - cos)) = 0.5 + kSh0 sh[0] + kSh1 (-y sh[1] + z sh[2] - x sh[3])
 /// with cos = -n . d and the normal n towards the sensor. The albedo a follows from the
 /// measured intensity.
+/// @param sh  output: the coefficients 0 to 3
 /// @param normal  on either side; zero if unknown, then q = 0
 /// @param incidence  q, the strength of the dependence on the angle
 void set_intensity(float* sh, const LidarSample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazingCosine = 0.1;  // lower limit, because grazing rays give inaccurate albedos
     const double cosine = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
-    const glm::dvec3 n = cosine < 0.0 ? -normal : normal;
+    const glm::dvec3 n = cosine < 0.0 ? -normal : normal;  // towards the sensor
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
-                 albedo = double(sample.intensity) /
-                          (1.0 - q * (1.0 - std::max(std::abs(cosine), kGrazingCosine)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // a q cos = kSh1 * dot(slope, d)
+                 measured_cosine = std::max(std::abs(cosine), kGrazingCosine),
+                 albedo = double(sample.intensity) / (1.0 - q * (1.0 - measured_cosine));
+    // The part a q cos = -a q (n . d) is kSh1 (slope . d). The rest is a (1 - q).
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
@@ -192,34 +193,36 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Fits a plane to the nearest samples, and measures the gap between scan lines.
-/// @param nearest  indices of the nearest samples, sorted by distance
+/// Fits a plane to the nearest samples, and measures the gap between scan lines. If the
+/// samples show only one line, or no line on one side, uses more samples than `nearest`,
+/// the indices of the nearest ones, sorted by distance.
 SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, std::size_t sample,
                                  Neighbours nearest, const InitOptions& options) {
-    constexpr int kMaxWidenings = 2;  // maximum number of repeated searches for the plane
+    constexpr int kMaxSearches = 2;  // maximum number of further searches for the plane
     const auto fit_plane = [&] {
         return fit_neighbours(samples, nearest, samples[sample].view, options.flatness);
     };
-    const auto widen = [&] {
+    const auto quadruple_nearest = [&] {
         std::vector<float> distance2;
         const std::size_t n = std::min(4 * nearest.size(), samples.size());
         nearest = find_nearest(tree, samples[sample], n, distance2);
     };
-    SurfelPlacement placement{fit_plane(), {}};
+    SurfelPlacement placement{.plane = fit_plane(), .gap = {}};
     if (options.max_gap_m <= 0.0) return placement;  // gaps are not filled
-    // A plane could rotate about samples on one line. More samples are on several lines.
-    const bool is_line = placement.plane.is_line;
-    for (int k = 0; is_line && !placement.plane.is_surface && k < kMaxWidenings; ++k) {
-        widen();
-        const NeighbourPlane wider = fit_plane();
-        if (!wider.is_surface) continue;
-        placement.plane = wider;
+    // Samples on one line do not determine a plane. More samples are on several lines.
+    const bool was_line = placement.plane.is_line;
+    for (int k = 0; was_line && !placement.plane.is_surface && k < kMaxSearches; ++k) {
+        quadruple_nearest();
+        const NeighbourPlane plane = fit_plane();
+        if (!plane.is_surface) continue;
+        placement.plane = plane;
         placement.plane.point = samples[sample].position;  // the mean of many samples is too coarse
     }
     if (!placement.plane.is_surface) return placement;
     placement.gap = measure_gap(samples, nearest, placement.plane.normal);
-    if (is_line || !placement.gap.is_line_missing()) return placement;
-    widen();  // to reach the next scan lines
+    const bool reaches_next_lines = was_line || !placement.gap.is_line_missing();
+    if (reaches_next_lines) return placement;
+    quadruple_nearest();
     placement.gap = measure_gap(samples, nearest, placement.plane.normal);
     return placement;
 }
@@ -261,7 +264,8 @@ glm::dvec3 sample_direction(Random& random) {
     return direction / std::max(glm::length(direction), 1e-12);
 }
 
-/// Computes all parameters of a surfel from its sample and the nearby samples.
+/// Computes all parameters of a surfel from its sample and the nearby samples, which
+/// determine its plane and size. Its normal is random if there are too few samples.
 /// @param incidence  see set_intensity()
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
@@ -274,7 +278,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     const double spacing_m = mean_spacing_m(squared_m2, options);
     nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
 
-    Random random(hash_pair(options.seed, surfel));
+    Random random(hash_pair(options.seed, surfel));  // does not depend on the order of the threads
     SurfelPlacement placement;
     placement.plane.normal = sample_direction(random);
     if (options.normals && nearest.size() >= 3)
@@ -284,8 +288,9 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     set_rotation_and_scales(surfels, surfel, placement, x, spacing_m, options);
 
     surfels.mean[surfel] = sample.position;
-    if (options.flatness < 1.0 && plane.is_surface)  // unless every sample counts as a surface
-        surfels.mean[surfel] -=                      // moves the centre onto the plane
+    // Moves the centre onto the plane, unless all samples count as surfaces (flatness 1).
+    if (options.flatness < 1.0 && plane.is_surface)
+        surfels.mean[surfel] -=
             glm::vec3(glm::dot(glm::dvec3(sample.position) - plane.point, plane.normal) * plane.normal);
     surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + surfel * kShFloats;

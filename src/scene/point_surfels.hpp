@@ -59,8 +59,7 @@ struct DeformingActorSurfels {
 /// @param samples  points in the frame of the box, with the distance that the actor
 /// walked
 /// @param max_count  maximum number of surfels; each frame may still have 200 surfels
-/// @return no surfels and period 0 with fewer than three frames, or if the actor walks
-/// less than half a metre
+/// @return no surfels with fewer than three frames, or if the actor walks less than 0.5 m
 DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOptions& options,
                                      double incidence, std::size_t max_count, const Progress& progress = {});
 
