@@ -81,8 +81,7 @@ TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm:
         return inverse(log.world_from_vehicle.mounted_pose_at(t_s, lidar.vehicle_from_sensor)) *
                world_from_box.pose_at(t_s);
     };
-    // The facing time depends on the pose of the box, which depends on the time. Three
-    // iterations converge.
+    // The time depends on the pose of the box at this time. Three iterations converge.
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
         faced_s = facing_time_s(log, sensor_from_box(faced_s).translation, sweep);
@@ -97,16 +96,17 @@ TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm:
 
 InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                                const SweepTiming& sweep) {
-    const TimeSpan span = facing_span(log, world_from_box, half_size_m, sweep);
-    const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // If all rays fire at the same time, the pose of the actor is constant. Its velocity
-    // is then measured between `kVelocityStep_s` before and after this time.
+    const TimeSpan hit = facing_span(log, world_from_box, half_size_m, sweep);
+    const double half_s = 0.5 * (hit.last_s - hit.first_s), middle_s = 0.5 * (hit.first_s + hit.last_s);
+    // The velocity is measured over the time in which rays can hit the box. If all rays
+    // fire at once, it is measured between kVelocityStep_s before and after this time.
     const bool moves = half_s > 0.0;
-    const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
+    const double half_measured_s = moves ? half_s : kVelocityStep_s;
+    const TimeSpan measured = moves ? hit : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.pose_at(measured.first_s),
                last = world_from_box.pose_at(measured.last_s);
-    const Twist twist = compute_twist(first, last);                 // translation, then rotation vector
-    const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);  // 1 / measured duration
+    const Twist twist = compute_twist(first, last);  // translation, then rotation vector
+    const double per_s = 0.5 / half_measured_s;
     const PoseMotion motion{.velocity_mps = per_s * glm::dvec3(twist[0], twist[1], twist[2]),
                             .angular_velocity_radps = per_s * glm::dvec3(twist[3], twist[4], twist[5]),
                             .middle_s = middle_s - sweep.time_s,

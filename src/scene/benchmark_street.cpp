@@ -184,8 +184,7 @@ void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indi
 
 /// Draws scales from 0.1 to 0.3 m, whose logarithms are uniformly distributed, and then
 /// opacities from 0.1 to 0.99.
-/// @param shrink  scales the surfels, so that their total area is that of
-/// kUnscaledSurfels
+/// @param shrink  scales the surfels, so that their area is that of kUnscaledSurfels
 void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
     constexpr double kUnscaledSurfels = 1e5, kMinScale_m = 0.1, kScaleRatio = 3.0;
     const double factor = shrink ? std::sqrt(kUnscaledSurfels / double(surfels.mean.size())) : 1.0;

@@ -55,8 +55,7 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
 
 /// Returns the patch where a line from the box centre through a point leaves the box.
 auto ObservedBoxSurface::find_patch(const glm::dvec3& point_m) const -> std::optional<BoxSurfacePatch> {
-    // In units of the half size, the box is a cube from -1 to 1. The line leaves it along
-    // the axis of the largest coordinate.
+    // In units of the half size, the line leaves the box along the largest coordinate.
     const glm::dvec3 in_cube = point_m / half_m_;
     const int axis = longest_axis(glm::abs(in_cube));
     const double largest = std::abs(in_cube[axis]);
@@ -164,23 +163,26 @@ std::optional<BoxSide> ObservedBoxSurface::find_mirrored_side(const glm::dvec3& 
 }
 
 double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
-    // Distances of the points of each patch from the box centre along the normal of the
-    // side: sum and number.
-    std::map<BoxSurfacePatch, std::pair<double, int>> distances;
+    // Distances of a patch's points from the box centre, along the normal of the side.
+    struct DistanceSum {
+        double sum_m = 0.0;
+        int n = 0;
+        double mean_m() const { return sum_m / n; }
+    };
+    std::map<BoxSurfacePatch, DistanceSum> distances;
     for (const glm::vec3& point_m : points_m) {
         const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
         if (!patch || !is_patch_set(*patch)) continue;
-        auto& [sum_m, n] = distances[*patch];
-        sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
-        ++n;
+        const int normal_axis = kSideFrames[std::size_t(patch->side)].normal;  // x, y or z of the box
+        distances[*patch].sum_m += std::abs(double(point_m[normal_axis]));
+        ++distances[*patch].n;
     }
     std::vector<double> differences_m;  // of the means of a patch and its mirror patch
     for (const auto& [patch, distance] : distances) {
         const auto mirrored = distances.find(mirror_patch(patch));
         // The order of the patches counts each pair once.
         if (mirrored == distances.end() || !(patch < mirrored->first)) continue;
-        const auto mean_m = [](const std::pair<double, int>& sum) { return sum.first / sum.second; };
-        differences_m.push_back(std::abs(mean_m(distance) - mean_m(mirrored->second)));
+        differences_m.push_back(std::abs(distance.mean_m() - mirrored->second.mean_m()));
     }
     return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
 }

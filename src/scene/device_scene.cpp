@@ -215,8 +215,8 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
         {.surfels = surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->upload_origins(stream, view_origin_m),
-         .phases = impl_->upload_phases(stream),
+         .view_origins = impl_->upload_origins(stream, view_origin_m),  // [models]
+         .phases = impl_->upload_phases(stream),                        // [models], of walking actors
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->count_models(),
@@ -229,8 +229,8 @@ bool DeviceScene::can_skip_surfels() const { return impl_->touched_list.has_valu
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
-    // A thread per surfel, or threads for a list of those surfels that rays have hit. The
-    // others must then not need zeros, and the backward pass must have marked them.
+    // A thread per surfel, or threads for a list of the surfels that rays hit. The list
+    // needs the marks of the backward pass, and the other surfels must not need zeros.
     const bool has_list = can_skip_surfels() && gradients.touched_is_marked && !gradients.zero_untouched;
     std::size_t n_threads = size();
     Address<std::uint32_t, shared::TouchedRows> listed_surfels;  // null: all surfels
@@ -246,6 +246,7 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
         {.surfels = surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
+         // Rows of d_records of a model's other instances, which the kernel adds.
          .more_rows = impl_->further_rows.address(),
          .view_origins = impl_->upload_origins(stream, view_origin_m),
          .phases = impl_->upload_phases(stream),
@@ -272,8 +273,8 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // The blocks of gradient rows depend on the numbers of surfels. Their number does not
-    // change, because the instances stay the same.
+    // Each instance has a row of gradients per surfel, so the first rows change with the
+    // numbers of surfels. The tables keep their sizes, because the instances stay.
     impl_->gradient_rows = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_models(impl_->layout, impl_->gradient_rows));
     impl_->further_rows.upload(impl_->gradient_rows.further_rows);
@@ -311,6 +312,8 @@ void DeviceScene::append_instance(Device& device, const ModelInstance& instance)
     scene.layout.instances.push_back(instance);
     // The instance stays absent until its pose is set.
     scene.poses.push_back({.present = false});
+    // A further instance of a model gets rows of gradients, which moves the rows of later
+    // models. All tables contain such rows.
     scene.gradient_rows = InstanceGradientRows(scene.layout, size());
     scene.models.upload(make_models(scene.layout, scene.gradient_rows));
     scene.further_rows = {device, scene.gradient_rows.further_rows, "gradient rows of further instances"};

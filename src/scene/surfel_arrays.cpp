@@ -26,8 +26,9 @@ SurfelParameterSet read_parameter_set(const std::string& where,
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(key);
     if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", where, key);
+    const bool bends = has_array(kParameterGroups.front().name);  // the gait
     for (const PrimitiveProperties& kind : kPrimitives)
-        if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
+        if (kind.name == text->second) return {kind.primitive, bends};
     fail("{}: {}: found \"{}\", expected one of {}", where, key, text->second.substr(0, 40),
          fmt::join(names, ", "));
 }

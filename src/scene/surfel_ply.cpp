@@ -31,8 +31,7 @@ constexpr std::size_t kMaxSurfels = 4294967295;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// A property (column) of the PLY file. Other tools expect red, green and blue, so all
-/// three hold the intensity.
+/// A property (column) of the PLY file. The three colours all hold the intensity.
 struct PlyProperty {
     std::string name;
     const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null
@@ -56,25 +55,27 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
                          std::uint32_t first = 0) {
         for (std::uint32_t k = 0; k < count; ++k)
-            list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
+            list.push_back({.name = fmt::format("{}{}", prefix, k), .group = &group, .index = first + k});
     };
-    for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
+    for (std::uint32_t k = 0; k < 3; ++k)
+        list.push_back({.name = std::string(1, "xyz"[k]), .group = &kMean, .index = k});
     for (std::uint32_t k = 0; k < 3; ++k)
         list.push_back(
             {.name = std::string("n") + "xyz"[k], .index = k, .is_read = false, .kind = PlyProperty::normal});
     // Each colour channel repeats the intensity. Only the first is read back.
     for (std::uint32_t c = 0; c < kColourChannels; ++c)
         list.push_back({.name = fmt::format("f_dc_{}", c), .group = &kSh, .is_read = c == 0});
-    // The SH functions of degree 1 and higher, sorted by channel.
+    // The SH functions of each channel, except function 0, which is f_dc.
     for (std::uint32_t k = 0; k < kColourChannels * kRestCoefficients; ++k)
         list.push_back({.name = fmt::format("f_rest_{}", k),
                         .group = &kSh,
                         .index = k % kRestCoefficients + 1,
                         .is_read = k < kRestCoefficients});
-    list.push_back({"opacity", &kOpacityLogit});
+    list.push_back({.name = "opacity", .group = &kOpacityLogit});
     add("scale_", 2, kLogScale);
     // A primitive without a third scale is flat. Viewers get a constant thickness.
-    if (properties_of(parameters.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (properties_of(parameters.primitive).third_scale)
+        list.push_back({.name = "scale_2", .group = &kLogScaleW});
     else list.push_back({.name = "scale_2", .is_read = false, .kind = PlyProperty::thickness});
     add("rot_", 4, kRotation);
     // kSh stores the functions of intensity, then of hits, then of drops.
@@ -207,8 +208,8 @@ PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parame
     for (const PlyProperty& property : list_properties(parameters)) {
         if (!property.is_read) continue;
         const auto field = std::ranges::find(layout.fields, property.name, &PlyRecordLayout::Field::name);
-        // f_rest_... of the first colour come first. In a file of a lower degree, the
-        // next names belong to the second colour, although the reader expects the first.
+        // The first n_rest names f_rest_... have the SH functions 1 to n_rest (index) of
+        // the first colour. The next names belong to the second colour.
         const bool is_other_colour = property.name.starts_with("f_rest_") && property.index > n_rest;
         if (field == layout.fields.end() || is_other_colour) {
             columns.missing.push_back(property);
@@ -382,11 +383,12 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
 }
 
 /// Parses a PLY file to a scene with the models and instances of `run_scene`, whose
-/// surfels supply missing properties.
+/// surfels supply missing properties. Vertices can have any order.
 /// @param note output: says which properties were copied from the run
 Scene parse_ply(const std::string& bytes, const Scene& run_scene, SurfelParameterSet parameters,
                 std::string& note) {
-    // The lines of the header end with LF or CR LF. One record per vertex follows it.
+    // The lines of the header end with LF or CR LF. If one form is missing, its find()
+    // returns npos, the largest number. One record per vertex follows the header.
     const std::string start = bytes.substr(0, kMaxPlyHeader);
     const std::size_t header_end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");

@@ -61,7 +61,7 @@ void Surfels::append_surfels(const Surfels& other) {
         fail("cannot join {} with {}, expected runs with the same setting image.primitive",
              properties_of(primitive).label, properties_of(other.primitive).label);
     if (other.size() > 0) primitive = other.primitive;
-    if (other.bends) add_still_gait();  // the result has gaits if one of both has gaits
+    if (other.bends) add_still_gait();  // a gait is how a surfel moves while its actor walks
     const std::size_t n = size() + other.size();
     for (const SurfelParameterGroup& group : kParameterGroups) {
         const std::size_t n_before = group.values(*this).size();
@@ -69,7 +69,7 @@ void Surfels::append_surfels(const Surfels& other) {
         group.resize(*this, n_before + added.size());
         std::ranges::copy(added, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(n_before));
     }
-    if (bends) gait.resize(n);  // if the appended surfels have no gait, adds gaits without motion
+    if (bends) gait.resize(n);  // appended surfels without gaits get gaits without motion
 }
 
 Surfels Surfels::reorder(const std::vector<std::uint32_t>& order) const {
@@ -100,9 +100,9 @@ void convert_surfels(Surfels& surfels, PrimitiveType primitive, double relative_
 }
 
 Scene replace_background(const Scene& scene, const Surfels& background) {
-    const std::uint32_t n_before = scene.models.front().count,
-                        n_after = static_cast<std::uint32_t>(background.size());
-    Scene other = strip_surfels(scene);
+    const std::uint32_t n_before = scene.models.front().count,  // the background is the first model
+        n_after = static_cast<std::uint32_t>(background.size());
+    Scene other = strip_surfels(scene);  // keeps models and instances
     other.blocks.clear();
     other.surfels = background.reorder(kd_tree_order(background.mean));
     other.models.front().count = n_after;

@@ -81,7 +81,7 @@ struct ViewInRange {
 };
 
 /// Returns the views whose sensors are near a tile, or about as near as the nearest one.
-/// Of more than kMostViews, returns kMostViews that are evenly spaced in time.
+/// Of more than kMostViews (sorted by time), returns kMostViews that are evenly spaced.
 std::vector<std::uint32_t> choose_views(const std::vector<ViewInRange>& in_range) {
     const double nearest_m = std::ranges::min(in_range, {}, &ViewInRange::distance_m).distance_m,
                  max_distance_m = std::max(kMaxTileDistance_m, kMaxDistanceRatio * nearest_m);
@@ -149,8 +149,7 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
     return nearest;
 }
 
-/// Selects the frames for each tile of the ground. Their images are made when points
-/// above the tile need them.
+/// Selects the frames for each tile of the ground. make_images() makes their images.
 VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& positions)
     : sequence_(log), grids_(log.lidars.size()), positions_(positions) {
     for (const int position : positions) {
@@ -200,9 +199,9 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
 
-/// Selects the views of each tile of the ground.
+/// Selects the views (frames) of each tile, a square of the ground: those whose sensors
+/// are nearest, among the sensors whose maximum range reaches the tile.
 void VisibilityChecker::select_frames() {
-    // by tile: the views whose sensors are within their maximum range
     std::unordered_map<std::uint64_t, std::vector<ViewInRange>> in_range_of_tile;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
@@ -210,7 +209,7 @@ void VisibilityChecker::select_frames() {
         glm::dvec3 sensor =
             sequence_.world_from_vehicle.mounted_pose_at(views_[v].time_s, lidar.vehicle_from_sensor)
                 .translation;
-        sensor.z = 0.0;
+        sensor.z = 0.0;  // tiles are at z = 0, and distances horizontal
         for (double dx = -farthest_m; dx <= farthest_m; dx += kGroundTile_m)
             for (double dy = -farthest_m; dy <= farthest_m; dy += kGroundTile_m) {
                 const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
@@ -268,7 +267,7 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
     // All returns around the point are clearly behind it, so the space is empty.
     if (*nearest > range_m + kMinBehindMargins * margin_m) return PointVisibility::empty;
     const bool is_among_returns = range_m > *nearest - margin_m && range_m < *farthest + margin_m;
-    return is_among_returns ? PointVisibility::occupied : PointVisibility::unknown;
+    return is_among_returns ? PointVisibility::occupied : PointVisibility::unknown;  // or hidden
 }
 
 bool VisibilityChecker::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double within_m) const {
