@@ -36,18 +36,20 @@ std::vector<SurfaceHit> render_surfaces(ScanRenderer& renderer, const Run& run, 
     sensor.follows_sweeps = false;
     sensor.lidar = frame.lidar;
     sensor.rolling_shutter = run.sequence.rolling_shutter;
-    const Pose& mounted = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    const PoseTrack world_from_sensor =
+        mount_track(world_from_vehicle, run.sequence.lidar_of(frame).vehicle_from_sensor);
+    // The renderer uses the world frame of the dataset, and the log that minus offset_m.
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
-    const RenderedScan scan = renderer.render(
-        sensor, {frame.time_s, shift_track(mount_track(world_from_vehicle, mounted), offset_m), {}});
+    const RenderedScan scan =
+        renderer.render(sensor, {frame.time_s, shift_track(world_from_sensor, offset_m), {}});
     const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
     std::vector<SurfaceHit> surfaces(ray_indices.size());
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < ray_indices.size(); ++i) {
-        const std::int32_t instance = scan.instance[i];
-        if (scan.weight[i] < kFewestWeight || instance < 0 ||
-            !run.scene.instances[std::size_t(instance)].track.empty())
-            continue;
+        const std::int32_t instance = scan.instance[i];  // negative: none
+        if (scan.weight[i] < kFewestWeight || instance < 0) continue;
+        const bool is_actor = !run.scene.instances[std::size_t(instance)].track.empty();
+        if (is_actor) continue;
         const Pose& pose = firing.pose_of(i);
         surfaces[i] = {pose * glm::dvec3(scan.end_of(i)) - offset_m, pose.rotation * glm::dvec3(normals[i])};
     }

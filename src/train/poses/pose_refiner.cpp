@@ -34,8 +34,7 @@ constexpr double kFinalShare = 0.1;  // learning rate at the end of training, re
 /// metres. The rotation rate in radians is a tenth, because most returns are about 10 m
 /// away. The rates of boxes are ten times as large, like their initial errors.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
-/// Weights of the squared corrections in the loss, so small that they affect only poses
-/// that no ray constrains.
+/// Small weights of the squared corrections in the loss. Rays outweigh them.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Log copy_without_scans(const Log& sequence) {
@@ -80,8 +79,8 @@ void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correct
     frame.moved_rays = &moved_;
 }
 
-/// Runs a kernel that sums the gradients of the rays for each pose of the frame. A pose
-/// has kGroupsPerPose workgroups, each of which writes one partial sum.
+/// Runs a kernel that sums the gradients of the rays for each pose ("knot") of the frame.
+/// Each of kGroupsPerPose workgroups per knot writes one partial sum, a row of 6 values.
 /// @param ray_gradients  [rays, 6] gradients with respect to origin and direction
 void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                     const Array<float, shared::DeviceRayGradients>& ray_gradients) {
@@ -93,9 +92,9 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .d_rays = ray_gradients.address(),
          .rows = partial_sums_.address(),
          .n_rays = batch.rays.n_rays,
+         // Rays of the batch in the frame: columns, or every n-th if `columns` is 0.
          .first_ray = batch.rays.first,
          .ray_stride = batch.rays.stride,
-         // Columns of the batch in the frame. If `columns` is 0, it has every n-th ray.
          .columns = batch.window.columns,
          .first_column = batch.window.first,
          .column_stride = batch.window.stride,
@@ -131,7 +130,7 @@ Twist TrackCorrection::stored_correction(std::size_t pose_index) const {
 }
 
 Twist TrackCorrection::correction_at(std::size_t pose_index) const {
-    // The nearest corrected poses before and after, or the ends of the track.
+    // The nearest corrected poses before and after, or uncorrected ends of the track.
     const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose_index, after = pose_index;
     while (before > 0 && !is_corrected(before)) --before;
@@ -274,12 +273,12 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
         sensor_readback_->record_copy(stream, rays_->partial_sums().buffer(), step);
     }
     if (instance_readback_) instance_readback_->record_copy(stream, gradients.poses.buffer(), step);
+    // Needed by apply_gradients() when the host has read the gradients of this step.
     PendingPoseGradients& pending = pending_.emplace_back();
     pending.step = step;
     pending.frame = frame_index;
     for (const RefinedActor& actor : actors_) {
-        // First and last time at which the sweep observes the actor, because the
-        // gradients of an actor are divided between its poses at these times.
+        // First and last time at which the sweep observes the actor.
         const InstancePose& placed = frame.placed[actor.instance];
         pending.actor_time_s.push_back(placed.time_s - placed.motion.half_span_s);
         pending.actor_time_s.push_back(placed.time_s + placed.motion.half_span_s);
@@ -301,10 +300,11 @@ void PoseRefiner::apply_gradients(const PendingPoseGradients& pending) {
     if (rays_) {
         const TrainingFrameData& frame = frames_.all()[pending.frame];
         const std::vector<Twist> gradients = rays_->sum_gradients(pending.of_sensor, frame.n_knots);
+        // The poses of the frame are knots, a range of the poses of the track.
         for (std::size_t k = 0; k < gradients.size(); ++k)
             sensor_->add_gradient(frame.first_knot + k, 1.0, gradients[k]);
         sensor_->run_adam_step(pose_rates(config_, config_.pose_rate_m, pending.step));
-        sensor_->remove_mean_motion();
+        sensor_->remove_mean_motion();  // which the rays do not determine
     }
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         RefinedActor& actor = actors_[k];
@@ -330,35 +330,39 @@ void PoseRefiner::apply_until(Stream& stream, int last_step) {
     update_corrected();
 }
 
+/// Joins the pending iterations to the flat arrays of a checkpoint. Each iteration
+/// appends its gradients of the sensor poses, followed by those of the instances.
 PoseRefiner::PendingArrays PoseRefiner::join_pending() const {
     PendingArrays arrays;
+    const auto append = [](auto& array, const auto& values) {
+        array.insert(array.end(), values.begin(), values.end());
+    };
     for (const PendingPoseGradients& pending : pending_) {
         arrays.step.push_back(std::uint64_t(pending.step));
         arrays.frame.push_back(pending.frame);
-        arrays.actor_time_s.insert(arrays.actor_time_s.end(), pending.actor_time_s.begin(),
-                                   pending.actor_time_s.end());
-        for (const std::vector<float>* part : {&pending.of_sensor, &pending.of_instances})
-            arrays.gradient.insert(arrays.gradient.end(), part->begin(), part->end());
+        append(arrays.actor_time_s, pending.actor_time_s);
+        append(arrays.gradient, pending.of_sensor);
+        append(arrays.gradient, pending.of_instances);
     }
     return arrays;
 }
 
+/// Restores the pending iterations from the arrays of join_pending(). All iterations have
+/// equally many values in each array, none for poses that are not corrected.
 void PoseRefiner::split_pending(const PendingArrays& arrays) {
+    const std::size_t n_times = 2 * actors_.size(),
+                      n_sensor = sensor_readback_ ? sensor_readback_->n_floats() : 0,
+                      n_instance = instance_readback_ ? instance_readback_->n_floats() : 0;
     pending_.clear();
-    auto time_s = arrays.actor_time_s.begin();
-    auto gradient = arrays.gradient.begin();
-    const auto next_gradients = [&](const std::optional<DelayedReadback>& readback) {
-        const auto begin = gradient;
-        if (readback) gradient += std::ptrdiff_t(readback->n_floats());
-        return std::vector<float>(begin, gradient);
-    };
     for (std::size_t i = 0; i < arrays.step.size(); ++i) {
-        const auto first_s = std::exchange(time_s, time_s + std::ptrdiff_t(2 * actors_.size()));
+        const double* times_s = arrays.actor_time_s.data() + i * n_times;
+        const float* of_sensor = arrays.gradient.data() + i * (n_sensor + n_instance);
+        const float* of_instances = of_sensor + n_sensor;
         pending_.push_back({.step = int(arrays.step[i]),
                             .frame = arrays.frame[i],
-                            .actor_time_s = {first_s, time_s},
-                            .of_sensor = next_gradients(sensor_readback_),
-                            .of_instances = next_gradients(instance_readback_)});
+                            .actor_time_s = {times_s, times_s + n_times},
+                            .of_sensor = {of_sensor, of_instances},
+                            .of_instances = {of_instances, of_instances + n_instance}});
     }
 }
 

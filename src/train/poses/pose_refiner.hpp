@@ -34,8 +34,7 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& uncorrected_track() const { return track_; }
-    /// Interpolates between the nearest optimised poses if the pose was not optimised
-    /// yet. Zero if no pose was optimised.
+    /// Interpolates between the nearest optimised poses. Zero if no pose was optimised.
     Twist correction_at(std::size_t pose) const;
     PoseTrack corrected_track() const;
 
