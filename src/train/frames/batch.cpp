@@ -10,11 +10,11 @@
 
 namespace relidar {
 
-/// How a frame is divided into batches.
+/// How a frame is divided into batches. By default, one batch has all rays.
 struct BatchPlan {
     /// Number of columns of a batch. 0 if a batch is every n_batches-th ray of the frame.
     std::uint32_t n_columns = 0;
-    /// number of batches of a series; the stride of the groups or rays of a batch
+    /// A batch has every n_batches-th ray, or group of columns. Together, they have all.
     std::uint32_t n_batches = 1;
     std::uint32_t n_starts = 1;  ///< number of columns (or rays) with which a batch can start
 };
@@ -26,24 +26,23 @@ ImageShape image_shape(const TrainingFrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-/// Divides a frame into batches of about `n_rays` rays. 0 means all rays.
-/// @param windows  true: a batch is one window of neighbouring columns, for losses that
-/// compare neighbouring pixels
+/// Divides a frame into batches of about `n_rays` rays (0: all rays). A batch is a window
+/// of columns, or else every n-th group of columns or, without an image, every n-th ray.
+/// @param windows  true: windows of columns, because losses compare neighbouring pixels
 BatchPlan plan_batches(const TrainingFrameData& frame, std::uint32_t n_rays, bool windows) {
     if (n_rays == 0) return {};
     if (windows) {
         const ImageShape image = image_shape(frame);
-        // The number of full columns that is nearest to n_rays.
-        const std::uint32_t rounded = (n_rays + image.rows / 2) / image.rows;
-        const std::uint32_t n_columns = std::clamp(rounded, 1u, image.columns);
+        const std::uint32_t nearest_count = (n_rays + image.rows / 2) / image.rows;
+        const std::uint32_t n_columns = std::clamp(nearest_count, 1u, image.columns);
         if (n_columns == image.columns) return {};
         // Only in an image of a full turn can a window extend beyond the last column.
         return {.n_columns = n_columns,
                 .n_starts = image.circular ? image.columns : image.columns - n_columns + 1};
     }
     const std::uint32_t ray_stride = std::max(1u, frame.n_rays / n_rays);
-    // Every n-th group of neighbouring columns. The rays of a group have similar
-    // directions, so they are traced faster.
+    // The rays of a group of columns have similar directions, so they are traced faster
+    // than single rays. Any column can be the first.
     const std::uint32_t column_stride = std::min(ray_stride, frame.image.columns);
     if (frame.image.is_image() && column_stride > 1)
         return {.n_columns = frame.image.columns / column_stride,
@@ -52,8 +51,7 @@ BatchPlan plan_batches(const TrainingFrameData& frame, std::uint32_t n_rays, boo
     return {.n_batches = ray_stride, .n_starts = ray_stride};
 }
 
-/// Returns the number of rays of the largest batch that consists of columns. Such a batch
-/// is copied to separate arrays.
+/// Returns the number of rays of the largest batch that consists of columns.
 std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, std::uint32_t n_rays,
                             bool windows) {
     std::size_t most = 0;
@@ -65,8 +63,8 @@ std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, std::u
 
 }  // namespace
 
-/// Allocates arrays for the largest batch that consists of columns, which a kernel
-/// copies. Other batches use the arrays of their frame.
+/// Allocates arrays for the largest batch that consists of columns, because a kernel
+/// copies these columns. A batch of every n-th ray uses the arrays of its frame.
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
     : n_rays_(static_cast<std::uint32_t>(config.train.rays_per_iteration)),
       windows_(config.has_pixel_pair_loss()),
@@ -84,17 +82,18 @@ BatchPlan BatchSampler::plan(const TrainingFrameData& frame) const {
     return plan_batches(frame, n_rays_, windows_);
 }
 
-/// Converts the index of a ray in the batch to its index in the frame. Must select the
-/// same columns as frame_column() in shaders/train/columns.glsl.
+/// Converts the index of a ray in the batch to its index in the frame. Rays are sorted by
+/// row. Must select the same columns as frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
-    if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
+    const bool has_every_nth_ray = window.columns == 0;
+    if (has_every_nth_ray) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns;
     // RELIDAR_COLUMN_GROUP neighbouring columns form a group. Group k of the batch is
     // group k * stride of the frame, counted from the column window.first.
-    const std::uint32_t column_of_group = column % RELIDAR_COLUMN_GROUP;
-    const std::uint32_t group_column = (column - column_of_group) * window.stride;
-    return std::size_t(row) * window.columns +
-           (window.first + group_column + column_of_group) % window.columns;
+    const std::uint32_t column_in_group = column % RELIDAR_COLUMN_GROUP;
+    const std::uint32_t first_of_group = (column - column_in_group) * window.stride;
+    const std::uint32_t frame_column = (window.first + first_of_group + column_in_group) % window.columns;
+    return std::size_t(row) * window.columns + frame_column;
 }
 
 std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {

@@ -97,8 +97,7 @@ std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames) {
 
 /// Returns a batch with every stride-th ray of the frame.
 RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
-    // If the number of columns is a multiple of the stride, these rays form complete
-    // columns of the image.
+    // If the stride divides the number of columns, the rays are columns of the image.
     const bool is_column_subset = image.columns % stride == 0 && first_ray < stride;
     return {.rays = &device_rays(),
             .first = first_ray,
@@ -131,7 +130,7 @@ TrainingRays make_training_rays(const Run& run, const Frame& frame) {
 std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
-    make_frame_arrays(log, frame, rules, rays, targets);
+    make_frame_arrays(log, frame, rules, rays, targets);  // gives ignored rays the weight 0
     std::vector<float> dropped;
     for (std::size_t ray = 0; ray < targets.size(); ++ray) {
         const bool is_ignored = !(targets[ray].weight > 0.0f);

@@ -144,8 +144,7 @@ TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector
     for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
 }
 
-/// Uploads the resident frames in groups. Threads compute the arrays of a group, and the
-/// size of a group limits host memory.
+/// Uploads the resident frames in groups, whose size limits host memory.
 void TrainingFrames::upload_frames(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
@@ -192,7 +191,7 @@ TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched(std::size_t fram
 
 TrainingFrameData& TrainingFrames::ensure_resident(Stream& stream, std::size_t frame_index) {
     TrainingFrameData& frame = frames_[frame_index];
-    if (frame_index < n_staying_) return frame;
+    if (frame_index < n_staying_) return frame;  // uploaded by the constructor
     // The other frames share their arrays, so this replaces the frame that was there.
     const HostFrameArrays host = take_prefetched(frame_index);
     upload_values(stream, frame.arrays->rays, host.rays);
@@ -218,8 +217,8 @@ namespace {
 constexpr double kMinLogitMotion = 50.0;
 constexpr double kMaxRate = 2.0;  // maximum rate, so that a single ray does not decide if a surfel returns
 
-/// Returns the expected number of training steps that use a ray at each actor, [models]:
-/// the steps of each frame that shows the actor, times the share of rays in a batch.
+/// Returns how often training is expected to use a ray that hits a model, [models]: the
+/// steps of each frame in which the model is present, times the share of rays in a batch.
 std::vector<double> count_hitting_steps(const Scene& scene, std::span<const TrainingFrameData> frames,
                                         const TrainConfig& config) {
     std::vector<double> steps(scene.models.size(), 0.0);
@@ -240,7 +239,8 @@ std::vector<float> logit_factors(const Scene& scene, std::span<const TrainingFra
     const std::vector<double> steps = count_hitting_steps(scene, frames, config);
     std::vector<float> factors;
     for (std::size_t model = 0; model < steps.size(); ++model) {
-        const bool is_actor = scene.models[model].half_size_m.x > 0.0f;
+        const bool is_actor = scene.models[model].half_size_m.x > 0.0f;  // the background has no box
+        // With this rate, a logit can move by kMinLogitMotion in all steps together.
         const double needed_rate = std::min(kMinLogitMotion / std::max(steps[model], 1.0), kMaxRate);
         factors.push_back(is_actor ? float(std::max(needed_rate / config.sh_rate, 1.0)) : 1.0f);
     }

@@ -41,8 +41,7 @@ public:
     const IgnoredMeasurements& mask_rules() const { return use_.unknown; }
     std::size_t count_resident() const { return n_staying_; }
 
-    /// Uploads a frame unless it is on the device, and returns it. Its arrays are valid
-    /// until the next upload.
+    /// Uploads a frame unless it is on the device. Its arrays are valid until the next.
     TrainingFrameData& ensure_resident(Stream& stream, std::size_t frame);
     /// Announces the next frame. A thread starts to compute its rays.
     void prefetch_frame(std::size_t frame);
