@@ -48,7 +48,7 @@ std::optional<IterationReport> IterationReports::take_oldest(Stream& stream, int
     pending_.pop_front();
     ReportBuffers& host = buffers_of(pending.iterations);
     add_loss_terms(pending.iterations, static_cast<const float*>(host.terms.wait_for_bytes(stream)));
-    if (pending.line) store_log_line(*pending.line);
+    if (pending.line) store_log_line(*pending.line);  // the report ends a log interval
     const auto read_counter = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
@@ -57,6 +57,7 @@ std::optional<IterationReport> IterationReports::take_oldest(Stream& stream, int
                            .limits = pending.limits,
                            .n_truncated_rays = read_counter(host.n_truncated_rays),
                            .n_overflowed_rays = read_counter(host.n_overflowed_rays),
+                           // copied only by a deterministic training
                            .max_hits = host.max_hits.is_pending() ? read_counter(host.max_hits) : 0u};
 }
 

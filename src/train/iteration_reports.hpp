@@ -56,7 +56,6 @@ public:
 
     LossTermRow loss_row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
     /// Called after the GPU commands of the iteration were recorded.
-    /// @param frame_number  frame number of the dataset
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_full() const { return iterations_.size() == kMaxLossRows; }
     /// Ends a report: records a copy of the losses and counters since the last call to

@@ -57,7 +57,7 @@ LearningRates learning_rates(const TrainConfig& config, double extent_m, int ste
         .opacity_logit = config.opacity_rate * decay,
         .sh = config.sh_rate * decay,
         .sh_rest_factor = kShRestFactor,
-        .gait = LearningRates{}.gait * decay,
+        .gait = LearningRates{}.gait * decay,  // the default; it is no setting
         .intensity_factor = config.intensity_factor};
 }
 
@@ -214,14 +214,16 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
     return frame;
 }
 
-/// Renders a batch, and computes its losses and their gradients.
+/// Renders a batch, and computes its losses and their gradients with respect to the
+/// surfels. Writes the value of each loss to the row of this iteration in the report.
 void TrainLoop::record_losses(const SampledBatch& batch) {
     const LossTermRow terms = reports_.loss_row();
-    renderer_.record_forward(batch.rays);  // docs/method.md section 3
-    for (Loss* loss : active_losses_)      // section 5
+    renderer_.record_forward(batch.rays);
+    for (Loss* loss : active_losses_)  // losses, and their gradients with respect to the rays' values
         loss->add_ray_losses(stream_, differentiable_.last_batch(), batch.targets, terms);
-    differentiable_.record_backward();  // section 4
-    // Losses of the surfels themselves, which add to the gradients of the rays.
+    differentiable_.record_backward();  // from the rays' values to the surfels
+    // Losses of the surfels themselves, which add to the gradients of the rays. With
+    // train.only_touched, they skip surfels that no ray of the batch hit.
     DeviceGradients& gradients = differentiable_.gradients();
     const auto* touched = config_.train.only_touched ? &gradients.touched : nullptr;
     for (Loss* loss : active_losses_)
@@ -229,16 +231,16 @@ void TrainLoop::record_losses(const SampledBatch& batch) {
 }
 
 /// Records one iteration and submits it: renders a batch, computes the losses and their
-/// gradients, and updates the surfels. Adds and removes surfels at some steps.
+/// gradients, and updates the surfels. Adds and removes surfels at some steps. Does not
+/// wait for the device, so results reach the host kReadbackLag iterations later.
 void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
-    // Results of an iteration on the host that the device has finished by now.
     check_reports(step - kReadbackLag);
     refiner_.apply_until(stream_, step - kReadbackLag);
 
     const std::size_t frame_index = sampler_.next_frame();
     renderer_.set_sh_degree(active_sh_degree(config_.train, step));
     const bool is_refit = is_refit_due(choose_refit(config_, n_fixed_), config_.train, step);
-    const TrainingFrameData& frame = upload_frame(frame_index, is_refit);
+    const TrainingFrameData& frame = upload_frame(frame_index, is_refit);  // at the corrected poses
     // Computes the arrays of the next frame on the host while the device works.
     if (const std::optional<std::size_t> next_frame = sampler_.peek_frame())
         frames_.prefetch_frame(*next_frame);
@@ -291,19 +293,21 @@ void TrainLoop::densify_surfels(int step) {
     densifier_.reset_opacities(stream_, scene, adam_, step);
 }
 
-/// Starts to copy the losses and counters since the last report to the host. Does not
+/// Ends the current report: starts to copy its losses and counters to the host. Does not
 /// wait.
 /// @param line  set if a log interval ends; gets the mean losses of the interval
 void TrainLoop::start_readback(const std::optional<TrainLogLine>& line) {
     const ForwardPass& forward = renderer_.forward_pass();
     const BackwardPass& backward = differentiable_.backward_pass();
-    // Hits beyond the capacity are summed with atomics, in any order. Only a
-    // deterministic training must avoid this.
     const DeviceHitCounters counters{
         .n_truncated_rays = forward.n_truncated_rays(),
         .n_overflowed_rays = forward.n_overflowed_rays(),
+        // Gradients of hits beyond hits_per_batch are added by atomics, in any order. A
+        // deterministic training must avoid this, so it checks the number.
         .max_hits = config_.train.deterministic ? backward.max_hit_count() : nullptr};
-    reports_.record_copy(stream_, counters, {backward.hit_capacity(), renderer_.stored_hits_per_ray()}, line);
+    const HitLimits limits{.hits_per_batch = backward.hit_capacity(),
+                           .hits_per_ray = renderer_.stored_hits_per_ray()};
+    reports_.record_copy(stream_, counters, limits, line);
 }
 
 /// Reads all reports that are available up to `last_step`. Stops if rays lost hits, and
@@ -333,15 +337,16 @@ void TrainLoop::grow_hit_capacity(const IterationReport& report) {
 }
 
 void TrainLoop::resize_stored_hits(const IterationReport& report) {
-    // Ignores a report whose iterations ran before the last increase.
-    if (report.limits.hits_per_ray != renderer_.stored_hits_per_ray() || hit_memory_exhausted_) return;
-    const std::uint32_t n_hits = grow_stored_hits(report.limits.hits_per_ray, report.n_overflowed_rays);
-    if (n_hits == report.limits.hits_per_ray) return;
+    const std::uint32_t n_reported = report.limits.hits_per_ray;  // stored when the report's iterations ran
+    const bool is_outdated = n_reported != renderer_.stored_hits_per_ray();
+    if (is_outdated || hit_memory_exhausted_) return;
+    const std::uint32_t n_hits = grow_stored_hits(n_reported, report.n_overflowed_rays);
+    if (n_hits == n_reported) return;
     start_readback();  // ends the current report, because all its iterations have the same limits
     try {
         renderer_.set_stored_hits(n_hits);
     } catch (const OutOfDeviceMemory&) {
-        hit_memory_exhausted_ = true;
+        hit_memory_exhausted_ = true;  // keeps the number of hits, and never tries again
     }
 }
 
@@ -373,17 +378,14 @@ void TrainLoop::restore_from(const Checkpoint& checkpoint) {
 }
 
 RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
-    // Rays in a batch. In a full log, one batch of each frame is enough: each bin of the
-    // drop table (a beam and an azimuth interval) then gets hundreds of rays.
+    // In a long log, a batch of each frame gives each bin of the drop table (a beam and
+    // an azimuth interval) hundreds of rays. In a short log, several batches of a frame,
+    // or all, give it about kRaysPerBin rays.
     constexpr std::uint32_t kRaysPerBatch = 20000;
-    // Minimum number of rays per bin. In a short log, several batches of each frame are
-    // used to reach it, or all rays of the frame.
     constexpr std::size_t kRaysPerBin = 20;
     Config batch_config = config_;
     batch_config.train.rays_per_iteration = kRaysPerBatch;
-    // With the image loss, a batch would be a window of neighbouring columns. It is off,
-    // so that each batch has rays of all directions.
-    batch_config.loss.intensity_ssim = 0.0f;
+    batch_config.loss.intensity_ssim = 0.0f;  // else a batch is a window, without rays of all directions
     const std::size_t n_frames = frames_.all().size();
     BatchSampler batches(device, batch_config, frames_.all());
     RayDropCounts counts(sequence);
@@ -417,7 +419,7 @@ void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const Trainin
         to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
-        if (!(rendered.hit_logit[j] > rendered.drop_logit[j])) continue;  // predicts a drop
+        if (!(rendered.hit_logit[j] > rendered.drop_logit[j])) continue;  // the scene predicts a drop
         // Training ignored blind rays, so the scene may have no solid surface there.
         if (rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray))
             counts.add_ray(sweep, ray);

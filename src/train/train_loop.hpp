@@ -61,12 +61,10 @@ public:
     /// Submits one iteration. Waits only for an earlier submission, for densification, or
     /// to increase the memory for hits.
     /// @param step  counts from 1
-    /// @param is_last_of_log_interval  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
     void run_iteration(int step, bool is_last_of_log_interval = false);
-    /// New since the last call. A line is available kReadbackLag iterations later, or
-    /// after finish_steps().
+    /// New since the last call: kReadbackLag iterations later, or after finish_steps().
     std::vector<TrainLogLine> take_log_lines() { return reports_.take_log_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
@@ -90,8 +88,7 @@ public:
     const KernelTimes& training_times() { return renderer_.stream().times(); }
     std::uint32_t surfel_count() const { return renderer_.scene().size(); }
     std::uint32_t last_batch_rays() const { return renderer_.last_batch().rays.n_rays; }
-    /// Maximum number of hits per ray that are stored for the backward pass. Training
-    /// increases it if rays have more hits.
+    /// Maximum number of hits of a ray that are stored for the backward pass; can grow.
     std::uint32_t max_stored_hits() const { return renderer_.stored_hits_per_ray(); }
     const TrainingFrames& training_frames() const { return frames_; }
 
@@ -140,7 +137,6 @@ private:
 
     /// Uploads a frame if it is not on the device, moves its rays to the corrected poses,
     /// and records the poses of its instances.
-    /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
     void record_losses(const SampledBatch& batch);
     void record_adam_step(int step);
