@@ -21,8 +21,7 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxMargin_m = 0.5;  // around the box of an actor; rays inside the margin are also used
-constexpr double kMaxMotionPerBeam_m =
-    0.2;  // maximum distance that a sensor moves while its beam crosses an actor
+constexpr double kMaxMotionPerBeam_m = 0.2;    // maximum motion of a sensor while a beam crosses an actor
 constexpr double kMaxHalfSweepMotion_m = 2.0;  // maximum distance that a sensor moves during half a sweep
 constexpr double kReach_sigmas = 3.5;          // farther from its centre, a surfel is nearly transparent
 // Maximum number of surfels in the scene blocks of a section of the log, including
@@ -73,19 +72,19 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-/// Returns a frame and the actors that are near enough to have returns in it: their box
-/// is within the range of the farthest return.
+/// Returns a frame and the actors whose box is within the range of its farthest return.
+/// An actor has its pose and that of the sensor at the time when the LiDAR head faces it.
 /// @param tracks  [lidars] poses of each sensor in the world
 FrameWithSightings find_sightings(const Run& run, int index, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(index)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
-    const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
     FrameWithSightings result{.position = index,
                               .sensor_m = world_from_sensor.pose_at(frame.time_s).translation};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
-    for (std::size_t i = 0; i < placed.size(); ++i) {
+    const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
+    for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
-        if (!box || !placed[i].present) continue;
+        if (!box || !placed[i].present) continue;  // the background has no box
         const ActorSighting actor{.sensor_m = world_from_sensor.pose_at(placed[i].time_s).translation,
                                   .placed = placed[i],
                                   .half_size_m = 0.5 * box->size_m};
@@ -97,8 +96,7 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
 
 /// Divides the training frames that show actors into sections, which are trained
 /// separately so that their scene blocks fit into memory. Starts a new section if its
-/// blocks would have more than kMaxSectionSurfels surfels. Each section has at least one
-/// frame.
+/// blocks would have more than kMaxSectionSurfels surfels.
 std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> sections(1);
     for (const int position : run.split.train) {
@@ -174,8 +172,7 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
     return log;
 }
 
-/// Returns the surfels that can affect rays to actors: some of these rays hit them, in
-/// front of an actor or behind it.
+/// Returns the surfels that rays to the box of an actor hit, before it or behind it.
 Surfels select_surfels(const Surfels& surfels, const std::vector<ActorSighting>& sightings) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
@@ -194,25 +191,24 @@ Surfels select_surfels(const Surfels& surfels, const std::vector<ActorSighting>&
 
 /// Returns the actors of the run, and the surfels of the background that rays to actors
 /// can hit. Loads one block at a time, because all blocks may not fit into memory.
-/// @return the scene, and the mean extent of its blocks in metres
+/// @return the scene, and the mean extent of its blocks (or of the run) in metres
 std::pair<Scene, double> section_scene(const Run& run, const ActorTrainingSection& section) {
-    const auto list_sightings = [&](const auto& is_used) {
+    // Sightings in the frames that can reach a block; in all frames if `block` is null.
+    const auto list_sightings = [&](const SceneBlock* block) {
         std::vector<ActorSighting> sightings;
         for (const FrameWithSightings& frame : section.frames)
-            if (is_used(frame)) sightings.insert(sightings.end(), frame.sights.begin(), frame.sights.end());
+            if (!block || frame.can_reach(*block))
+                sightings.insert(sightings.end(), frame.sights.begin(), frame.sights.end());
         return sightings;
     };
     // The background that is not in blocks, then the surfels of the blocks.
     const Surfels unblocked = run.scene.surfels.slice(0, run.scene.models.front().count);
-    Surfels background =
-        select_surfels(unblocked, list_sightings([](const FrameWithSightings&) { return true; }));
+    Surfels background = select_surfels(unblocked, list_sightings(nullptr));
     double extent_m = section.blocks.empty() ? scene_extent_m(run.scene) : 0.0;
     for (const std::size_t i : section.blocks) {
         const SceneBlock& place = run.scene.blocks[i];
         const Scene block = wrap_background(load_block(place));
-        background.append_surfels(select_surfels(
-            block.surfels,
-            list_sightings([&](const FrameWithSightings& frame) { return frame.can_reach(place); })));
+        background.append_surfels(select_surfels(block.surfels, list_sightings(&place)));
         extent_m += scene_extent_m(block) / double(section.blocks.size());
     }
     return {replace_background(run.scene, background), extent_m};
@@ -235,8 +231,7 @@ Config actor_config(const Config& config, std::size_t n_frames) {
     return result;
 }
 
-/// Copies the surfels of the trained actors to the run. They follow the background, which
-/// was not trained, in both scenes.
+/// Copies the surfels of the trained actors, which follow the background, to the run.
 void copy_actors(Run& run, const Scene& trained) {
     const std::size_t n_background = run.scene.models.front().count;
     const std::size_t n_actor_surfels = run.scene.surfels.size() - n_background;
@@ -281,12 +276,12 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
     const std::vector<ActorTrainingSection> sections = divide_log(run, tracks);
     int n_frames = 0, step = 0;
     for (const ActorTrainingSection& section : sections) n_frames += static_cast<int>(section.frames.size());
-    // An iteration uses one frame. So an epoch has n_frames iterations.
+    // An iteration uses one frame, so all epochs together have n_epochs * n_frames.
     const auto after_step = [&] {
         if (session.step) session.step(++step, n_epochs * n_frames);
         return !(session.stop && session.stop());
     };
-    for (const ActorTrainingSection& section : sections)
+    for (const ActorTrainingSection& section : sections)  // runs all epochs of a section
         if (!train_section(device, run, section, tracks, after_step)) return TrainingEndReason::stopped;
     return TrainingEndReason::finished;
 }
