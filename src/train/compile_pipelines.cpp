@@ -15,9 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns settings (key and value) that select kernels which no preset uses. Each is
-/// compiled separately, with the preset `default`. Add a row for each new specialisation
-/// constant.
+/// Returns settings (key and value) that select kernels which no preset uses, a row for
+/// each specialisation constant. Each is compiled separately, with the preset `default`.
 std::vector<std::pair<std::string, std::string>> list_kernel_settings() {
     std::vector<std::pair<std::string, std::string>> settings{{"image.sh_direction", "ray"},
                                                               {"image.sh_direction", "surfel"},

@@ -192,8 +192,7 @@ void calibrate_intensities(Log& sequence, const Split& split, const LogPreparati
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ by {:.3f} "
         "(RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
-    // `shared`: the correction depends on range and incidence. `beams`: it has parameters
-    // of each beam.
+    // `shared`: parameters of range and incidence. `beams`: parameters of each beam.
     if (!calibration.shared && !calibration.beams) {
         session.report_line(text +
                             "; a correction does not reduce this difference, so no correction is used");
@@ -236,8 +235,7 @@ void check_interrupted(const LogPreparationCallbacks& session) {
 }
 
 /// Calibrates ranges, noise and intensities of all LiDARs. The first process computes the
-/// results and sends them to the others. Noise follows after offsets, because offsets of
-/// the beams would look like noise.
+/// results and sends them. Offsets of beams come first, because they look like noise.
 void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& config,
                       const LogPreparationCallbacks& session) {
     if (session.group.is_first()) {
@@ -301,7 +299,7 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
     std::vector<std::string> movers, extended;
     for (BoxTrack& box :
          discover_tracks(sequence, split.train, interruptible_progress(session), session.group)) {
-        // Numbers of positions that were added before and after the labels of a track.
+        // Only a labelled track has positions added before or after its labels.
         const bool is_labelled = box.n_before + box.n_after > 0;
         if (is_labelled) {
             extended.push_back(describe_extension(box));
@@ -321,14 +319,14 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
 }
 
 /// Refines the poses of moving boxes by registering their points. The first process
-/// computes the poses and sends them to the other processes.
+/// computes and reports the poses, and sends them to the other processes.
 void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
     if (session.group.is_first())
         registration = register_actors(sequence, split.train, interruptible_progress(session));
     for (BoxTrack& box : sequence.boxes)
         box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
-    if (registration.n_actors == 0) return;
+    if (registration.n_actors == 0) return;  // no moving boxes, or not the first process
     session.report_line(fmt::format(
         "{} of {} moving boxes were aligned to their points and shifted by {:.3f} m (median); {} boxes have "
         "moving labels, but their points do not move",

@@ -33,7 +33,6 @@ inline constexpr int kMostTimedSteps = 500;
 /// the run.
 /// @param run  with the scans of its training frames
 /// @param n_steps  timed steps after a few warm-up steps, 1 to kMostTimedSteps
-/// @param stop  polled after each step
 /// @throws UsageError if the run has blocks; otherwise the same errors as train()
 TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
                                 const std::function<bool()>& stop = {});

@@ -38,8 +38,7 @@ Scene initial_scene(const Log& log, const Split& split, const Config& config, co
     return scene;
 }
 
-/// Prints which boxes of moving objects have no surfels in the scene. Training ignores
-/// the returns inside these boxes.
+/// Prints which moving boxes have no surfels. Training ignores the returns in them.
 void report_ignored(const Scene& scene, const Log& log, const Config& config, const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_unmodelled(scene, log, config.init);
     if (masked.empty() || !session.note) return;
@@ -60,7 +59,7 @@ void report_evicted(const TrainingFrames& frames, const Config& config, const Tr
 
 /// Turns off the refinement of sensor poses if all training frames belong to one sweep.
 /// No other training frame constrains the pose of this sweep, so it would drift away from
-/// the poses of held-out sweeps.
+/// the poses of held-out sweeps. Also reports if the scene has no actors to refine.
 Config with_useful_poses(Config config, const Log& log, const Split& split, const Scene& initial,
                          const TrainSession& session) {
     const auto report = [&](const char* note) {
@@ -76,7 +75,8 @@ Config with_useful_poses(Config config, const Log& log, const Split& split, cons
             "train.refine_poses=sensor has no effect, because training uses only one sweep, whose pose is "
             "fixed");
     }
-    if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
+    const bool has_actors = initial.instances.size() >= 2;  // the first instance is the background
+    if (config.train.refine_poses == "actors" && !has_actors)
         report("train.refine_poses=actors has no effect, because the scene has no actors");
     return config;
 }

@@ -27,8 +27,7 @@ struct ResumeFingerprint {
     std::string key, what, value;
 };
 
-/// Returns hashes of the log. The hash that explains a difference best comes first,
-/// because only one is reported.
+/// Returns hashes of the log, ordered by how well they explain a difference.
 std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
 ResumeFingerprint fingerprint_scene(const Scene& scene);
 

@@ -277,7 +277,8 @@ void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)
     }
 }
 
-/// Every checkpoint contains the settings and hashes that check_resume() compares.
+/// Each checkpoint contains the settings and hashes that check_resume() compares. They
+/// are computed by make_texts(), which refers to the arguments.
 CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),

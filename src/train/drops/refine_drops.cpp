@@ -80,15 +80,15 @@ RayTable rotate_rays(RayTable rays, float column_fraction) {
     return rays;
 }
 
-/// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown.
-/// A cell is unknown if one of its returns belongs to a ray with a negative value in
-/// `drops`.
+/// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown
+/// because it has a return that the network must not learn, from a moving object.
+/// @param drops  [rays] from classify_drops(); -1 for such a return
 std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const std::vector<float>& drops) {
     std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
     const RangeImageGrid grid = find_grid(config.sensor.grid);
     for (std::size_t ray = 0; ray < drops.size(); ++ray) {
-        const bool is_known = drops[ray] >= 0.0f, has_return = frame.scan.range_m[ray] > 0.0f;
-        if (is_known || !has_return) continue;
+        const bool is_learned = drops[ray] >= 0.0f, has_return = frame.scan.range_m[ray] > 0.0f;
+        if (is_learned || !has_return) continue;
         const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(ray)));
         if (cell) cells[std::size_t(*cell)] = -1.0f;
     }
@@ -132,23 +132,23 @@ struct TrainingImages {
     }
 };
 
-/// Returns the drops that the network learns, [pixels]: 0 returned, 1 dropped, -1 not
-/// used.
+/// Returns the drops that the network learns, [pixels]: 0 returned, 1 dropped, -1 unused.
 std::vector<float> learned_drops(const Run& run, const Config& config, const Frame& frame,
                                  const IgnoredMeasurements& masks) {
     std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
     return uses_grid_rays(config) ? drops_to_grid(config, frame, dropped) : dropped;
 }
 
-/// Renders a training frame as input of the network, and adds it with its measured drops.
+/// Renders a training frame as input of the network, and adds it with its measured drops,
+/// the values of its pixels that the network learns (-1: not learned), to `training`.
 void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run, const Config& config,
                const Frame& frame, const IgnoredMeasurements& masks) {
     SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
     // A stripe is some neighbouring columns. A network of single pixels needs no
     // neighbours, so some stripes of each image suffice.
     const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
-    const ImageStripes stripes(uses_stripes ? choose_interval(sensor.rays) : 1, sensor.rays,
-                               training.images.size());
+    const int stripe_interval = uses_stripes ? choose_interval(sensor.rays) : 1;  // 1: the full image
+    const ImageStripes stripes(stripe_interval, sensor.rays, training.images.size());
     // Rotated by half a column, so that no ray is one that trained the scene.
     sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
     const RenderedScan scan = renderer.render(sensor, frame.time_s);
@@ -174,7 +174,7 @@ TrainingImages render_images(Device& device, const Run& run, const Config& confi
             run.sequence.name);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
-    if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");
+    if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");  // an input
     TrainingImages result;
     for (const int position : positions) {
         if (session.progress)
@@ -200,9 +200,10 @@ std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<
     constexpr double kMaxStep = 0.5;  // a longer step could overshoot where the curvature is small
     constexpr double kPrecision = 1.0 / (kActorLogitSigma * kActorLogitSigma);
     const auto channel = std::size_t(std::ranges::find(inputs, std::string("drop_logit")) - inputs.begin());
-    const auto logit = [&](const ActorPixel& sample) -> float& {
+    const auto rendered_logit = [&](const ActorPixel& sample) -> float& {
         RayDropImage& image = training.images[sample.image];
-        return image.channels[channel * image.dropped.size() + sample.pixel];
+        const std::size_t n_pixels = image.dropped.size();
+        return image.channels[channel * n_pixels + sample.pixel];
     };
     double shared = 0.0;                        // s in the equation above
     std::vector<double> offsets(n_beams, 0.0);  // b
@@ -211,16 +212,16 @@ std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<
         // sums are the derivatives by the shared error.
         std::vector<double> slope(n_beams), curvature(n_beams);
         for (const ActorPixel& sample : training.actor_pixels) {
-            const double p_drop = sigmoid(double(logit(sample)) + shared + offsets[sample.beam]);
+            const double p_drop = sigmoid(double(rendered_logit(sample)) + shared + offsets[sample.beam]);
             slope[sample.beam] += double(training.images[sample.image].dropped[sample.pixel]) - p_drop;
             curvature[sample.beam] += p_drop * (1.0 - p_drop);
         }
-        // Even steps move the shared error, odd steps the offsets: each changes the
-        // slopes of the other. The 1e-9 avoids a division by 0.
+        // Even steps move the shared error, odd steps the offsets: both change slopes.
         if (step % 2 == 0) {
             const double slope_sum = std::accumulate(slope.begin(), slope.end(), 0.0);
-            shared += std::clamp(slope_sum / std::accumulate(curvature.begin(), curvature.end(), 1e-9),
-                                 -kMaxStep, kMaxStep);
+            // The 1e-9 avoids a division by 0.
+            const double curvature_sum = std::accumulate(curvature.begin(), curvature.end(), 1e-9);
+            shared += std::clamp(slope_sum / curvature_sum, -kMaxStep, kMaxStep);
             continue;
         }
         for (std::size_t beam = 0; beam < n_beams; ++beam)
@@ -229,7 +230,7 @@ std::vector<float> fit_actor_logits(TrainingImages& training, const std::vector<
                            -kMaxStep, kMaxStep);
     }
     const std::vector<float> result(offsets.begin(), offsets.end());
-    for (const ActorPixel& sample : training.actor_pixels) logit(sample) += result[sample.beam];
+    for (const ActorPixel& sample : training.actor_pixels) rendered_logit(sample) += result[sample.beam];
     return result;
 }
 

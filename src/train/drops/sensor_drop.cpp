@@ -74,7 +74,8 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     if (!has_return) std::atomic_ref(drops_[bin]).fetch_add(1, std::memory_order_relaxed);
 }
 
-/// Sums the rays of the bins from `first` on, until there are enough for a rate.
+/// Sums the rays of the bins from `first` on, until there are enough for a rate. The bins
+/// wrap around the circle, so the end can be above the number of bins.
 /// @return end of the bins, and their drop rate; nothing if the beam has fewer rays
 std::optional<std::pair<int, float>> RayDropCounts::grow_interval(int channel, int first) const {
     std::uint32_t n_rays = 0, n_drops = 0;
@@ -89,18 +90,18 @@ std::optional<std::pair<int, float>> RayDropCounts::grow_interval(int channel, i
 
 /// A beam can lose its rays at an azimuth in most frames, for example because the vehicle
 /// hides the view. Single bins have too few rays to show this, so each bin gets the
-/// largest rate of all intervals that contain it.
+/// largest rate of the intervals (with at least kMinRaysPerRate rays) that contain it.
 RayDropTable RayDropCounts::persistent_rates() const {
     RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
     for (int channel = 0; channel < index_.channels; ++channel) {
         for (int first = 0; first < index_.bins; ++first) {
             const auto interval = grow_interval(channel, first);
-            if (!interval) break;  // the beam has too few rays
+            if (!interval) break;  // the beam has too few rays in all bins together
             const auto [end, interval_rate] = *interval;
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = bin_index(channel, bin);
-                // Other bins of the interval can drop more than this bin.
+                // Lower for a bin that drops less than other bins of the interval.
                 const float bin_rate = rays_[i] > 0 ? float(drops_[i]) / float(rays_[i]) : 1.0f;
                 table.probability[i] = std::max(table.probability[i], std::min(bin_rate, interval_rate));
             }
@@ -163,8 +164,7 @@ std::vector<std::size_t> list_global_beams(const Log& sequence, std::size_t lida
     return beams;
 }
 
-/// Returns the difference between the largest and the smallest azimuth offset of the
-/// beams, in bins.
+/// Returns the largest minus the smallest azimuth offset of the beams, in bins.
 int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     const double spread_rad = most.azimuth_offset_rad - least.azimuth_offset_rad;

@@ -16,8 +16,7 @@ namespace relidar {
 
 class RayDropCounts {
 public:
-    /// A row of azimuth bins of about three columns for each beam. The log must outlive
-    /// it.
+    /// A row of azimuth bins of about three columns for each beam. Refers to the log.
     explicit RayDropCounts(const Log& sequence);
     /// Several threads may call this simultaneously.
     void add_ray(const Frame& frame, std::size_t ray);

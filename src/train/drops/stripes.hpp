@@ -21,8 +21,7 @@ public:
 
     /// @param stripe_interval  n selects every n-th stripe; the full image if below 2 or
     /// larger than the number of stripes
-    /// @param frame_number  each frame starts one stripe later, so that they use all
-    /// columns
+    /// @param frame_number  each frame starts a stripe later, so that all columns occur
     ImageStripes(int stripe_interval, const RayTable& rays, std::size_t frame_number)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
         const int n = rays.columns / kStripeColumns;
