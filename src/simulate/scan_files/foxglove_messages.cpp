@@ -324,8 +324,7 @@ std::string encode_transform(std::uint64_t time_ns, const std::string& parent, c
     return encode_message("FrameTransforms", {{"transforms", transform}});
 }
 
-/// Returns the box of an actor, which is translucent so that the points inside it stay
-/// visible.
+/// Returns the box of an actor. It is translucent, so that the points in it stay visible.
 std::string encode_box(const RecordedActor& actor) {
     const std::string color = encode_message("Color", {{"r", 1.0}, {"g", 0.6}, {"b", 0.1}, {"a", 0.3}});
     return encode_message("CubePrimitive", {{"pose", encode_pose(actor.faced.world_from_object)},

@@ -31,9 +31,8 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-/// Merges the actors of the scans of several sensors. For an actor in several scans, adds
-/// up its points, and keeps the largest visible share and the box of the scan with most
-/// points.
+/// Merges the actors in the scans of several sensors. Adds up the points of an actor, and
+/// keeps its largest visible share and its box in the scan with most points.
 std::vector<RecordedActor> merge_actors(std::vector<RecordedActor> actors_of_scans) {
     std::vector<RecordedActor> merged;
     std::vector<std::size_t> n_points;  // in all scans, of each merged actor
@@ -56,21 +55,19 @@ std::vector<RecordedActor> merge_actors(std::vector<RecordedActor> actors_of_sca
 
 /// Rounds a time to 10 ns, because floats have errors of some nanoseconds. The stamp of a
 /// ray at -0.05 s would otherwise be 1 ns too small.
-double round_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
+double round_to_10ns(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
 
 }  // namespace
 
 SweepInterval sweep_interval(std::span<const RenderedScan> scans) {
     SweepInterval all{INFINITY, -INFINITY};
     for (const RenderedScan& scan : scans) {
-        float first_s = 0.0f, last_s = 0.0f;  // relative to the time of the scan
-        if (!scan.time_offset_s.empty()) {
-            const auto offsets_s = std::ranges::minmax(scan.time_offset_s);
-            first_s = offsets_s.min;
-            last_s = offsets_s.max;
-        }
-        all.first_s = std::min(all.first_s, scan.time_s + round_time(first_s));
-        all.last_s = std::max(all.last_s, scan.time_s + round_time(last_s) + kStampRounding_s);
+        // Times of the first and the last ray, relative to the scan.
+        std::ranges::minmax_result<float> offsets_s{0.0f, 0.0f};
+        if (!scan.time_offset_s.empty()) offsets_s = std::ranges::minmax(scan.time_offset_s);
+        all.first_s = std::min(all.first_s, scan.time_s + round_to_10ns(offsets_s.min));
+        // Later than the last ray, so that rounded times are inside the interval.
+        all.last_s = std::max(all.last_s, scan.time_s + round_to_10ns(offsets_s.max) + kStampRounding_s);
     }
     return all;
 }

@@ -27,8 +27,7 @@ public:
     /// @param notes metadata of the files
     ScanInOutputFrame(const RenderedScan& rendered, const ScanOutputOptions& options, int frame,
                       FileMetadata notes = {});
-    /// @throws DataError if check_channels() finds an invalid
-    /// channel
+    /// @throws DataError if check_channels() finds an invalid channel
     const PlacedRays& rays();
     /// Returns one point for each return of the scan. In the world frame, positions are
     /// relative to points_origin_m().

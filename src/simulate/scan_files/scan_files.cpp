@@ -75,14 +75,16 @@ NamedArray position_array(const std::string& name, const RangeImage& image, cons
                       values.size());
 }
 
-/// Returns all arrays of an npz file (make_scan_format_help() describes them for users).
+/// Returns copies of all arrays of an npz file, see make_scan_format_help().
+/// @param output_scan  not const, because it computes its rays at the first use
 std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const RenderedScan& scan = output_scan.scan;
     const ScanOutputOptions& format = output_scan.format;
     const RangeImage& image = scan.image;
     const std::vector<double> pose = scan_files::row_major(scan.world_from_sensor);
-    const bool world = format.frame == PointCoordinateFrame::world;
-    const std::int32_t number = output_scan.frame, deskewed = has_common_frame(format) ? 1 : 0;
+    const bool is_in_world = format.frame == PointCoordinateFrame::world;
+    const std::int32_t frame_number = output_scan.frame;
+    const std::int32_t is_deskewed = has_common_frame(format);  // not a frame per point
     const scan_files::PlacedRays& rays = output_scan.rays();
     const std::optional<glm::dvec3> origin_m = output_scan.world_origin_m();
     std::vector<NamedArray> arrays{make_text_array("instance_names", format.instance_names),
@@ -91,9 +93,9 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
                                    position_array("points", image, rays.end_m, origin_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
-                                   make_array("frame_number", {}, &number, 1),
-                                   single_text("frame", world ? "world" : "sensor"),
-                                   make_array("deskewed", {}, &deskewed, 1),
+                                   make_array("frame_number", {}, &frame_number, 1),
+                                   single_text("frame", is_in_world ? "world" : "sensor"),
+                                   make_array("deskewed", {}, &is_deskewed, 1),
                                    single_text("sensor", format.sensor),
                                    single_text("run", format.run),
                                    single_text("units", kUnitsText)};
@@ -136,8 +138,7 @@ void write_ply_file(const fs::path& path, ScanInOutputFrame& scan) {
 void write_pcd_file(const fs::path& path, ScanInOutputFrame& scan) {
     write_pcd(path, scan.points(), scan.notes, scan.world_origin_m());
 }
-/// Returns GeoConverter::wkt(). Keeps the last text for the next scan, because PROJ takes
-/// some 10 ms.
+/// Returns GeoConverter::wkt(). Keeps the last text, because PROJ takes some 10 ms.
 const std::string& find_wkt(const Georeference& place) {
     thread_local std::string last_place, wkt;
     if (const std::string text = georeference_json(place).dump(); text != last_place) {

@@ -25,8 +25,8 @@ constexpr const char *kSummaryName = "scans.json", *kSummaryFormat = "relidar sc
 // exists while a rendering is not finished
 constexpr const char* kUnfinishedName = ".unfinished_scans";
 
-/// Returns true if a file name is scans.json, the name of a recording or capture, or
-/// frame_<number>.<format>.
+/// Returns true if a rendering writes files with such a name: scans.json, a recording, a
+/// capture, or frame_<number>.<format>.
 bool is_output_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummaryName || scan_files::PacketFileWriter::is_packet_file(name) ||
@@ -97,7 +97,7 @@ Json channels_json(const std::vector<ChannelInfo>& channels) {
 
 }  // namespace
 
-/// Opens a folder without changing its files.
+/// Checks the formats and creates a missing folder. Does not change existing files.
 void ScanFolderWriter::open_folder(fs::path folder, ScanOutputOptions format) {
     folder_ = std::move(folder);
     format_ = std::move(format);
@@ -122,9 +122,9 @@ ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOption
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format) {
     open_folder(std::move(folder), std::move(format));
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
-    // A rendering that is interrupted after its first scan leaves this file. A later
-    // rendering then knows that all scan files are unfinished.
+    // While the marker exists, the scans are unfinished. finish() removes it.
     const fs::path marker = folder_ / kUnfinishedName;
+    // Holds no object. Its deleter runs when the last copy of this writer is destroyed.
     unfinished_marker_ = std::shared_ptr<void>(nullptr, [marker](void*) {
         std::error_code failed;
         if (output_files(marker.parent_path()).empty()) fs::remove(marker, failed);
@@ -188,7 +188,7 @@ void ScanFolderWriter::write_summary() const {
 
 namespace {
 
-/// Returns the list "boxes" of a scan in scans.json.
+/// Returns the list "boxes" of a scan in scans.json. Its world frame is the dataset's.
 Json boxes_json(const std::vector<ActorBox>& boxes) {
     Json json = Json::array();
     for (const ActorBox& box : boxes)

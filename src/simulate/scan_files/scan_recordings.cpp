@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the requested recordings of a rendering, and checks the names of topics and
-// frames.
+// Writes the recordings of a rendering, and checks the names of topics and frames.
 
 #include <cctype>
 #include <set>

@@ -74,7 +74,7 @@ std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const S
     const Pose world_from_dataset{{1, 0, 0, 0}, -format.world_offset_m};
     FiringPoseInterpolator world_from_firing(scan, world_from_dataset);
     std::vector<BackgroundPoint> points;
-    for (const std::size_t ray : rays_on(scan, format, 0)) {
+    for (const std::size_t ray : rays_on(scan, format, /*instance=*/0)) {
         const glm::vec3 in_sensor_m = scan.image.origin[ray] + range_m[ray] * scan.image.direction[ray];
         points.push_back({world_from_firing.pose_of(ray) * glm::dvec3(in_sensor_m), scan.time_offset_s[ray]});
     }
@@ -85,6 +85,8 @@ std::vector<BackgroundPoint> background_points(const RenderedScan& scan, const S
 std::vector<float> times_in_box(const std::vector<BackgroundPoint>& points, const Pose& world_from_box,
                                 const glm::dvec3& size_m) {
     const Pose box_from_world = inverse(world_from_box);
+    // The sphere of this radius contains the box with its margin: 2 is above sqrt(3). The
+    // test of the sphere is faster than is_on_object().
     const double radius_m = 0.5 * glm::length(size_m) + 2.0 * kObjectMargin_m;
     std::vector<float> times_s;
     for (const BackgroundPoint& point : points)
@@ -94,8 +96,7 @@ std::vector<float> times_in_box(const std::vector<BackgroundPoint>& points, cons
     return times_s;
 }
 
-/// Returns the counted rays of an object, or null if no ray would hit it or if rays were
-/// not counted.
+/// Returns the counted rays of an object. Null if none would hit it or were counted.
 const ActorVisibility* find_view(const RenderedScan& scan, const std::string& track) {
     const auto view = std::ranges::find(scan.actor_views, track, &ActorVisibility::track);
     return view == scan.actor_views.end() ? nullptr : &*view;
@@ -141,7 +142,7 @@ double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<flo
                  sweep_s = double(last_s) - double(first_s);
     if (box_s < kMostOfSweep * sweep_s) return faced_s;
     const auto middle = times_s.begin() + std::ptrdiff_t(times_s.size() / 2);
-    std::ranges::nth_element(times_s, middle);  // not the mean of two, which no part has
+    std::ranges::nth_element(times_s, middle);  // The mean of two could be between the parts.
     return scan.time_s + double(*middle);
 }
 

@@ -51,8 +51,9 @@ std::optional<DatasetIndex> read_index(const fs::path& folder) {
     fail<UsageError>("{}: found no list of sequences, expected a data set of relidar", file.string());
 }
 
-/// Reads the index of a data set, which has no sequences in a new folder.
-/// @throws UsageError as check_dataset_folder()
+/// Reads the index of a data set. For a new folder, returns an index without sequences.
+/// @throws UsageError if the layout is unknown or is not that of the data set, or if the
+/// folder has other files
 DatasetIndex open_index(const fs::path& folder, const std::string& layout) {
     const std::vector<std::string> names = list_layouts();
     if (std::ranges::find(names, layout) == names.end())
@@ -94,10 +95,12 @@ std::string describe_pose(const Pose& pose) {
 }
 
 /// Returns everything that decides the data of a sequence, for users and as its identity:
-/// equal settings give equal data. Long lists (rays, tracks, settings) become a hash.
+/// equal settings give equal data. Rays, tracks and settings are long, and are only
+/// compared, so a hash stands for each of them.
 Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
+    // All sensors have the same run, actors and settings.
     const ScanOutputOptions& options = sensors.front().options;
-    std::string tracks, settings, sensor_poses, rays;
+    std::string sensor_poses, rays, tracks, settings;
     for (const DatasetSensor& sensor : sensors) {
         rays += sensor.description;
         sensor_poses +=
@@ -126,8 +129,7 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
             {"times_s", times_s}};
 }
 
-/// Writes a description of the data set for users: licence, split, and the settings of
-/// each sequence.
+/// Writes a description for users: licence, split, and the settings of each sequence.
 void write_readme(const fs::path& folder, const DatasetIndex& index) {
     std::string text = fmt::format(
         "# Simulated LiDAR data\n\n"
@@ -227,7 +229,7 @@ struct DatasetSequenceWriter::Impl {
     fs::path folder;
     std::vector<DatasetSensor> sensors;
     DatasetIndex index;  ///< with the new sequence
-    std::unique_ptr<LayoutWriter> writer;
+    std::unique_ptr<LayoutWriter> writer = {};
     std::size_t n_written = 0;
 };
 
@@ -242,16 +244,18 @@ void check_dataset_folder(const fs::path& folder, const std::string& layout) { o
 DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string& layout,
                                              std::vector<DatasetSensor> sensors, std::vector<double> times_s,
                                              bool replace)
-    : impl_(std::make_shared<Impl>(Impl{folder, std::move(sensors), open_index(folder, layout), nullptr})) {
+    : impl_(std::make_shared<Impl>(
+          Impl{.folder = folder, .sensors = std::move(sensors), .index = open_index(folder, layout)})) {
     DatasetIndex& index = impl_->index;
-    // Makes a new folder a data set, which accepts sequences after an interruption.
+    // Writes the index of a new folder before any frame. If this sequence is interrupted,
+    // open_index() then still accepts the folder.
     if (index.sequences.empty()) write_index(folder, index);
     const Json settings = describe_sequence(impl_->sensors, times_s);
-    DatasetIndex::Sequence sequence{
-        .key = make_token(settings.dump()), .n_frames = int(times_s.size()), .settings = settings};
-    SequencePlace place = place_sequence(index, std::move(sequence), folder, replace);
+    const SequencePlace place = place_sequence(
+        index, {.key = make_token(settings.dump()), .n_frames = int(times_s.size()), .settings = settings},
+        folder, replace);
     const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
-    impl_->writer = kind->make(std::move(place), impl_->sensors);
+    impl_->writer = kind->make(place, impl_->sensors);
 }
 
 void DatasetSequenceWriter::write_scans(std::span<const RenderedScan> scans) {

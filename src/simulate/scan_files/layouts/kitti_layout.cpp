@@ -24,18 +24,21 @@ int occlusion_level(const std::optional<double>& visible_share) {
     return *visible_share >= kFullyVisible ? 0 : *visible_share >= kPartlyVisible ? 1 : 2;
 }
 
-/// Returns the columns from `occluded` to `rotation_y`, which both benchmarks share.
+/// Returns the columns of a KITTI label from `occluded` to `rotation_y`, which the object
+/// and the tracking benchmark share. The rig frame has the axes forward, left, up. The
+/// camera frame has right, down, forward.
 std::string label_columns(const LabelledObject& object, const Pose& world_from_rig) {
     const Pose rig_from_box = inverse(world_from_rig) * object.world_from_box;
     const glm::dvec3 &size_m = object.size_m, &centre = rig_from_box.translation,
                      forward = rig_from_box.rotation * glm::dvec3(1.0, 0.0, 0.0);
+    // Angle from forward to the left. rotation_y is the angle from right to backward.
     const double yaw_rad = std::atan2(forward.y, forward.x);
     const double rotation_y = wrap_angle(-yaw_rad - 0.5 * kPi);
-    // In the camera frame x is -y of the rig, y is -z and z is x. The location is the
-    // centre of the lower face. `alpha` is the rotation as seen from the camera.
-    const glm::dvec3 location(-centre.y, 0.5 * size_m.z - centre.z, centre.x);
-    const double alpha = wrap_angle(rotation_y - std::atan2(-centre.y, centre.x));
-    // occluded, alpha, image box, height, width, length, location, rotation_y
+    // `alpha` is rotation_y relative to the line from the camera to the object.
+    const double azimuth_to_right_rad = std::atan2(-centre.y, centre.x);
+    const double alpha = wrap_angle(rotation_y - azimuth_to_right_rad);
+    const glm::dvec3 location(-centre.y, 0.5 * size_m.z - centre.z, centre.x);  // centre of the lower face
+    // occluded, alpha, image box (none), height, width, length, location, rotation_y
     return fmt::format("{} {:.4f} 0 0 0 0 {:.4f} {:.4f} {:.4f} {:.4f} {:.4f} {:.4f} {:.4f}",
                        occlusion_level(object.visible_share), alpha, size_m.z, size_m.y, size_m.x, location.x,
                        location.y, location.z, rotation_y);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points and object boxes of a frame of a data set, and the interface of the layouts that
-// store them.
+// Points and object boxes of a data set's frame, and the interface of layouts.
 #pragma once
 
 #include <filesystem>

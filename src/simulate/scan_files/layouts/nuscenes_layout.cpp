@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the 13 tables of nuScenes v1.0 and the LiDAR files of a scene. Every frame is a
-// keyframe.
+// Writes the 13 tables of nuScenes v1.0 and the LiDAR files. Every frame is a keyframe.
 #include "simulate/scan_files/layouts/layout.hpp"
 
 #include <cctype>
@@ -191,8 +190,7 @@ private:
         records_[table].push_back(std::move(record));
     }
 
-    /// Returns five floats for each point: x, y, z, intensity up to 255, and ring. Ring 0
-    /// is the lowest.
+    /// Returns five floats for each point: x, y, z, intensity up to 255, ring (0 lowest).
     static std::string pack_points(const LidarPoints& cloud, int n_rings) {
         std::string bytes;
         for (std::size_t i = 0; i < cloud.size(); ++i) {

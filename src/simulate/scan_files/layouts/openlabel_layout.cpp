@@ -159,8 +159,7 @@ private:
     static Json system_json(const char* type, const char* parent, Json children) {
         return {{"type", type}, {"parent", parent}, {"children", std::move(children)}};
     }
-    /// Returns the data of an object in a frame, and adds the object to the list of all
-    /// objects.
+    /// Returns the data of an object in a frame. Also lists it among all objects.
     Json object_json(const LabelledObject& object, const LabelledFrame& frame) {
         const std::string key = std::to_string(object.number);
         Json& known = objects_[key];
