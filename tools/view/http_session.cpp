@@ -199,13 +199,17 @@ void HttpSession::send_error(Status status) {
 void HttpSession::send_overload() { send_error(Status::service_unavailable); }
 
 /// Sends the response and reads the next request, if the client keeps the connection
-/// open. Otherwise closes the connection when the client has read the response.
+/// open. Otherwise ends the connection.
 void HttpSession::write_response() {
     start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {
         self->timer_.cancel();
         if (failed) return;
-        if (self->response_->keep_alive()) return self->read_request();
+        if (self->response_->keep_alive()) {
+            self->read_request();
+            return;
+        }
+        // Tells the client that the response is complete, but still reads what it sends.
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
         self->start_timeout(kDiscardTime);

@@ -32,9 +32,8 @@ std::vector<std::string> sensor_names() {
     return names;
 }
 
-/// Returns a hash (FNV-1a) of the run's path. The path itself is not sent, so that
-/// clients do not learn it. After a restart, the web page compares the hash to detect
-/// another run.
+/// Returns a hash (FNV-1a) of the run's path. After a restart of the server, the web page
+/// detects another run by its hash, and does not learn the path.
 std::string run_path_hash(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -133,9 +132,9 @@ bool is_moved(const ActorEdits& edits, const std::string& track) {
 }  // namespace
 
 BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device& device)
-    : run_(std::move(run)), others_(std::move(others)), device_(device), real_(run_) {}
+    : run_(std::move(run)), others_(std::move(others)), device_(device), recorded_(run_) {}
 
-/// Returns the data that the web page needs only once. It describes the run, its frames
+/// Returns the first message to a web page ("hello"). It describes the run, its frames
 /// and path, the available sensors, the actors of other runs, and the device.
 Json BrowserScanRenderer::page_data() const {
     const Log& log = run_.sequence;
@@ -179,8 +178,7 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
     }
     const std::string key = fmt::format("{}/{}", request.lidar, request.sensor);
     if (tab_cache.sensor && tab_cache.sensor->first == key) return tab_cache.sensor->second;
-    // Accepts only the names of built-in sensors, so that clients cannot read files of
-    // the server.
+    // Rejects paths, so that clients cannot read files of the server.
     if (std::ranges::count(sensor_names(), request.sensor) == 0)
         fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors", request.sensor);
     tab_cache.sensor.emplace(key, choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
@@ -209,27 +207,27 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
     return {{"name", file.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
-/// Returns the run with copied and moved actors. Notes sides of these actors that the log
-/// did not observe, because they may now face the sensor.
+/// Returns the run with the surfels that the edits need: those of copied actors, and
+/// mirrored surfels on the unseen sides of copied and moved actors. Moved actors keep
+/// their poses. Adds notes about unseen sides to actor_notes_.
 Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
     Run run = run_;
-    SceneWithLog driving = add_copies({std::move(run.scene), run.sequence}, others_, edits.copies);
-    // set_driving_scene() completes the sides of actors whose boxes are not those of the
-    // run. It shall complete moved actors, whose poses only EditedTraffic changes.
+    SceneWithLog with_copies = add_copies({std::move(run.scene), run.sequence}, others_, edits.copies);
+    // set_driving_scene() mirrors surfels only for actors without an equal box in `run`.
+    // Afterwards, `run` has all boxes of `with_copies`.
     std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) { return is_moved(edits, box.id); });
-    run.set_driving_scene(std::move(driving));
+    run.set_driving_scene(std::move(with_copies));
     for (const ModelInstance& instance : run.scene.instances) {
-        const bool is_as_recorded =
-            find_box(run_.sequence, instance.track) && !edits.moves.contains(instance.track);
-        const std::string note = is_as_recorded ? "" : describe_unseen(run.scene, instance.track);
+        const bool is_copy = !find_box(run_.sequence, instance.track);
+        if (!is_copy && !edits.moves.contains(instance.track)) continue;
+        const std::string note = describe_unseen(run.scene, instance.track);
         if (!note.empty()) actor_notes_.push_back(note);
     }
     return run;
 }
 
-/// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
-/// copied or moved for the first time, because the surfels change. Other edits reuse the
-/// renderer.
+/// Returns a renderer for the scene with all edits. Creates a new renderer only if an
+/// actor is copied or moved for the first time, because the surfels change.
 ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic) {
     // Scenes with equal lists of copied and moved actors can share a renderer.
     std::vector<std::pair<std::string, std::string>> models;
@@ -250,7 +248,7 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
 /// Returns the measured scan that is nearest to the requested time. Null if the user does
 /// not want it, or if the log is not loaded.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
-    const Log* log = real_.sequence();
+    const Log* log = recorded_.sequence();
     if (!log || !request.real) return nullptr;
     const Frame* nearest = nullptr;
     const auto distance_s = [&](const Frame& frame) { return std::abs(frame.time_s - request.time_s); };
@@ -308,8 +306,7 @@ Json BrowserScanRenderer::scan_header(const EditedTraffic& traffic, const LiveSc
             {"instances", names}};
 }
 
-/// Renders the requested scan and encodes it together with the measured scan that is
-/// nearest in time.
+/// Renders the requested scan and encodes it with the measured scan nearest in time.
 std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveScanRequest& request) {
     const auto start = Clock::now();
     // An invalid sensor causes an error before anything is rendered.
@@ -331,7 +328,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     std::optional<ScanColumns> simulated, measured;
     if (real_frame) {
         header["real_frame"] = real_frame->index;
-        measured = measured_columns(*real_.sequence(), *real_frame);
+        measured = measured_columns(*recorded_.sequence(), *real_frame);
     }
     if (request.simulate) {
         if (is_matched) {

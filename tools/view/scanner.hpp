@@ -26,7 +26,7 @@ public:
 
     const Run& trained_run() const { return run_; }
     const OtherRunsByName& other_runs() const { return others_; }
-    const RecordedScans& measured_scans() const { return real_; }
+    const RecordedScans& measured_scans() const { return recorded_; }
     nlohmann::json page_data() const;
     /// In the binary format of frame.hpp.
     /// @throws UsageError or DataError
@@ -47,7 +47,7 @@ private:
     const Run run_;
     const OtherRunsByName others_;
     Device& device_;
-    RecordedScans real_;
+    RecordedScans recorded_;
     std::optional<ScanRenderer> renderer_;
     /// Copied actors as (name of the run, name of the track), moved actors as (name of
     /// the track, "").

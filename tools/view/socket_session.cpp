@@ -68,11 +68,13 @@ void SocketSession::on_read(Error error) {
     read_message();
 }
 
-/// Adds a message to the queue, which may remove older scans. Disconnects a client whose
-/// queue is full, because it is too slow.
-void SocketSession::send_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
-    if (id_ == 0 || refused_) return;
-    if (drop_queued_older_message && outgoing_.size() > 1) {
+/// Adds a message to the queue of an open connection. Disconnects a client whose queue is
+/// full, because it is too slow.
+/// @param newest_only  removes waiting messages that have this mark too, such as scans
+void SocketSession::send_message(std::string bytes, bool is_text, bool newest_only) {
+    const bool is_open = id_ != 0 && !refused_;
+    if (!is_open) return;
+    if (newest_only && outgoing_.size() > 1) {
         // The first message stays, because it is already being written.
         const auto is_stale = [](const OutgoingMessage& message) { return message.newest_only; };
         outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), is_stale), outgoing_.end());
@@ -82,7 +84,7 @@ void SocketSession::send_message(std::string bytes, bool is_text, bool drop_queu
         boost::beast::get_lowest_layer(stream_).close();
         return;
     }
-    outgoing_.push_back({std::move(bytes), is_text, drop_queued_older_message});
+    outgoing_.push_back({std::move(bytes), is_text, newest_only});
     if (outgoing_.size() == 1) write_message();
 }
 

@@ -56,7 +56,7 @@ public:
     /// @param protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
                           std::string_view protocol);
-    void send_message(std::string bytes, bool is_text, bool drop_queued_older_message);
+    void send_message(std::string bytes, bool is_text, bool newest_only);
     /// Skips all of them if earlier messages are still queued.
     void send_batch(std::vector<std::string> messages);
     void drain();

@@ -76,6 +76,15 @@ void check_tracks(const SceneWithLog& scene, const std::set<std::string>& track_
     (void)select_instances(scene.scene, names);
 }
 
+/// Returns yaw, pitch and roll in radians, the inverse of make_rotation():
+/// R = Rz(yaw) Ry(pitch) Rx(roll).
+glm::dvec3 rotation_angles(const glm::dquat& rotation) {
+    // glm stores matrices by columns: m[c][r] is the element in row r and column c.
+    const glm::dmat3 m = glm::mat3_cast(rotation);
+    return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
+            std::atan2(m[1][2], m[2][2])};
+}
+
 /// Converts the edits to the history of a saved run. An entry has the form of an option
 /// of `relidar edit`, so that a user can repeat the edits.
 std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& others,
@@ -86,14 +95,16 @@ std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName
     const std::string origin = folder_of(run);
     std::vector<EditHistoryEntry> history;
     for (const ActorEdits::ActorCopy& copy : edits.copies) {
-        const NewActorMotion start = copy_motion(copy, run.sequence.world_offset_m);
-        const glm::dvec3& p = start.dataset_from_box.translation;
-        std::string option = "--copy ";
-        if (!copy.from.empty())
-            option = fmt::format("--insert {}#", folder_of(find_other_run(copy.from, others)));
-        const auto& [x, y, z, yaw_deg, pitch_deg, roll_deg, speed_mps] = copy.at;
-        history.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", option, copy.of, p.x, p.y, p.z,
-                                               yaw_deg, pitch_deg, roll_deg, speed_mps)});
+        // Options have positions in the dataset's world frame.
+        const glm::dvec3 p = copy_motion(copy, run.sequence.world_offset_m).dataset_from_box.translation;
+        const double yaw_deg = copy.at[3], pitch_deg = copy.at[4], roll_deg = copy.at[5];
+        const std::string start = fmt::format("{},{},{},{},{},{}:{}", p.x, p.y, p.z, yaw_deg, pitch_deg,
+                                              roll_deg, /*speed_mps*/ copy.at[6]);
+        const std::string actor =
+            copy.from.empty()
+                ? "--copy " + copy.of
+                : fmt::format("--insert {}#{}", folder_of(find_other_run(copy.from, others)), copy.of);
+        history.push_back({origin, actor + "@" + start});
     }
     for (const auto& [track, by] : edits.moves)
         history.push_back({origin, fmt::format("--move {}:{},{},{},{}", track, by[0], by[1], by[2], by[3])});
@@ -111,19 +122,15 @@ SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
 ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request) {
     const Run& owner = request.from.empty() ? run : find_other_run(request.from, others);
+    // Position in the dataset's world frame = position in relidar's world frame + offset.
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
-    GroundPlacement placement{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
+    GroundPlacement placement{.dataset_m = {request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     placement.clearance_m = read_clearance(owner);
-    const Pose pose =
+    const Pose dataset_from_box =
         stand_on_ground({run.scene, run.sequence}, placement, {owner.scene, owner.sequence}, request.of)
             .dataset_from_box;
-    // The inverse of make_rotation(): R = Rz(yaw) Ry(pitch) Rx(roll). glm stores matrices
-    // by columns, so rotation[c][r] is the element in row r and column c.
-    const glm::dmat3 rotation = glm::mat3_cast(pose.rotation);
-    const glm::dvec3 angles_rad{std::atan2(rotation[0][1], rotation[0][0]),
-                                std::asin(std::clamp(-rotation[0][2], -1.0, 1.0)),
-                                std::atan2(rotation[1][2], rotation[2][2])};
-    const glm::dvec3 p = pose.translation - offset_m, angles_deg = angles_rad / kRadPerDegree;
+    const glm::dvec3 p = dataset_from_box.translation - offset_m;
+    const glm::dvec3 angles_deg = rotation_angles(dataset_from_box.rotation) / kRadPerDegree;
     constexpr double kSpeed_mps = 0.0;
     return {.of = request.of,
             .from = request.from,
@@ -150,8 +157,7 @@ ActorTracksByName EditedTraffic::visible_poses(double time_s) const {
     return poses;
 }
 
-/// Returns the actors at a time for the web page, with their poses in relidar's world
-/// frame.
+/// Returns the actors at a time for the web page. Poses are in relidar's world frame.
 nlohmann::json EditedTraffic::actors_json(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
     for (const ModelInstance& instance : instances()) {
