@@ -208,18 +208,18 @@ void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& mess
 
 /// Warns the client about actors that have too few surfels for their distance from the
 /// sensor, so that their scans are too coarse.
-void write_sparse(const RenderRequest& request, v1::LidarScan& message) {
+void write_sparse_actors(const RenderRequest& request, v1::LidarScan& message) {
     if (request.placed.empty()) return;
+    const ScanRequest& scan = request.request;
     const SimulatedSensor& sensor = *request.sensor;
-    const double time_s = request.request.time_s;
     // Rays that change from scan to scan are not stored in the sensor.
     const bool has_rays = sensor.rays.size() > 0 || !sensor.pattern;
-    const RayTable computed_rays = has_rays ? RayTable{} : make_rays(*sensor.pattern, time_s);
+    const RayTable computed_rays = has_rays ? RayTable{} : make_rays(*sensor.pattern, scan.time_s);
     const RayTable& rays = has_rays ? sensor.rays : computed_rays;
-    const Pose dataset_from_sensor = request.request.dataset_from_sensor.pose_at(time_s);
+    const Pose dataset_from_sensor = scan.dataset_from_sensor.pose_at(scan.time_s);
     for (const VisibleActor& actor : request.placed) {
-        const Pose dataset_from_actor = request.request.dataset_from_actor->at(actor.track).pose_at(time_s);
-        const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
+        const Pose dataset_from_box = scan.dataset_from_actor->at(actor.track).pose_at(scan.time_s);
+        const Pose box_from_sensor = inverse(dataset_from_box) * dataset_from_sensor;
         const ActorModelResolution detail =
             model_resolution(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.is_too_coarse()) continue;

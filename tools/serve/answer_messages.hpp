@@ -28,6 +28,6 @@ void write_asset(const AssetDescription& asset, v1::Asset& message);
 
 void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& message);
 
-void write_sparse(const RenderRequest& request, v1::LidarScan& message);
+void write_sparse_actors(const RenderRequest& request, v1::LidarScan& message);
 
 }  // namespace relidar::serve

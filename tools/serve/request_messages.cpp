@@ -182,8 +182,7 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
     return actors;
 }
 
-/// Shows only the listed actors of the scene, at the requested poses. All other actors
-/// are hidden.
+/// Shows only the listed actors of the scene, at the requested poses.
 void RequestReader::set_visible(const std::vector<RequestedActor>& actors,
                                 RenderRequest& render_request) const {
     const std::vector<VisibleActor> visible_actors = scene_actors(render_request.scene);

@@ -85,18 +85,17 @@ void SceneSet::call_renderer(std::size_t scene, const RendererTask& use) {
     try {
         count_bytes(scene, [&] { use(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        // The state of the renderer is unknown, so the next request loads the scene
-        // again.
+        // The state of the renderer is unknown. The next request loads the scene again.
         loaded_[scene].renderer.reset();
         throw;
     }
 }
 
-/// Loads a run to the device and measures its size in bytes. Allows as many parallel
-/// scans as the free memory permits.
+/// Loads a run to the device, without spawned actors, and measures its size in bytes.
+/// Allows as many parallel scans as the free memory permits.
 void SceneSet::load_scene(std::size_t scene, const Run& run) {
     SceneInMemory& loaded = loaded_[scene];
-    loaded.bytes = 0;
+    loaded.bytes = 0;  // count_bytes() adds the bytes that a function allocates.
     loaded.n_slots = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
@@ -105,7 +104,7 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
         render_one_ray(*loaded.renderer, run.sequence);
     });
     // Each further parallel scan needs a copy of the scene. No other scene is unloaded
-    // for such copies.
+    // for such copies. The scenes can exceed the limit, and then no bytes are free.
     const std::uint64_t free_bytes = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     const std::uint64_t n_copies = free_bytes / std::max<std::uint64_t>(loaded.bytes, 1);
     const auto n_supported = std::uint64_t(loaded.renderer->max_parallel());
@@ -126,9 +125,9 @@ std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vect
     SceneInMemory& loaded = loaded_[scene];
     const std::size_t n_slots_before = spawned_.list_all_slots(scene).size();
     std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
-    // Slots that removed actors have left already have their models.
-    const bool reuses_slots = loaded.n_slots == spawned_.list_all_slots(scene).size();
-    if (loaded.renderer && reuses_slots) return occupied_slots;
+    // A slot that a removed actor has left already has its model in the renderer.
+    const bool has_all_models = loaded.n_slots == spawned_.list_all_slots(scene).size();
+    if (loaded.renderer && has_all_models) return occupied_slots;
     try {
         load_spawned(scene, actors.size());
     } catch (...) {
@@ -147,16 +146,17 @@ void SceneSet::load_spawned(std::size_t scene, std::size_t n_actors) {
     SceneInMemory& loaded = loaded_[scene];
     try {
         if (!loaded.renderer) {
-            make_room(scene, loaded.bytes);
+            make_room(scene, loaded.bytes);  // as many bytes as after the last load
             load_scene(scene, sources_[scene].load());
         }
         spawn_missing(scene);
-        make_room(scene);
+        make_room(scene);  // The spawned models may exceed the limit.
     } catch (const DataError& error) {
         refuse(Code::FAILED_PRECONDITION, "cannot spawn {} actors: {}", n_actors, error.what());
     } catch (const OutOfDeviceMemory& error) {
         refuse(Code::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", n_actors, error.what());
     }
+    // This scene alone exceeds the limit, although the device has more memory.
     if (loaded.bytes > memory_bytes_)
         refuse(
             Code::RESOURCE_EXHAUSTED,

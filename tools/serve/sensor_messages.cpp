@@ -113,8 +113,7 @@ RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     return rays;
 }
 
-/// Reads a spinning sensor with one elevation and one azimuth offset per beam. All angles
-/// are in radians.
+/// Reads a spinning sensor with an elevation and an azimuth offset per beam, in radians.
 SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field) {
     check_ray_count(field, std::uint64_t(message.beams_size()) * message.columns());
     check_row_count(field, std::uint64_t(message.beams_size()));
@@ -218,13 +217,14 @@ SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int l
     if (name.empty()) return make_sensor(run.config, run.sequence, lidar);
     if (find_name(name, {"native", kitti360_grid().name}))
         return choose_sensor(name, run.config, run.sequence, lidar);
-    // The name may end with columns and scans per second, for example "VLP-16:900x20".
+    // A name may end with columns and scans per second, for example "VLP-16:900x20". For
+    // this check, any digits will do, because find_sensor() checks them.
     const std::size_t colon = name.rfind(':');
     const bool has_resolution =
         colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
-    const std::string base_name = has_resolution ? name.substr(0, colon) : name;
+    const std::string model_name = has_resolution ? name.substr(0, colon) : name;
     std::vector<std::string> known_names = list_sensors();
-    if (!find_name(base_name, known_names)) {
+    if (!find_name(model_name, known_names)) {
         known_names.push_back("native");
         constexpr std::size_t kMaxCompared = 80;  // The comparison is slow for long texts.
         reject_field("sensor.name", quote_client_text(name),
@@ -236,8 +236,7 @@ SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int l
     return simulate_sensor(sensor, lidar);
 }
 
-/// Returns when the first and the last ray are fired, in seconds relative to the time of
-/// the scan.
+/// Returns when the first and last ray are fired, seconds relative to the scan's time.
 FiringTimeSpan firing_span(const SimulatedSensor& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
     // The sensor has no fixed firing times, for example a rosette scanner. Assumes a full

@@ -55,8 +55,8 @@ void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Tr
 
 }  // namespace
 
-/// Returns the requested sensor: a LiDAR of the log, or a built-in sensor. Stretches its
-/// firing times, so that one scan takes exactly as long as the requested interval.
+/// Returns the requested sensor: a LiDAR of the log (type OTHER), or a built-in sensor.
+/// Stretches its firing times, so that a scan takes as long as the requested interval.
 SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
                                                std::size_t scene) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
@@ -69,16 +69,17 @@ SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderReque
     const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
     const std::string name = is_of_log ? "native" : sensor_of_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
-    // A built-in sensor is the same in all scenes, a LiDAR of the log is not.
+    // Key of the stretched sensor. All scenes share the built-in sensors.
     const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find_cached(key)) return sensor;
     SimulatedSensor sensor = find_known_sensor(name, outlines_[scene], lidar);
     if (count_rays(sensor) == 0)
         reject_field("lidar.logical_id", quote_client_text(id) + ", a LiDAR whose beams are unknown",
                      "another LiDAR of the log, or lidar_type set to PANDAR128 or AT128");
-    const double period_s =
+    const double unstretched_s =
         is_of_log ? lidars[std::size_t(lidar)].sweep_period_s() : sensor_of_type(type).period_s;
-    const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond_s / period_s) : 1.0f;
+    const double scan_s = double(frame_us) * kMicrosecond_s;
+    const float stretch = unstretched_s > 0.0 ? float(scan_s / unstretched_s) : 1.0f;
     for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
     return sensors_.add_sensor(key, std::move(sensor));
 }

@@ -25,7 +25,7 @@ namespace {
 
 // The largest sensor has 30 bytes per ray and needs less.
 constexpr int kLargestRequest = 40 << 20;
-// For calls that do not render. Each call in the queue has another thread.
+// For calls that do not render.
 constexpr std::size_t kOtherThreads = 32;
 // A client that does not answer a ping has vanished.
 constexpr int kPingInterval_ms = 20'000;
@@ -97,14 +97,14 @@ std::shared_ptr<grpc::ServerCredentials> server_credentials(const ServerOptions&
 /// permanently when no file descriptor is free.
 void ScanServer::Impl::start_listening(const ServerOptions& options) {
     silence_grpc();
-    // Opens the sockets first, so that an unusable address is reported before gRPC starts
-    // its threads.
+    // Opens the sockets first, to report an unusable address before gRPC starts threads.
     acceptor.emplace(options.listen);
 
     // Sets the limits of the server.
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
+    // One thread for each call that waits in the queue, and threads for other calls.
     quota.SetMaxThreads(int(queue.total_slots() + kOtherThreads));
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
@@ -113,7 +113,7 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeout_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
 
-    // Starts the services. Their connections come from the acceptor.
+    // Starts the services. The acceptor passes them each connection as a file descriptor.
     using ConnectionSource = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
     connections = builder.experimental().AddExternalConnectionAcceptor(ConnectionSource::FROM_FD,
                                                                        server_credentials(options));

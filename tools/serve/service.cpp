@@ -22,7 +22,8 @@ void write_times(const QueuedRequest& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-/// Renders one scan with its image and writes it to the answer.
+/// Renders one scan with all values of its rays, and writes the requested parts to the
+/// answer. Waits in the queue for the render thread.
 void RenderService::render_scan(QueueSlot& slot, const RenderRequest& render_request,
                                 const ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
@@ -30,7 +31,7 @@ void RenderService::render_scan(QueueSlot& slot, const RenderRequest& render_req
     const Run& run = scenes_.runs()[render_request.scene];
     write_scan(request.scan, render_request, run.config, answer);
     if (render_request.boxes) write_boxes(request.scan, render_request, run, answer);
-    write_sparse(render_request, answer);
+    write_sparse_actors(render_request, answer);
     write_times(request, answer);
 }
 
@@ -41,7 +42,7 @@ void RenderService::render_points(QueueSlot& slot, std::span<const RenderRequest
     request.run_checked(slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
         write_scan(request.points[i], requests[i], *answers[i]);
-        write_sparse(requests[i], *answers[i]);
+        write_sparse_actors(requests[i], *answers[i]);
         write_times(request, *answers[i]);
     }
 }
@@ -129,8 +130,7 @@ Status RenderService::RenderLidar(ServerContext* context, const v1::RenderLidarR
 Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigRequest* request,
                                 grpc::ServerWriter<v1::RigScan>* writer) {
     return call_handler([&] {
-        // Reserves one slot for all scans of the rig, so that the call is not rejected
-        // after some scans.
+        // Reserves one slot for all scans. The call cannot be rejected after some scans.
         QueueSlot slot = reserve_slot(queue_);
         const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
         std::span<const RenderRequest> remaining = render_requests;
