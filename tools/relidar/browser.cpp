@@ -14,8 +14,7 @@ extern char** environ;
 namespace relidar::cli {
 
 void open_in_browser(const std::string& url_or_path) {
-    // Starts the program without a shell, because the address may contain special
-    // characters.
+    // Uses no shell, because the address may contain special characters.
     std::string program = "xdg-open", argument = url_or_path;
     char* const arguments[] = {program.data(), argument.data(), nullptr};
     // Some browsers print messages, which would mix with the output of this program.

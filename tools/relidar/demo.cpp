@@ -44,8 +44,7 @@ struct DemoOptions {
 Config demo_config(const DemoOptions& options, const fs::path& street_folder) {
     Config config = make_preset("quick");
     set_value(config, "train.seed", options.seed);
-    // The preset is made for 64 beams. Here the gaps between 32 beams need larger
-    // surfels.
+    // The preset is made for 64 beams. The gaps between 32 beams need larger surfels.
     config.init.scale_factor = 0.6;
     // Fewer iterations than in the preset, so that the demo takes one to two minutes on
     // two processor cores.

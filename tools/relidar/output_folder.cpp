@@ -195,8 +195,7 @@ FolderLock::~FolderLock() {
 
 RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy policy)
     : was_empty_(is_free_folder(path)) {
-    // Checks the content before the folder is locked, because the lock writes a file into
-    // the folder.
+    // Checks the content first, because the lock writes a file into the folder.
     if (!contains_run(path)) check_folder(path, policy);
     folder_.emplace(path);
     lock_.emplace(path, policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
@@ -243,27 +242,27 @@ RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : 
         earlier_.emplace(path, replace_existing ? ExistingRunPolicy::replace : ExistingRunPolicy::refuse);
 }
 
+/// Saves a run to the folder. Exchanges a folder with an earlier run in one step. If the
+/// folder has other files, or cannot be renamed, replaces only the files of the run.
 void RunFolderWriter::save_run_in(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);
     if (has_only_run_files(path_)) {
+        bool is_replaced = true;
+        run.folder = fs::canonical(path_);  // If the path is a link, keeps the link.
         try {
-            run.folder = fs::canonical(path_);  // If the path is a link, keeps the link.
             replace_run(run);
-            run.folder = path_;
-            return;
         } catch (const DataError&) {
-            // The folder is a mount point or its parent is read-only. Its files are
-            // overwritten below.
-            run.folder = path_;
+            is_replaced = false;  // The folder is a mount point or its parent is read-only.
         }
+        run.folder = path_;
+        if (is_replaced) return;
     }
     overwrite_run(run, [&] {
         remove_results(path_);
         remove_blocks(path_);
         std::error_code failed;
-        // A later training would continue from them.
-        fs::remove_all(checkpoint_folder(path_), failed);
+        fs::remove_all(checkpoint_folder(path_), failed);  // A later training would continue from them.
     });
 }
 

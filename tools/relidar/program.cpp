@@ -134,8 +134,7 @@ int run_program(const ProgramDescription& program, int argc, char** argv) {
                       "out of memory: this machine has too little memory for this log or scene; use fewer "
                       "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
-        // Uses the exit code for invalid data, because a file system error is not a bug
-        // of relidar.
+        // Not the exit code for bugs, because a file system error is none.
         return report(ExitCode::data,
                       fmt::format("cannot access {}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {

@@ -102,8 +102,7 @@ BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
                          .columns = static_cast<std::uint32_t>(bench_case.columns),
                          .targets = &step.targets};
 
-    // The first launches compile kernels, and a GPU raises its clock rate only under
-    // load.
+    // The first launches compile kernels. A GPU raises its clock rate only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     PhaseSamples samples;
     Clock::time_point start = Clock::now();

@@ -36,7 +36,7 @@ BenchCase case_of_run(const Run& run) {
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
-    // Without a table, the rays are those of the LiDAR at the time of the frame.
+    // The sensor has no table if its rays differ from scan to scan.
     if (table.size() == 0) table = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
     if (table.size() == 0)
         fail("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
@@ -47,16 +47,16 @@ BenchCase case_of_run(const Run& run) {
     bench.columns = table.columns;
     const PoseTrack track = run.sequence.lidar_track(frame.lidar);
     bench.view_origin_m = glm::vec3(track.pose_at(frame.time_s).translation);
-    // With a rolling shutter, each ray starts at the pose of its own firing time.
-    const bool rolls = is_rolling(sensor, run.config);
+    const bool has_rolling_shutter = is_rolling(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
+        // With a rolling shutter, the ray starts at the pose of its own firing time.
+        const WorldRay ray = make_world_ray(track, frame.time_s, table, i, has_rolling_shutter);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
-        bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
+        bench.rays.time_s.push_back(has_rolling_shutter ? table.time_offset_s[i] : 0.0f);
     }
     bench.placed = pose_instances(run.scene, run.sequence, timing_of(frame));
-    bench.scene = with_all_blocks(run.scene);
+    bench.scene = with_all_blocks(run.scene);  // A long log has its surfels in several files.
     bench.config = run.config;
     return bench;
 }

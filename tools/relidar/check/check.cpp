@@ -83,8 +83,7 @@ std::string report_json(const DeviceInfo& device_info, const std::vector<NamedCh
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-/// Returns the built-in checks. A run adds a check of its images for each ray tracing
-/// method.
+/// Returns the built-in checks, and a check of a run's images per ray tracing method.
 std::vector<DeviceCheck> list_checks(const std::string& run_folder_or_empty) {
     std::vector<DeviceCheck> checks(builtin_checks().begin(), builtin_checks().end());
     if (run_folder_or_empty.empty()) return checks;

@@ -127,17 +127,19 @@ std::vector<RenderedScan> render_views(Device& device, const ActorAsset& asset, 
                                        const Pose& dataset_from_box) {
     const Run& run = asset.run;
     Config config = run.config;
-    config.render.channels = properties_of(run.scene.surfels.primitive).has_normals ? "normal" : "";
+    const bool has_normals = properties_of(run.scene.surfels.primitive).has_normals;
+    config.render.channels = has_normals ? "normal" : "";  // for brightness_of()
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const glm::dvec3& size_m = run.sequence.boxes.front().size_m;
     const double pixel_m = std::max(kPixelSize_m, std::max(size_m.x, size_m.y) / kMaxViewWidth_px);
-    // The sensor and the asset stand at the same pose, so the rays are in the box frame.
-    const PoseTrack stands{{time_s}, {dataset_from_box}};
+    // The sensor and the asset have the same pose, so camera_rays() are in the box frame.
+    const PoseTrack pose{{time_s}, {dataset_from_box}};
+    const ScanRequest request{time_s, pose, ActorTracksByName{{asset.facts.name, pose}}};
     std::vector<RenderedScan> scans;
     for (const CameraAxes& view : kCameraViews)
-        scans.push_back(renderer.render({.rays = camera_rays(view, size_m, pixel_m), .name = "parallel rays"},
-                                        {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
+        scans.push_back(
+            renderer.render({.rays = camera_rays(view, size_m, pixel_m), .name = "parallel rays"}, request));
     return scans;
 }
 

@@ -145,17 +145,17 @@ EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), fmt::format("set the class of {} to {}", track, name), note};
 }
 
-/// Returns a warning if an actor with new times is absent in all frames of the log, or in
-/// more frames than before the edit.
-std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack& before) {
-    const BoxTrack* box = find_box(driving.sequence, id);
+/// Returns a warning if an edited actor is absent in all frames of the log, or in frames
+/// in which it was present before. Otherwise, returns an empty text.
+std::string warn_absent(const SceneWithLog& edited, const std::string& id, const BoxTrack& before) {
+    const BoxTrack* box = find_box(edited.sequence, id);
     const auto is_present = [&](const Frame& frame) { return box && box->is_observed(frame.time_s); };
-    if (std::ranges::none_of(driving.sequence.frames, is_present))
-        return fmt::format(
-            "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
-            "of the log",
-            id);
-    return describe_absence(before, driving.sequence);
+    if (std::ranges::any_of(edited.sequence.frames, is_present))
+        return describe_absence(before, edited.sequence);  // lists the frames that the edit has lost
+    return fmt::format(
+        "actor {} is not visible in any frame, because all times of its trajectory are outside the time of "
+        "the log",
+        id);
 }
 
 BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id) {
@@ -189,7 +189,8 @@ EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
                           .dataset_path = read_actor_path(file, edited.sequence.georeference)};
     // NaN: the file has the word `ground` instead of heights.
     if (std::isnan(motion.dataset_path.pose.front().translation.z)) {
-        const SceneWithLogView scene{edited.scene, edited.sequence};  // has the actor and the ground
+        // The actor and the ground are in the same scene. The actor keeps its clearance.
+        const SceneWithLogView scene{edited.scene, edited.sequence};
         motion = follow_ground(scene, motion.dataset_path, /*clearance_m=*/{}, scene, track);
     }
     edited = replace_track(std::move(edited), track, motion.dataset_path);

@@ -72,8 +72,7 @@ double mean_distance_m(const Log& log, std::span<const Frame* const> frames, con
 }
 
 /// Finds the walking actor that comes nearest to the vehicle, and the eight successive
-/// frames in which it is nearest. The model of a walking actor has a stride, the length
-/// of its steps.
+/// frames in which it is nearest. Only models of walking actors have a stride.
 WalkingActorFrames nearest_walker(const Run& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {

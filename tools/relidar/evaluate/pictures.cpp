@@ -54,8 +54,7 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
                                              const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
-    // The mask is 1 for rays that return in both images, because other rays have no range
-    // error.
+    // Only rays that return in both images have a range error. Their mask is 1.
     std::vector<float> mask = return_mask(real);
     const std::vector<float> rendered_mask = return_mask(rendered);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];

@@ -23,8 +23,7 @@ std::string count_frames(std::size_t count) {
     return fmt::format("{} frame{}", count, count == 1 ? "" : "s");
 }
 
-/// Returns the total loss and its terms over the iterations, without terms that are
-/// always 0.
+/// Returns the total loss and its terms over the iterations, except terms always 0.
 std::vector<ReportCurve> loss_curves(const TrainResult& result) {
     std::vector<ReportCurve> curves{{"loss/total", {}, {}}};
     for (const char* name : kLossTermNames) curves.push_back({std::string("loss/") + name, {}, {}});

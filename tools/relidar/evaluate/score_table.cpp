@@ -61,9 +61,8 @@ std::vector<MetricValues> mean_metrics_of(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// Returns the keys of the protocol, such as "grid, range", whose values are not equal in
-/// all runs with scores. The protocol says how scores were computed, so scores are then
-/// not comparable.
+/// Returns the keys of the protocol (how scores were computed), such as "grid, range",
+/// whose values differ between runs. Scores of these runs are not comparable.
 std::string differing_keys(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -99,8 +98,7 @@ std::string markdown_row(const TextCells& cells) {
     return line + "\n";
 }
 
-/// Makes a table with a column for each key metric and a row for each run, and a last row
-/// with the means.
+/// Makes a table with a column per key metric, a row per run, and a row of means.
 std::string markdown_table(const std::vector<ScoredRun>& runs) {
     const std::vector<MetricValues> rows = mean_metrics_of(runs);
     const MetricValues mean_row = mean_metrics(rows);

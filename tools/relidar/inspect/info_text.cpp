@@ -40,8 +40,7 @@ std::string format_line(const std::string& value_name, const std::string& value)
     return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
 
-/// Names boxes with guessed sizes, and boxes that were also found before or after their
-/// labels.
+/// Names boxes with guessed sizes, and boxes that were found beyond their labels.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {

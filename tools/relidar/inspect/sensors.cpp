@@ -99,8 +99,7 @@ Image draw_ray_pattern(const RayTable& rays) {
         low = glm::min(low, angle);
         high = glm::max(high, angle);
     }
-    // A sensor that covers a full turn would be too wide, so shows only the 40 degrees
-    // ahead.
+    // A full turn would be too wide, so shows only the 40 degrees ahead.
     const bool is_full_turn = high.x - low.x > 1.9 * kPi;
     if (is_full_turn) {
         low.x = -kViewSector_rad;

@@ -41,8 +41,7 @@ bool is_capture(const std::filesystem::path& file) {
            first_bytes == "\x0a\x0d\x0d\x0a";
 }
 
-/// Checks that the capture and its calibration file (.csv or .json) replace no file that
-/// the user needs.
+/// Checks that a capture and its calibration file (.csv, .json) replace no needed file.
 void check_capture(const std::filesystem::path& capture, const std::string& log_path, bool overwrite) {
     namespace fs = std::filesystem;
     std::error_code failed;

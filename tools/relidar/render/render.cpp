@@ -69,10 +69,11 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     format.offset = sensor_offset;
     format.time_shift_ns = options.time_shift_ns;
     if (options.vehicle) {
-        // The rig file describes the vehicle. base_link is its reference point in ROS.
+        // --offset is the pose of the rig in the frame of the log's LiDAR. The vehicle's
+        // frame is base_link, its reference point in ROS.
+        const Pose lidar_from_rig = parse_offset(options.offset);
         format.vehicle = options.vehicle;
-        format.vehicle_from_lidar =
-            inverse(parse_offset(options.offset) * options.vehicle->rig_from_base_link);
+        format.vehicle_from_lidar = inverse(lidar_from_rig * options.vehicle->rig_from_base_link);
         format.base_link_height_m = options.base_link_height_m;
     }
     const std::string& log_name = run.sequence.lidars[std::size_t(sensor.lidar)].name;
@@ -218,7 +219,8 @@ RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
 }
 
 /// Creates the output folders in the first MPI process. The other processes wait and then
-/// open these folders.
+/// open these folders. If each sensor has a folder, files of recording formats contain
+/// the scans of all sensors, so they are written next to these folders.
 RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
                              const std::vector<RenderedSensor>& rendered_sensors, const Pose& sensor_offset,
                              const MpiProcessGroup& ranks) {
@@ -235,14 +237,15 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
             for (const std::filesystem::path& folder : folders) check_scan_folder(folder, options.overwrite);
             output.recordings.emplace(options.out, formats);
         }
-        // These recordings contain all sensors, so the folder of a sensor has none.
+        // The folders of sensors have only the files of single scans.
         for (ScanOutputOptions& format : formats) std::erase_if(format.formats, is_recording);
     }
-    if (!ranks.is_first()) ranks.barrier();  // Waits until the first process has created the folders.
+    // The first process reaches its barrier after it has created the folders.
+    if (!ranks.is_first()) ranks.barrier();
     for (std::size_t s = 0; s < formats.size(); ++s)
         output.folders.push_back(ranks.is_first() ? ScanFolderWriter(folders[s], formats[s])
                                                   : ScanFolderWriter::join_folder(folders[s], formats[s]));
-    if (ranks.is_first()) ranks.barrier();  // The other processes continue.
+    if (ranks.is_first()) ranks.barrier();
     return output;
 }
 
@@ -252,14 +255,15 @@ void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
     if (output.dataset) output.dataset->finish();
     if (output.recordings) output.recordings->finish();
     for (ScanFolderWriter& folder : output.folders) {
+        // One text per process, with one line per scan.
+        const std::vector<std::string> texts =
+            ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n")));
+        if (!ranks.is_first()) continue;
         std::vector<std::string> entries;
-        for (const std::string& lines :
-             ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n")))) {
-            if (lines.empty()) continue;  // This process has rendered no scan.
-            std::ranges::copy(split_text(lines, '\n'), std::back_inserter(entries));
-        }
+        for (const std::string& lines : texts)
+            if (!lines.empty()) std::ranges::copy(split_text(lines, '\n'), std::back_inserter(entries));
         folder.set_entries(std::move(entries));
-        if (ranks.is_first()) folder.finish();
+        folder.finish();
         note_unobserved(folder.entries(), folder.path().string());
     }
 }

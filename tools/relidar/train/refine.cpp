@@ -28,8 +28,7 @@ struct RefineCommandOptions {
     bool quiet = false;
 };
 
-/// Loads the checkpoint that --resume continues. Returns no value if training starts from
-/// the beginning.
+/// Loads the checkpoint that --resume continues. No value: starts from the beginning.
 std::optional<Checkpoint> load_checkpoint(const RefineCommandOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
@@ -119,8 +118,7 @@ void run_refine(const RefineCommandOptions& options) {
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) compare_scores(device, run, options);
 
-    // The checkpoints are removed last, so that --resume can use them if the process is
-    // killed earlier.
+    // Removes the checkpoints last. Until then, --resume can use them.
     remove_network_state(run.folder);
 }
 

@@ -51,15 +51,16 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Completes the paths of the log and of the run folder. The parser takes a path after
-/// --resume as its value, but it can be either of them:
-///   --resume RUN            --out is missing, so the path is the run folder
-///   --out RUN --resume LOG  --out names the run folder, so the path is the log
-/// Without --resume the path is empty. The settings of a resumed run name its log.
+/// Completes the paths of the log (`dataset`) and of the run folder (`out`). The path
+/// after --resume can be either of them. A resumed run needs no log, because its
+/// config.toml names it.
 TrainOptions resolve_paths(TrainOptions options) {
-    const std::string& resume_path = options.resume_folder;
-    if (options.out.empty()) options.out = resume_path;
-    else if (options.dataset.empty() && resume_path != options.out) options.dataset = resume_path;
+    const std::string& resume_path = options.resume_folder;  // empty without --resume
+    if (options.out.empty()) {
+        options.out = resume_path;  // --resume RUN
+    } else if (options.dataset.empty() && resume_path != options.out) {
+        options.dataset = resume_path;  // --out RUN --resume LOG
+    }
     if (!options.resume && options.dataset.empty())
         throw UsageError("DATASET is required (see `relidar train --help`)");
     if (options.out.empty())
@@ -103,8 +104,7 @@ Config training_config(const TrainOptions& options) {
     return config;
 }
 
-/// Returns true if a run has a scene, a report, and at least the requested number of
-/// iterations.
+/// Returns true if a run has a scene, a report, and all requested iterations.
 bool is_finished(const fs::path& run_folder, const Config& config) {
     return is_file(run_folder / "scene.json") && is_file(run_folder / "report.html") &&
            last_iteration(run_folder) >= config.train.iterations;
@@ -245,8 +245,7 @@ Evaluation add_scores(Report& report, Device& device, const Run& run, const Trai
     }
 }
 
-/// Writes the report. If the training was not interrupted, also computes the scores and
-/// writes them.
+/// Writes the report. After a complete training, also computes and writes the scores.
 void write_train_report(Device& device, const Run& run, const TrainResult& result,
                         const TrainOptions& options, const std::string& command_line,
                         StageTimes& stage_times) {
@@ -309,8 +308,7 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
         if (train_network_with_bar(device, run, options.quiet, session) == TrainingEndReason::stopped)
             throw resume_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        // The checkpoints are useless, because a resumed training would fail with the
-        // same error.
+        // A training that continues from the checkpoints would fail with the same error.
         remove_network_state(run.folder);
         return continue_without(error);
     } catch (const DeviceError& error) {
@@ -351,8 +349,7 @@ void finish_run(const TrainOptions& options, const Config& config, const std::st
     }
     install_handlers();
     if (!run.held_out_placed) finish_scene(device, run, options, stages);
-    // The checkpoints of a trained network are obsolete. A process that was killed may
-    // have left them.
+    // A process that was killed may have left checkpoints of a network that is complete.
     if (has_network) remove_network_state(run.folder);
     else if (config.refine.enabled) train_drop(device, run, options, stages);
     TrainResult result = read_result(run.folder);

@@ -60,8 +60,7 @@ void check_block_frames(const Run& trained_block, const BlockTrainingLog& curren
             now.size(), now.front().index, now.back().index);
 }
 
-/// Sums up the times of all blocks. Averages each line of the log over the blocks that
-/// have this line.
+/// Sums up the times of all blocks. Averages each line of the log over its blocks.
 class BlockTrainTotals {
 public:
     void add_progress(const std::vector<TrainProgress>& block_progress) {
