@@ -38,8 +38,7 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-// The quad around each surfel is enlarged by this factor and this distance (see
-// AccelOptions).
+// The quad around each surfel is enlarged by this factor and distance (AccelOptions).
 constexpr float kQuadScale = 1.002f, kPad_m = 1e-4f;
 
 /// The axes are divided by the scales, so (u, v) of a point counts standard deviations.
@@ -272,8 +271,7 @@ private:
     }
 };
 
-/// Renders all rays on several threads. Each thread takes its next block of rays from a
-/// shared counter.
+/// Renders all rays on several threads. A shared counter assigns them blocks of rays.
 std::vector<RenderedPixel> render_rays(const EmbreeRenderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kRaysPerBlock = 256;
     std::vector<RenderedPixel> image(rays.size());

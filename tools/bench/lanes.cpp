@@ -166,8 +166,9 @@ private:
 
 using ScoresOfParts = std::array<LaneScore, std::size(kParts)>;
 
-/// Casts the rays of a LiDAR from a shifted pose into the exact street, half a sweep
-/// after a frame of the log, as far as possible from the poses of the training.
+/// Returns the exact ranges half a sweep after a frame, because this time is farthest
+/// from the training poses. Casts the rays of the frame's LiDAR into the street.
+/// @param offset  pose of the shifted sensor in the frame of the LiDAR
 /// @return no value after the last pose of the log
 std::optional<Frame> cast_exact_scan(const Run& run, const StreetOptions& street, const Frame& frame,
                                      const Pose& offset) {

@@ -122,8 +122,7 @@ void label_points(const std::string& path) {
     write_ints(path + ".labels", labels);
 }
 
-// Writes the index of the nearest real point of each point of a scan, or -1 if no real
-// point is near.
+// Writes the index of the real point nearest to each point of a scan, or -1.
 void find_nearest(const std::string& real, const std::string& path) {
     pcl::KdTreeFLANN<pcl::PointXYZ> tree;
     tree.setInputCloud(read_bin(real));

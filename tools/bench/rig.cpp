@@ -45,8 +45,7 @@ double percentage(std::size_t count, std::size_t total) {
 }
 
 struct ScanRanges {
-    /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
-    /// second returns.
+    /// [rays] metres, 0 for no return. `second_m` is empty without second returns.
     std::vector<float> range_m, second_m;
 };
 

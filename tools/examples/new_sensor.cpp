@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Example: renders scans of another sensor on another path. It simulates an Ouster OS1-64
-// on a trajectory and removes the first actor of the log.
+// Example: renders scans of another sensor, on another path, in edited traffic.
 #include <cstdio>
 #include <exception>
 
@@ -8,7 +7,8 @@
 
 using namespace relidar;
 
-/// Renders RUN along TRAJECTORY.csv, and writes the scans to the folder OUT.
+/// Renders scans of an Ouster OS1-64 that follows TRAJECTORY.csv. As an example of an
+/// edit, removes the first actor of RUN. Writes the scans to the folder OUT.
 int main(int argc, char** argv) try {
     constexpr double kScanPeriod_s = 0.1;
     if (argc != 4) {
@@ -16,8 +16,7 @@ int main(int argc, char** argv) try {
         return 2;
     }
     Run run = load_run(argv[1]);
-    // Instance 0 is the background, so instance 1 is the first actor.
-    if (run.scene.instances.size() > 1)
+    if (run.scene.instances.size() > 1)  // Instance 0 is the background.
         run.set_driving_scene(remove_track(run.driving_scene(), run.scene.instances[1].track));
     const PoseTrack trajectory = read_trajectory(argv[2]);
     const SimulatedSensor sensor = choose_sensor("OS1-64", run.config, run.sequence);

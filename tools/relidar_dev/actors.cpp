@@ -51,6 +51,7 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
 
 /// Returns the input of a benchmark: a scene with actors, and the rays of one scan from
 /// the origin of the world frame.
+/// @param copy_shared_models  if true, each actor has a copy of the surfels
 DevCase make_actor_case(int n_actors, bool copy_shared_models) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
@@ -61,8 +62,8 @@ DevCase make_actor_case(int n_actors, bool copy_shared_models) {
     bench.columns = table.columns;
     bench.rays = {.origin = to_vector(table.origin), .direction = to_vector(table.direction)};
     bench.config = make_preset("paper");
-    // The intensity of a surfel depends on the direction from which it is seen (spherical
-    // harmonics). One value per surfel is enough only if no other actor shows the surfel.
+    // The intensity of a surfel depends on the direction from which it is seen. A surfel
+    // of one actor gets one value per scan, a shared surfel gets one value per ray.
     bench.config.image.sh_direction = copy_shared_models ? ShDirection::surfel : ShDirection::ray;
     return bench;
 }

@@ -18,14 +18,12 @@ struct ActorBenchTimes {
     /// True: each actor has its own model, and spherical harmonics (SH) are evaluated per
     /// surfel. False: actors share one model, and SH are evaluated per ray.
     bool copy_shared_models = false;
-    /// Wall time of building the complete acceleration structure: all bottom levels and
-    /// the top level.
+    /// Wall time of building the acceleration structure: all bottom levels and the top.
     double build_ms = 0.0;
     /// Wall time of uploading the poses and rebuilding the top level of the acceleration
     /// structure. Includes all waits.
     TimePercentiles move_ms{};
-    /// number of builds and refits of bottom-level acceleration structures while the
-    /// actors moved
+    /// number of builds and refits of bottom levels while the actors moved
     std::uint64_t builds = 0;
     TimePercentiles scan_ms{};
     TimePercentiles step_ms{};  ///< Wall time of a training iteration.

@@ -21,12 +21,10 @@
 namespace relidar::cli {
 namespace {
 
-// Maximum values of options. The number of rows is limited because a channel number has
-// 16 bits.
+// Maximum values of options. A row is a channel, whose number has 16 bits.
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
 constexpr float kFaintLogit = -2.19722458f;  // logit of opacity 0.1
-// Highest and lowest elevation of the HDL-64E. The rays named "kitti" use the same
-// elevations.
+// Highest and lowest elevation of the HDL-64E, which the rays named "kitti" use too.
 constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;
 
 struct ImageSize {

@@ -19,8 +19,7 @@ struct BenchCaseOptions {
     long long n_surfels = 100000;
     std::string rays = "64x1024";  ///< "waymo", "kitti" or "ROWSxCOLUMNS".
     std::string run;               ///< run folder; if it is set, the run is measured instead of the street
-    /// values that override settings of the benchmark; an empty text leaves the setting
-    /// unchanged
+    /// values that override settings of the benchmark; empty: unchanged
     std::string chunk, proxy, traversal_mode, order, sh, keep_hits;
     /// If true, gradients are summed in a fixed order instead of by atomic operations.
     /// Overrides the setting of the benchmark.

@@ -10,8 +10,7 @@
 
 namespace relidar::cli {
 
-/// Sizes of a benchmark scene, from which the minimum memory traffic of each kernel is
-/// computed.
+/// Sizes of a benchmark scene, which decide the minimum memory traffic of each kernel.
 struct MemoryTrafficSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
@@ -19,8 +18,7 @@ struct MemoryTrafficSizes {
     double n_rays = 0.0;
     double n_hits = 0.0;          ///< Total number of blended hits of all rays.
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
-    /// number of stored hits that the backward pass reads; all other hits are searched
-    /// again
+    /// number of stored hits that the backward pass reads; it searches the others again
     double n_stored_hits_read = 0.0;
     double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
@@ -37,8 +35,7 @@ struct MemoryTrafficSizes {
 };
 
 /// Returns the minimum memory traffic of each kernel in bytes. Counts only data that one
-/// kernel writes and another kernel reads. Leaves out kernels of the driver and very
-/// short kernels.
+/// kernel writes and another reads. Leaves out driver kernels and very short kernels.
 std::map<std::string, double> min_traffic_bytes(const MemoryTrafficSizes& sizes);
 
 }  // namespace relidar::cli

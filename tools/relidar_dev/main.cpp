@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The program relidar-dev measures performance for developers of relidar. It is not
-// installed.
+// The program relidar-dev measures performance for developers. It is not installed.
 #include "commands.hpp"
 #include "program.hpp"
 

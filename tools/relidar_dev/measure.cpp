@@ -173,8 +173,7 @@ private:
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
     BenchMemory memory_;  ///< Device memory that each part of the case uses.
-    /// Renderer in benchmarks of rendering. Null in benchmarks of training, which use
-    /// `training_`.
+    /// Renderer in benchmarks of rendering. Null in those of training (`training_`).
     std::unique_ptr<Renderer> image_;
     std::unique_ptr<TrainingStep> training_;
     MemoryTrafficSizes sizes_;
@@ -207,7 +206,7 @@ private:
     }
 };
 
-/// Returns percentiles of all samples. Names in `order` come first, other names follow.
+/// Returns percentiles of all samples. Names in `order` are first, other names follow.
 std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::vector<std::string> order) {
     for (const auto& [name, unused] : samples) {
         if (std::find(order.begin(), order.end(), name) == order.end()) order.push_back(name);
@@ -241,13 +240,13 @@ void set_ray_rates(BenchResult& result, std::size_t n_rays) {
     result.forward_mrays_per_s = krays / forward_ms;
 }
 
-/// Returns percentiles of all times, rates in million rays per second, and memory in
-/// bytes.
+/// Returns the results of all repetitions: percentiles of all times, rates in million
+/// rays per second, and memory in bytes.
 /// @throws DeviceError if a ray was not traced completely
 BenchResult BenchRunner::bench_result() {
     Renderer& renderer = get_renderer();
     check_complete_rays(renderer, rays_.size());
-    // Kernels that also run in an iteration keep the times of the iteration.
+    // merge() adds only kernels that no iteration has run.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = renderer.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
@@ -259,8 +258,8 @@ BenchResult BenchRunner::bench_result() {
     result.stored_hits_per_ray = renderer.stored_hits_per_ray();
 
     result.memory = memory_;
-    // The remainder of this benchmark's memory belongs to the rays.
-    result.memory.rays = device_.allocated_bytes() - allocated_before_ - surfel_bytes(memory_);
+    const auto benchmark_bytes = device_.allocated_bytes() - allocated_before_;
+    result.memory.rays = benchmark_bytes - surfel_bytes(memory_);  // all but the surfels
     result.memory.peak = device_.peak_bytes();
     if (const auto visits = count_visits(device_, renderer.scene(), renderer.accel(), make_ray_batch(),
                                          case_.config.image, trace_options(case_)))

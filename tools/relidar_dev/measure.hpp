@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Measures the time of each kernel in three phases: a training iteration, building the
-// acceleration structure, and moving an instance. Uses only public headers of the
-// library.
+// acceleration structure, and moving an instance. Uses only public headers.
 #pragma once
 
 #include <cstdint>
@@ -33,8 +32,7 @@ struct KernelBenchTime {
 };
 
 struct BenchMemory {
-    /// Memory of the surfel parameters, the surfel records and the instance table, in
-    /// bytes.
+    /// Bytes of the surfel parameters, the surfel records and the instance table.
     std::uint64_t scene = 0;
     std::uint64_t accel = 0;     ///< Memory of acceleration structures, proxies and scratch buffers.
     std::uint64_t training = 0;  ///< Memory of the gradients and of the optimizer's moments (Adam).

@@ -110,8 +110,7 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
         check_interrupt();
         const auto group_start = Clock::now();
         const int n_to_read = n_in_flight;
-        // Submits the next scans before it reads the finished scans, so that the device
-        // always has work.
+        // Submits scans before it reads finished ones, so that the device has work.
         n_in_flight = n_submitted < options.n_scans ? submit_group(n_submitted) : 0;
         n_submitted += n_in_flight;
         for (int i = 0; i < n_to_read; ++i) {
