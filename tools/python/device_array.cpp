@@ -124,8 +124,9 @@ void free_unused(PyObject* capsule) {
     managed->deleter(managed);
 }
 
-/// Returns a DLPack capsule, with which other libraries use the memory of an array
-/// without a copy. The capsule keeps the array alive until its user calls the deleter.
+/// Returns a DLPack capsule, with which another library uses the memory of an array
+/// without a copy. The memory stays valid until someone calls the deleter: the library,
+/// or free_unused() if no library has used the capsule.
 /// @param copy  None, or a bool: whether the user asks for a copy
 py::object to_capsule(const py::object& object, const py::object& copy) {
     const auto& array = object.cast<const DeviceArray&>();
@@ -134,7 +135,8 @@ py::object to_capsule(const py::object& object, const py::object& copy) {
     if (address.interface == MemoryAddress::Interface::none) return to_host(object).attr("__dlpack__")();
     if (!copy.is_none() && copy.cast<bool>())
         throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
-    // Lives until its deleter is called, which can be later than this object.
+    // The deleter frees this object, possibly after the Python object is gone. DLPack
+    // passes `managed` to the deleter, so `context` points back to this object.
     auto* exported = new ExportedTensor{.managed = {},
                                         .array = {array.device, array.buffer.share(), array.offset_bytes,
                                                   array.shape, array.strides, array.kind},
@@ -144,7 +146,8 @@ py::object to_capsule(const py::object& object, const py::object& copy) {
         .tensor = describe_tensor(*exported, address),
         .context = exported,
         .deleter = [](DLManagedTensor* managed) { delete static_cast<ExportedTensor*>(managed->context); }};
-    return py::reinterpret_steal<py::object>(PyCapsule_New(&exported->managed, kCapsuleName, free_unused));
+    PyObject* capsule = PyCapsule_New(&exported->managed, kCapsuleName, free_unused);
+    return py::reinterpret_steal<py::object>(capsule);  // is the only reference to the capsule
 }
 
 std::string array_repr(const DeviceArray& array) {

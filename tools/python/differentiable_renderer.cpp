@@ -37,7 +37,8 @@ struct PythonRenderer {
     }
 };
 
-/// Creates a renderer for Python.
+/// Creates a renderer for Python, which traces rays as the training does.
+/// @param config  settings of the training; none: the default preset
 /// @param for_poses, for_rays  also compute gradients of instance poses, or of rays
 /// @param sparse  leave gradients of surfels without hits undefined, instead of 0
 /// @param margin  factor and metres by which the boxes of surfels in the tree are larger
@@ -52,6 +53,7 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     RendererOptions options{.trace = training_options(settings),
                             .keep_hits = static_cast<std::uint32_t>(settings.trace.keep_hits)};
     if (margin) std::tie(options.accel.margin_scale, options.accel.margin_m) = *margin;
+    // As in training, except for the requested gradients.
     const GradientOptions gradients{.sums = backward_options(settings),
                                     .requested_gradients = {.rays = for_rays, .poses = for_poses},
                                     .zero_untouched = !sparse};
@@ -153,7 +155,7 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
 /// number per ray. Missing gradients stay empty and count as 0.
 RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients gradients;
-    // The array of each value of the image by its name: {"depth", &gradients.depth}, ...
+    // The macro expands to one entry per value: {"depth", &gradients.depth}, ...
 #define RELIDAR_VALUES(name, ...) {#name, &gradients.name},
     const std::map<std::string, std::vector<float>*> array_of_name{RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
@@ -236,7 +238,10 @@ void check_truncation(Renderer& renderer) {
         renderer.check_truncation();
 }
 
-/// Renders the first n rays of device_rays(). The results stay in device memory.
+/// Renders the first n rays of device_rays(). The results stay in device memory: one
+/// array per rendered value, and `d_rendered` for their gradients.
+/// @param columns  width of the image of these rays; 0 if they are no image
+/// @param measured  if true, computes likelihoods of the values in device_measured()
 py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n,
                         IntegerArgument<std::uint32_t, "columns"> columns, bool measured) {
     const std::size_t n_written =
@@ -263,6 +268,7 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     const auto wrap = [&](auto member) { return wrap_member(renderer.device(), *batch.rendered, member, n); };
     using shared::RenderedRay;
     py::dict dict;
+    // One such line for each blended value, such as dict["depth"].
 #define RELIDAR_VALUES(name, ...) dict[#name] = wrap(&RenderedRay::name);
     RELIDAR_BLENDED_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
@@ -271,13 +277,13 @@ py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t,
     dict["hits"] = wrap(&RenderedRay::n_hits);
     dict["instance"] = wrap(&RenderedRay::instance);
     // The caller writes dL/d(value) here before it calls backward_device().
-    dict["d_rendered"] = wrap_array<float>(renderer.device(), *batch.upstream,
-                                           {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});
+    constexpr py::ssize_t kGradients = sizeof(shared::RayGradient) / sizeof(float);
+    dict["d_rendered"] =
+        wrap_array<float>(renderer.device(), *batch.upstream, {py::ssize_t(n.value), kGradients});
     return dict;
 }
 
-/// Computes gradients of the last forward pass from `d_rendered`. The results stay in
-/// device memory.
+/// Computes gradients of the last forward pass from `d_rendered`, in device memory.
 py::dict backward_device(PythonRenderer& renderer) {
     if (renderer.n_rays == 0)
         throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");

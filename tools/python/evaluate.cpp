@@ -14,7 +14,7 @@ namespace {
 /// @param log  has the scans, which a run does not store
 Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optional<std::string>& baseline,
                            const Progress& progress) {
-    Run run = loaded.run;
+    Run run = loaded.run;  // The scans are added only to this copy, and freed with it.
     copy_scans(run, run.split.test, log);
     if (baseline) {
         copy_scans(run, run.split.train, log);

@@ -50,8 +50,8 @@ void check_time(const PoseTrack& track, double time_s, double tolerance_s, const
 }
 
 /// Converts the argument `actors` of render(): a dict of actor -> pose or (times, poses).
-/// @param time_of_single_poses_s  time of the scan
-ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_single_poses_s) {
+/// @param scan_time_s  time of the scan
+ActorTracksByName to_tracks(const py::dict& poses_by_actor, double scan_time_s) {
     // An actor may be rendered this long before its first pose or after its last pose. A
     // sweep begins before its nominal time and ends after it, so the limit is not 0.
     constexpr double kTimeMargin_s = 1.0;
@@ -59,8 +59,8 @@ ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_singl
     for (const auto& [name, pose] : poses_by_actor) {
         const std::string actor = py::str(name);
         const std::string where = fmt::format("actors[\"{}\"]", actor);
-        poses[actor] = to_track(pose, where, time_of_single_poses_s);
-        check_time(poses[actor], time_of_single_poses_s, kTimeMargin_s,
+        poses[actor] = to_track(pose, where, scan_time_s);
+        check_time(poses[actor], scan_time_s, kTimeMargin_s,
                    fmt::format("the scan time does not match the poses of {}", where));
     }
     return poses;
@@ -71,16 +71,16 @@ int find_nearest_frame(const Log& sequence, double time_s) {
     return std::ranges::min_element(sequence.frames, {}, distance_s)->index;
 }
 
-/// Returns the request for a scan. Without a pose, the sensor follows the recorded path
-/// of the log.
+/// Returns the request for a scan. Without a pose, the sensor follows the log's path.
 ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar) {
     const Log& log = run.sequence;
     const bool follows_log = arguments.pose.is_none();
     ScanRequest request;
     request.time_s = arguments.time.value_or(log.frames.front().time_s);
+    // The world frame of the log is the dataset's, shifted by world_offset_m.
     if (follows_log) request.dataset_from_sensor = shift_track(log.lidar_track(lidar), log.world_offset_m);
     else request.dataset_from_sensor = to_track(arguments.pose, "pose", request.time_s);
-    check_time(request.dataset_from_sensor, request.time_s, 0.0,
+    check_time(request.dataset_from_sensor, request.time_s, /*margin_s=*/0.0,
                follows_log ? "time in the log" : "time on the poses");
     if (arguments.actors) request.dataset_from_actor = to_tracks(*arguments.actors, request.time_s);
     return request;
@@ -141,6 +141,12 @@ void add_spawned(const std::vector<SpawnedActor>& actors, ScanOutputOptions& for
     }
 }
 
+PointCoordinateFrame parse_point_frame(const std::string& text) {
+    if (text == "sensor") return PointCoordinateFrame::sensor;
+    if (text == "world") return PointCoordinateFrame::world;
+    fail<UsageError>("argument frame: found \"{}\", expected sensor or world", text);
+}
+
 /// Renders a scan and returns its arrays. Checks all arguments before it locks the
 /// device, so that an error does not block other threads.
 py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
@@ -150,21 +156,20 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
                                         ? std::vector<bool>(run.scene.instances.size(), true)
                                         : select_instances(run.scene, arguments.only);
     ScanOutputOptions format = default_options(run, sensor);
-    if (arguments.frame == "sensor") format.frame = PointCoordinateFrame::sensor;
-    else if (arguments.frame == "world") format.frame = PointCoordinateFrame::world;
-    else fail<UsageError>("argument frame: found \"{}\", expected sensor or world", arguments.frame);
+    format.frame = parse_point_frame(arguments.frame);
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
     const RenderedScan scan = loaded.get_renderer().use([&](ScanRenderer& renderer) {
         renderer.show_instances(shown);
         renderer.set_weather(weather);
         renderer.count_actor_rays(arguments.boxes);
-        add_spawned(renderer.spawned(), format);
+        add_spawned(renderer.spawned(), format);  // Only the renderer has spawned actors.
         return renderer.render(sensor, request, arguments.sample);
     });
     py::dict arrays =
         to_array_dict(scan_arrays(scan, find_nearest_frame(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
+    // Actors with poses in the request were not rendered where the log has them.
     if (request.dataset_from_actor) move_actor_boxes(format, *request.dataset_from_actor);
     arrays["boxes"] = actor_boxes_dict(scan, format);
     return arrays;

@@ -89,18 +89,19 @@ py::tuple pickle_run(const LoadedRun& loaded) {
     return py::make_tuple(absolute, settings, "", files);
 }
 
-/// Makes a run from a state of pickle_run(): reads its folder, or, if the state has the
-/// content of the files, a temporary folder with these files.
+/// Makes a run from a state of pickle_run(). Loads the folder of the run. If the state
+/// has the contents of files, loads these, because they differ from those in the folder.
 /// @throws DataError if the files in the folder have changed
 std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
     const auto [folder, settings, pickled_files, contents] =
         state.cast<std::tuple<std::string, py::dict, std::string, std::optional<py::dict>>>();
+    const SharedDevice default_device;  // is null, and is created for the first rendering
     if (!contents) {
-        const SharedDevice default_device;
         auto loaded = load_run_with(folder, settings, default_device);
         if (loaded->files_on_disk == pickled_files) return loaded;
         fail("cannot unpickle the run {}: its files have changed since it was pickled", folder);
     }
+    // Writes the contents to files of a temporary folder, as pathlib.Path.write_bytes().
     const py::object temporary = make_temp_folder();
     const py::object path = python_path(temporary.attr("name"));
     for (const auto& [name, content] : *contents) path.attr("joinpath")(name).attr("write_bytes")(content);
@@ -108,7 +109,7 @@ std::unique_ptr<LoadedRun> unpickle_run(const py::tuple& state) {
     temporary.attr("cleanup")();
     set_values(run.config, settings);
     run.folder = folder;
-    return std::make_unique<LoadedRun>(std::move(run), nullptr);
+    return std::make_unique<LoadedRun>(std::move(run), default_device);
 }
 
 }  // namespace relidar::python

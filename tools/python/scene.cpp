@@ -95,8 +95,7 @@ Surfels read_surfels(const py::dict& arrays) {
             fail<UsageError>("surfels: the array \"{}\" is unknown{} (known: {})", text,
                              did_you_mean(text, names, "\""), fmt::join(names, ", "));
     }
-    // Only 3D Gaussians have an array of third scales, so its presence decides the kind
-    // of primitive.
+    // Only 3D Gaussians have an array of third scales.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains("log_scale_w"), &PrimitiveProperties::third_scale);
     Surfels surfels;

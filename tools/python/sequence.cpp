@@ -43,8 +43,7 @@ py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> p
     const Scan& scan = frames[static_cast<std::size_t>(position.value)].scan;
     const NumpyShape image_shape{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
-    // In a motion-compensated log, all points of a frame have the same time, so all time
-    // offsets are 0.
+    // In a motion-compensated log, all points of a frame have the same time.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_array_dict(rays);
     dict["range"] = move_to_numpy<float>(to_vector(scan.range_m), image_shape);

@@ -72,18 +72,20 @@ std::function<bool(const TrainProgress&)> wrap_callback(const TrainArguments& ar
 }
 
 /// Trains the scene of a run. Python functions can add losses, receive progress, and
-/// stop the training.
+/// stop the training. `python_calls` keeps their first exception, and the training stops.
 TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArguments& arguments,
                         PythonCallGuard& python_calls) {
     std::vector<std::unique_ptr<PythonLoss>> owned_losses;
     std::vector<Loss*> losses;
-    for (const py::function& function : arguments.losses)
-        losses.push_back(
-            owned_losses.emplace_back(std::make_unique<PythonLoss>(device, python_calls, function)).get());
+    for (const py::function& function : arguments.losses) {
+        owned_losses.push_back(std::make_unique<PythonLoss>(device, python_calls, function));
+        losses.push_back(owned_losses.back().get());
+    }
     const auto note = wrap_note(arguments, python_calls);
     const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
-    const DeviceLock use(*device);  // Releases the GIL. From here on, only `python_calls` calls Python.
+    // Releases Python's global lock. From here on, only `python_calls` calls Python.
+    const DeviceLock use(*device);
     // The progress of this step only checks for Ctrl-C and earlier exceptions.
     const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
     prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
