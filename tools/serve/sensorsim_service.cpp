@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sensorsim_service.hpp"
 
+#include <grpcpp/impl/codegen/proto_utils.h>  // how messages are serialised
 #include <grpcpp/impl/rpc_service_method.h>
 #include <grpcpp/support/method_handler.h>
 

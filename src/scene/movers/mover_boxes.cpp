@@ -4,6 +4,7 @@
 
 #include <cmath>
 
+#include "base/median.hpp"
 #include "scene/movers/mover_tracks.hpp"
 
 namespace relidar {
