@@ -325,7 +325,7 @@ void Device::Impl::open_device(const DeviceOptions& options) {
 namespace {
 
 /// Extensions and features with which a device is created. The features are a linked
-/// list: first those of Vulkan 1.3, then those of extensions.
+/// list: first those of Vulkan 1.0, 1.2 and 1.3, then those of extensions.
 struct EnabledFeatures {
     std::vector<const char*> extensions;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};

@@ -108,8 +108,9 @@ void require_sequence_json(const fs::path& path) {
             return read::is_point_file(file) || read::is_image_file(file);
         });
     };
-    const bool has_subfolder = count_scans(path / "scans") > 1;
-    const auto n_scans = count_scans(has_subfolder ? path / "scans" : path);
+    const std::ptrdiff_t n_in_subfolder = count_scans(path / "scans");
+    const bool has_subfolder = n_in_subfolder > 1;
+    const std::ptrdiff_t n_scans = has_subfolder ? n_in_subfolder : count_scans(path);
     if (n_scans < 2) return;
     fail(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
          R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"

@@ -7,7 +7,6 @@
 #include <cmath>
 
 #include "base/fail.hpp"
-#include "base/joined.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "registration/loops.hpp"
@@ -136,7 +135,10 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
     result.largest_loop_error_m = closed.largest_m;
 
     // Bundle adjustment: optimises the poses of all training scans together.
-    PoseAdjustment adjustment(sweeps.track, closed.track, concatenate(SubsampledScans(scans)),
+    std::vector<SubsampledPoint> points;
+    for (const std::vector<SubsampledPoint>& scan : scans)
+        points.insert(points.end(), scan.begin(), scan.end());
+    PoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
                               options.use_pose_motion ? is_train : keep_middle(is_train));
     result.rounds = adjustment.adjust_poses(first, kFinalRound, proceed("registering all scans jointly"));
     if (result.stopped) return result;

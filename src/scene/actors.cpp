@@ -146,9 +146,10 @@ void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples
     if (thinned.size() < std::size_t(options.actor_min_points)) return;
     pad_samples(thinned, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box,
                 options.seed);
-    const std::optional<DeformingActorSurfels> deforming =
+    std::optional<DeformingActorSurfels> deforming =
         deform_selected(box, samples, options, incidence, notes, progress);
-    const Surfels surfels = deforming ? deforming->surfels : make_surfels(thinned, options, incidence);
+    const Surfels surfels =
+        deforming ? std::move(deforming->surfels) : make_surfels(thinned, options, incidence);
     ObservedBoxSurface observed_surface(box.size_m);
     for (const LidarSample& s : samples)
         observed_surface.mark_observed(glm::dvec3(s.position), glm::dvec3(s.view));

@@ -174,8 +174,9 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
         const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
         if (!patch || !is_patch_set(*patch)) continue;
         const int normal_axis = kSideFrames[std::size_t(patch->side)].normal;  // x, y or z of the box
-        distances[*patch].sum_m += std::abs(double(point_m[normal_axis]));
-        ++distances[*patch].n;
+        DistanceSum& distance = distances[*patch];
+        distance.sum_m += std::abs(double(point_m[normal_axis]));
+        ++distance.n;
     }
     std::vector<double> differences_m;  // of the means of a patch and its mirror patch
     for (const auto& [patch, distance] : distances) {

@@ -154,7 +154,7 @@ VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& pos
     : sequence_(log), grids_(log.lidars.size()), positions_(positions) {
     for (const int position : positions) {
         const Frame& frame = log.frames[std::size_t(position)];
-        BeamGrid& grid = grids_[std::size_t(frame.lidar)];  // of the first frame of each LiDAR
+        BeamGrid& grid = grids_[std::size_t(frame.lidar)];  // of its first frame with rays
         if (grid.rows() == 0) grid = BeamGrid(frame.scan);
         views_.push_back(
             {.time_s = frame.time_s, .lidar = frame.lidar, .sensor_from_world = {}, .range_m = {}});

@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns settings (key and value) that select kernels which no preset uses, a row for
-/// each specialisation constant. Each is compiled separately, with the preset `default`.
+/// Returns settings (key and value) that select other variants of kernels. Each is
+/// compiled with the preset `default`. Add a row for each new specialisation constant.
 std::vector<std::pair<std::string, std::string>> list_kernel_settings() {
     std::vector<std::pair<std::string, std::string>> settings{{"image.sh_direction", "ray"},
                                                               {"image.sh_direction", "surfel"},

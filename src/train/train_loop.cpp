@@ -273,7 +273,7 @@ void TrainLoop::record_adam_step(int step) {
     const DeviceGradients& gradients = differentiable_.gradients();
     LearningRates rates = learning_rates(config_.train, extent_m_, step);
     rates.models = &scene.model_table();
-    // Only the presets of the paper, which densify, have a rate for each model.
+    // As in the paper, a training that densifies has a rate for each model.
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.mean_factors = position_factors(scene.layout(), extent_m_);
     // Skips surfels without a gradient, unless a loss gives every surfel a gradient.

@@ -134,8 +134,9 @@ bool is_moved(const ActorEdits& edits, const std::string& track) {
 BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device& device)
     : run_(std::move(run)), others_(std::move(others)), device_(device), recorded_(run_) {}
 
-/// Returns the first message to a web page ("hello"). It describes the run, its frames
-/// and path, the available sensors, the actors of other runs, and the device.
+/// Returns the first message to a web page ("hello"), without the save folder, which
+/// ViewerSession adds. It describes the run, its frames and path, the available sensors,
+/// the actors of other runs, and the device.
 Json BrowserScanRenderer::page_data() const {
     const Log& log = run_.sequence;
     Json lidars = Json::array(), others = Json::array();

@@ -194,10 +194,12 @@ std::vector<std::string> look_up_texts(const std::vector<std::string>& dictionar
 
 /// Reads the batches at the given positions of the file. Limits the sums of their sizes
 /// and of their rows, because a damaged file could otherwise need too much memory.
+/// @param n_free_bytes  number of file bytes that no batch has used yet
 std::vector<Batch> read_batches(std::string_view file_bytes,
-                                const std::vector<codecs::ArrowFileBlock>& blocks) {
+                                const std::vector<codecs::ArrowFileBlock>& blocks,
+                                std::size_t& n_free_bytes) {
     std::vector<Batch> batches;
-    std::size_t n_free_bytes = file_bytes.size(), n_free_rows = kMostRows * file_bytes.size();
+    std::size_t n_free_rows = kMostRows * file_bytes.size();
     for (const codecs::ArrowFileBlock& block : blocks) {
         const Batch& batch = batches.emplace_back(read_batch(file_bytes, block));
         const auto n_bytes = std::size_t(block.metadata_bytes + block.body_bytes);
@@ -224,8 +226,9 @@ Feather::Feather(std::string where, std::string bytes) : name_(std::move(where))
             columns_.push_back({.field = field, .node = columns_.size(), .buffer = first_buffer});
             first_buffer += field.buffer_count();
         }
-        dictionaries_ = read_batches(bytes_, footer.dictionaries);
-        batches_ = read_batches(bytes_, footer.batches);
+        std::size_t n_free_bytes = bytes_.size();
+        dictionaries_ = read_batches(bytes_, footer.dictionaries, n_free_bytes);
+        batches_ = read_batches(bytes_, footer.batches, n_free_bytes);
         for (const Batch& batch : batches_) rows_ += std::size_t(batch.layout.length);
     } catch (const DataError& error) {
         throw DataError(name_ + ": " + error.what());

@@ -79,7 +79,8 @@ void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, st
                     starts.address().cast_tag<shared::ScanPrefix>(), n_before);
 }
 
-/// Copies the row of each surfel to its new index and, unless `zero`, to its copies.
+/// Copies the row of each surfel to its new index and to its copies. With NewRows::zero,
+/// the copies of cloned surfels and all parts of split surfels get zeros instead.
 /// @param rows [surfels, stride], receives the new order
 /// @param spare array of the same size, receives the old order
 template <class T>

@@ -81,8 +81,8 @@ struct Adam::Impl {
 void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGroup& group,
                            const LearningRates& rates, Stream& stream) const {
     double rate = rates.*group.rate;
-    std::vector<float> model_factors;
-    if (group.rate == &LearningRates::mean) model_factors = rates.mean_factors;
+    const std::vector<float>* model_factors = nullptr;
+    if (group.rate == &LearningRates::mean) model_factors = &rates.mean_factors;
     if (group.harmonics) {
         // A row has one block per channel: intensity, hit logit, drop logit. The rate is
         // reduced. The factor of a block's first value (constant harmonic) undoes that.
@@ -90,13 +90,13 @@ void Adam::Impl::set_rates(shared::AdamParams& params, const SurfelParameterGrou
         params.first_value_factor = float(1.0 / std::max(rates.sh_rest_factor, 1e-12));
         params.first_block_factor = float(rates.intensity_factor);
         params.first_model_block = 1;  // after the intensity: the factors are for logits
-        model_factors = logit_factors;
+        model_factors = &logit_factors;
     }
     params.learning_rate = float(rate);
-    if (model_factors.empty()) return;
-    params.model_factors = stream.impl().stage_values(model_factors).cast_tag<shared::ModelRates>();
+    if (!model_factors || model_factors->empty()) return;
+    params.model_factors = stream.impl().stage_values(*model_factors).cast_tag<shared::ModelRates>();
     params.models = rates.models->address();
-    params.n_models = std::uint32_t(model_factors.size());
+    params.n_models = std::uint32_t(model_factors->size());
 }
 
 /// Allocates the moments of all surfels except the fixed ones, which are not updated, and

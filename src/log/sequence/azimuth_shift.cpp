@@ -84,7 +84,8 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
     if (!rotate_together) return {};
     fill_nan_shifts(shift_rad);
     const auto is_shifted = [](float shift) { return std::abs(shift) >= kRounding_rad; };
-    return std::ranges::any_of(shift_rad, is_shifted) ? shift_rad : std::vector<float>{};
+    if (std::ranges::none_of(shift_rad, is_shifted)) return {};
+    return shift_rad;
 }
 
 RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor,

@@ -54,8 +54,8 @@ fs::path find_packed_copy(const fs::path& file) {
 }
 
 /// Unpacks a message that rosbag2 compressed with zstd. Returns nothing if it is not
-/// compressed; a serialized message cannot begin like zstd data. Also returns nothing if
-/// it is damaged, because the reader of the message reports such bytes.
+/// compressed; a serialized message cannot begin like zstd data.
+/// @throws DataError if it is damaged
 std::optional<std::string> unpack_message(const BagTopic& topic, std::string_view bytes) {
     if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
     // maximum size of an unpacked message in bytes, or in sizes of the packed message
@@ -67,10 +67,8 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
     const auto write_block = [&](std::string_view block) {
         if (unpacked.append(block).size() > most_bytes) fail("found more than {} unpacked bytes", most_bytes);
     };
-    try {
-        if (stream_zstd(read_block, write_block)) return unpacked;
-    } catch (const DataError&) {}
-    return std::nullopt;
+    if (!stream_zstd(read_block, write_block)) fail("the zstd data of the message are truncated");
+    return unpacked;
 }
 
 /// Lists the recordings in a folder. Ignores a compressed file if its unpacked copy
@@ -176,8 +174,10 @@ void BagRecording::read_messages(const TopicFilter& filter, const MessageCallbac
                     fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
                                 "the time of the previous message is used",
                                 quote(topic.name), stored_ns, kMaxRosTime_ns));
-            const std::optional<std::string> unpacked =
-                is_requested ? unpack_message(topic, message.bytes) : std::nullopt;
+            std::optional<std::string> unpacked;
+            try {
+                if (is_requested) unpacked = unpack_message(topic, message.bytes);
+            } catch (const DataError&) {}  // the reader of the message reports the packed bytes
             if (unpacked) message.bytes = *unpacked;
             callback(message);
         };

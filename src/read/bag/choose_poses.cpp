@@ -174,8 +174,9 @@ std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
 /// stamp, and if more clouds then have one.
 void try_recorder_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
                         const PoseSource& source) {
+    if (choice.clock == LogClock::recorder) return;
     const std::size_t n_posed = count_posed(clouds, choice);
-    if (choice.clock == LogClock::recorder || 2 * n_posed >= clouds.clouds.size()) return;
+    if (2 * n_posed >= clouds.clouds.size()) return;
     ChosenPoses recorded = choice;
     recorded.clock = LogClock::recorder;
     recorded.zero_ns = first_cloud_ns(clouds, LogClock::recorder);

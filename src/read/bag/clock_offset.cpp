@@ -236,7 +236,7 @@ std::optional<ClockOffset> find_steady_offset(OffsetSamples samples) {
     for (const OffsetSample& sample : samples) offsets_ns.push_back(sample.offset_ns());
     std::ranges::sort(offsets_ns);
     const std::size_t n = samples.size();
-    const std::int64_t median_ns = median_offset_ns(samples), size_ns = std::abs(median_ns);
+    const std::int64_t median_ns = offsets_ns[n / 2], size_ns = std::abs(median_ns);
     const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
     const double max_spread_ns = std::clamp(0.1 * double(size_ns), kLeastSpread_ns, kMostSpread_ns);
     // No delay makes messages ahead of the recorder, so a smaller offset is enough then.

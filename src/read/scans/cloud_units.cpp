@@ -69,7 +69,7 @@ bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
                      time_step_s = time_unit_s * (ranges[k].first - ranges[k - 1].first);
         n_like_stamps += std::abs(time_step_s - step_s) < 0.5 * std::abs(step_s);
     }
-    return 2 * n_like_stamps + 1 > ranges.size();  // at least half of the steps
+    return 2 * n_like_stamps + 1 > ranges.size();  // more than half of the steps
 }
 
 /// Returns true if the first times of most clouds differ by less than a sweep, as those

@@ -230,12 +230,12 @@ SweepMotion fit_motion(const LidarPoints& points, const FiringRecovery& recovery
     SweepMotion& motion = fit.motions[0];
     if (recovery.ticks.n == 0) return motion;  // The yaw stays unknown.
     // The yaw changes the firing times a little, so both fits are repeated.
+    std::vector<double> azimuth_rad;  // [points]
+    for (const glm::vec3& p : points.position_m) azimuth_rad.push_back(azimuth_rad_of(glm::dvec3(p)));
+    std::vector<FiredPoint> fired(points.size());
     for (int pass = 0; pass < 2; ++pass) {
-        std::vector<FiredPoint> fired;
-        for (const glm::vec3& point_m : points.position_m) {
-            const glm::dvec3 p(point_m);
-            fired.push_back(find_firing(p, azimuth_rad_of(p), motion, recovery.turn));
-        }
+        for (std::size_t i = 0; i < points.size(); ++i)
+            fired[i] = find_firing(glm::dvec3(points.position_m[i]), azimuth_rad[i], motion, recovery.turn);
         const YawFit yaw = fit_yaw(fired, points.ring, recovery.turn, recovery.ticks);
         if (yaw.coherence < kMinCoherence) break;
         motion[0][kYaw] += yaw.turned_rad[0];  // before the time of the frame

@@ -39,9 +39,9 @@ public:
     virtual Scan read_rays(std::size_t) const { return {}; }
 };
 
-/// Reads the scans of all frames, whose poses must be known. First plans from some scans
-/// how the points of each LiDAR become rays. Scans that cannot be read are errors, or are
-/// removed from the log with options.skip_broken.
+/// Reads the scans of all frames. Poses must be set before, unless dataset.poses=none.
+/// First plans from some scans how the points of each LiDAR become rays. Scans that
+/// cannot be read are errors, or are removed from the log with options.skip_broken.
 void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options);
 

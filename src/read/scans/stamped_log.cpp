@@ -339,11 +339,13 @@ void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, Fi
     read_scans(sequence, layout, StampedScans(sequence, scan_files, format), options);
 }
 
-IntensityScale estimate_dataset_scale(const std::vector<fs::path>& scan_files) {
+void set_intensity_max(FileFormat& format, Log& sequence, const std::vector<fs::path>& scan_files) {
     std::vector<PointTable> samples;
     read_samples(scan_files.size(),
                  [&](std::size_t i) { samples.push_back(read_point_file(scan_files[i], {})); });
-    return interpret_fields(samples).scale;
+    const IntensityScale scale = interpret_fields(samples).scale;
+    format.units.intensity_max = scale.max;
+    if (!scale.note.empty()) sequence.notes.push_back(scale.note);
 }
 
 }  // namespace relidar::read

@@ -103,8 +103,9 @@ struct FileFormat {
 void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& scan_files, FileFormat format,
                       const DatasetOptions& options);
 
-/// Estimates which intensity value in the files must be converted to intensity 1.
-/// @param scan_files  scan files; only some are read, and unreadable files are skipped
-IntensityScale estimate_dataset_scale(const std::vector<std::filesystem::path>& scan_files);
+/// Estimates from some of the files which intensity becomes 1. Sets it in the format.
+/// Skips unreadable files. Adds a note unless the scale is 0 to 1.
+void set_intensity_max(FileFormat& format, Log& sequence,
+                       const std::vector<std::filesystem::path>& scan_files);
 
 }  // namespace relidar::read

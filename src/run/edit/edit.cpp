@@ -170,7 +170,7 @@ void replace_surfels(Scene& scene, std::uint32_t model_index, const Surfels& new
 /// completed; false: completes the model itself
 void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool needs_copy) {
     Scene& scene = scene_and_log.scene;
-    const SurfelModel model = scene.models[instance.model];
+    const SurfelModel& model = scene.models[instance.model];  // not used after append_model()
     const bool can_mirror =
         model.surface && !model.surface->is_completed && model.surface->mirrorable_fraction() != 0.0;
     const bool is_in_memory = std::size_t(model.first) + model.count <= scene.surfels.size();

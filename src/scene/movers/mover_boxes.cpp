@@ -132,7 +132,8 @@ std::vector<double> top_heights_m(const MoverTrack& track) {
 /// @param size_m length and width; if empty, the visible size is used
 std::vector<glm::dvec3> place_object(const MoverTrack& track, const GroundPath& poses,
                                      std::optional<glm::dvec2> size_m = {}) {
-    std::vector<glm::dvec3> forward, lateral, positions_m;  // [observations] horizontal axes
+    std::vector<glm::dvec3> forward, lateral;  // [observations] horizontal axes
+    std::vector<glm::dvec3> positions_m;       // [observations]
     for (const GroundPose& p : poses) {
         forward.push_back(p.forward_axis());
         lateral.push_back(p.lateral_axis());

@@ -90,6 +90,7 @@ public:
     RecordedRig recorded_rig() const;
     /// Computes everything that a recording stores for the scans of one moment.
     /// @param scans one scan per sensor, all with the same time
+    /// @return refers to actors of this recorder, which must outlive it
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedSweep record(std::span<const RenderedScan> scans);
 

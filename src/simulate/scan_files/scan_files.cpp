@@ -69,6 +69,7 @@ NamedArray position_array(const std::string& name, const RangeImage& image, cons
                           const std::optional<glm::dvec3>& world_origin_m) {
     if (!world_origin_m) return image_array(name, image, xyz);
     std::vector<double> values;
+    values.reserve(xyz.size() * 3);
     for (const glm::vec3& p : xyz)
         for (int axis = 0; axis < 3; ++axis) values.push_back((*world_origin_m)[axis] + double(p[axis]));
     return make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(),

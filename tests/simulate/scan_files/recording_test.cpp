@@ -285,7 +285,8 @@ TEST_F(Recordings, HaveTheBoxOfTheSensorWithMostPoints) {
         scans.push_back(test::complete(std::move(scan)));
     }
     std::vector<ScanOutputOptions> sensors(kPoints.size(), format);
-    const scan_files::RecordedSweep sweep = scan_files::SweepRecorder(sensors).record(scans);
+    scan_files::SweepRecorder recorder(sensors);
+    const scan_files::RecordedSweep sweep = recorder.record(scans);
     ASSERT_EQ(sweep.actors.size(), 1u);
     EXPECT_EQ(sweep.actors[0].n_points, 12u);
     EXPECT_NEAR(sweep.actors[0].faced_s, 1.02, 1e-6);

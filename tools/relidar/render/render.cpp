@@ -3,6 +3,7 @@
 // sensor is at its recorded poses, at shifted poses, or on a path of the user. The sensor
 // may be the log's sensor or another sensor.
 #include <algorithm>
+#include <iterator>
 #include <memory>
 #include <optional>
 

@@ -83,17 +83,17 @@ Config training_config(const TrainOptions& options) {
             "training of a run",
             options.dataset);
     const fs::path config_file = fs::path(options.out) / kConfigFile;
-    std::optional<Config> saved;
-    if (options.resume && is_file(config_file)) saved = load_settings(config_file);
+    const bool has_saved = options.resume && is_file(config_file);
     Config config;
-    if (saved && !options.from_preset) {
-        config = *saved;
+    if (has_saved && !options.from_preset) {
+        config = load_settings(config_file);
         apply_settings(config, options.settings.sets);
     } else {
         config = make_config(options.settings);
     }
     // 0 means automatic. A resumed training uses the range that was found earlier.
-    if (saved && config.dataset.max_range_m == 0.0) config.dataset.max_range_m = saved->dataset.max_range_m;
+    if (has_saved && config.dataset.max_range_m == 0.0)
+        config.dataset.max_range_m = load_settings(config_file).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     apply_selection(config, options.part);

@@ -81,14 +81,15 @@ std::vector<glm::vec3> read_vehicle_points(const read::SequenceHeader& header, c
 /// With correct poses, the scans of a pair overlap.
 read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
     constexpr std::size_t kMaxPairs = 4;  // enough for a decision, and fast to read
-    std::vector<LogFrame> scans;          // of the first LiDAR
-    std::ranges::copy_if(frames, std::back_inserter(scans),
-                         [](const LogFrame& frame) { return frame.lidar == 0; });
+    std::vector<const LogFrame*> scans;   // of the first LiDAR
+    for (const LogFrame& frame : frames)
+        if (frame.lidar == 0) scans.push_back(&frame);
     read::ScanPairs pairs;
     if (scans.empty()) return pairs;
     const auto read_pair = [&](std::size_t i) {
-        pairs.add_scan_pair(scans[i].time_s, read_vehicle_points(header, scans[i]), scans[i + 1].time_s,
-                            read_vehicle_points(header, scans[i + 1]));
+        const LogFrame &first = *scans[i], &second = *scans[i + 1];
+        pairs.add_scan_pair(first.time_s, read_vehicle_points(header, first), second.time_s,
+                            read_vehicle_points(header, second));
     };
     read::read_samples(scans.size() - 1, read_pair, kMaxPairs);
     return pairs;

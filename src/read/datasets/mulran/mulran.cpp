@@ -145,9 +145,7 @@ Pose lidar_mount() {
 /// rings, so the format has a function that computes both from the order of the points.
 read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    const read::IntensityScale scale = read::estimate_dataset_scale(scan_files);
-    format.units.intensity_max = scale.max;
-    if (!scale.note.empty()) sequence.notes.push_back(scale.note);
+    read::set_intensity_max(format, sequence, scan_files);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;  // x points backward in the files, and forward in relidar
     const MulranPointOrder order = detect_order(scan_files);

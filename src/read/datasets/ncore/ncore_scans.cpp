@@ -348,8 +348,7 @@ static std::optional<std::size_t> find_column(const SpinningModel& model, double
 }
 
 ModelImage::ModelImage(SpinningModel spinning_model, const SpinningSensor& sensor)
-    : model(std::move(spinning_model)), rays(make_rays(sensor)) {
-    for (const Beam& beam : model.beams) beams.emplace_back(beam);
+    : model(std::move(spinning_model)), beams(make_generators(model.beams)), rays(make_rays(sensor)) {
     const std::vector<std::size_t> row_of_beam = model.rows_by_height();
     const int turn_columns = sensor.columns;
     ray_of_element.assign(model.beams.size() * model.azimuth_rad.size(), -1);

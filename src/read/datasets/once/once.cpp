@@ -120,9 +120,7 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
 /// intensities, for example 255, is estimated from a few files. Adds a note about it.
 read::FileFormat make_once_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    const read::IntensityScale scale = read::estimate_dataset_scale(scan_files);
-    format.units.intensity_max = scale.max;
-    if (!scale.note.empty()) sequence.notes.push_back(scale.note);
+    read::set_intensity_max(format, sequence, scan_files);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kAxesTurn_rad;  // about z, from ONCE's axes to relidar's
     format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
