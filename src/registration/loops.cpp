@@ -29,9 +29,9 @@ constexpr double kStartGridStep_m = 1.5, kMaxStartOffset_m = 6.0, kMaxStartHeigh
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;  // points of a scan that give the score of a start position
 // An alignment ends after kMaxLoopSteps steps per map level, or after a step shorter than
-// kMinLoopStep_m. For the prior, see SinglePoseEquations::move_pose().
+// kMinLoopStep_m.
 constexpr int kMaxLoopSteps = 10;
-constexpr double kMinLoopStep_m = 1e-3, kLoopPrior = 1e-4;
+constexpr double kMinLoopStep_m = 1e-3;
 constexpr double kMinClosureShare = 0.4;  // minimum share of the scan's points on planes of the map
 constexpr std::size_t kMinLoopClosures = 2;
 constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;  // odometry errors between two keyframes
@@ -45,7 +45,16 @@ constexpr int kClosureReweightings = 6;
 struct LoopClosure {
     std::size_t earlier, later;  // indices of the keyframes
     Twist off;                   // correction of the later pose: translation, then rotation vector
+    Matrix6 observed;            // removes from a twist the motions that the scan does not show
 };
+
+/// Returns the weights of a twist with these standard deviations.
+Matrix6 diagonal_weights(double sigma_m, double sigma_rad) {
+    Vector6 weights;
+    weights << Eigen::Vector3d::Constant(1.0 / (sigma_m * sigma_m)),
+        Eigen::Vector3d::Constant(1.0 / (sigma_rad * sigma_rad));
+    return weights.asDiagonal();
+}
 
 /// Finds loop closures between keyframes of a track, and corrects all poses with them.
 class LoopCloser {
@@ -187,10 +196,16 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
+    /// Share of a scan's points on planes of the map, and motions that they do not show.
+    struct MapAlignment {
+        double share = 0.0;
+        std::vector<UnobservedMotion> unobserved;
+    };
+
     /// Moves a scan by one Gauss-Newton step towards planes of the map.
     /// @return length of the step
-    double gauss_newton_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int map_level,
-                             double& fraction_on_planes) const {
+    double gauss_newton_step(const std::vector<WorldPointWithOrigin>& points, const Pose& start_pose,
+                             Pose& pose, int map_level, MapAlignment& alignment) const {
         const double scale_m = maps_.settings_of_level(map_level).scale_m;
         const SinglePoseEquations equations =
             sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
@@ -198,18 +213,20 @@ private:
                 if (const LocalPlane* plane = maps_.find_plane(p, map_level))
                     part.add_residual(make_residual({p, pose.translation}, *plane, scale_m));
             });
-        fraction_on_planes = double(equations.count_on_planes()) / double(points.size());
-        return equations.move_pose(pose, kLoopPrior);
+        alignment = {double(equations.count_on_planes()) / double(points.size()),
+                     equations.find_unobserved(min_information(true))};
+        return equations.move_pose(pose, start_pose, alignment.unobserved);
     }
 
     /// Aligns a scan with the map, from large to small planes. Changes `pose`.
-    /// @return share of the scan's points on planes of the map
-    double refine_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
-        double share = 0.0;
+    MapAlignment refine_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
+        MapAlignment alignment;
+        const Pose start = pose;
         for (int level = 0; level < PlaneMaps::kLevels; ++level)
-            for (int i = 0;
-                 i < kMaxLoopSteps && gauss_newton_step(points, pose, level, share) > kMinLoopStep_m; ++i) {}
-        return share;
+            for (int i = 0; i < kMaxLoopSteps &&
+                            gauss_newton_step(points, start, pose, level, alignment) > kMinLoopStep_m;
+                 ++i) {}
+        return alignment;
     }
 
     /// Aligns the scan of a later keyframe with the map around an earlier keyframe.
@@ -224,23 +241,24 @@ private:
                                                             path_to_keyframe_m(earlier_keyframe_index));
         const Pose& initial_pose = keyframe_pose(later_keyframe_index);
         Pose aligned_pose;
-        double share = 0.0;
+        MapAlignment alignment;
         if (previous_closure) {
             // Predicts the start pose from the previous loop closure, which corrects a
             // nearby pose. Assumes that both poses move together, like one rigid body.
             const Pose& previous_pose = keyframe_pose(previous_closure->later);
             aligned_pose =
                 apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose) * initial_pose;
-            share = refine_pose(points, aligned_pose);
+            alignment = refine_pose(points, aligned_pose);
         }
         // Without a prediction, or if too few points match, searches for a start pose.
-        if (share < kMinClosureShare) {
+        if (alignment.share < kMinClosureShare) {
             aligned_pose = find_start_pose(points, initial_pose, reach_m);
-            share = refine_pose(points, aligned_pose);
+            alignment = refine_pose(points, aligned_pose);
         }
-        if (share < kMinClosureShare) return std::nullopt;
-        return LoopClosure{earlier_keyframe_index, later_keyframe_index,
-                           compute_twist(initial_pose, aligned_pose)};
+        if (alignment.share < kMinClosureShare) return std::nullopt;
+        const Vector6 off = to_vector(compute_twist(initial_pose, aligned_pose));
+        const Matrix6 observed = observed_projection(alignment.unobserved);
+        return LoopClosure{earlier_keyframe_index, later_keyframe_index, to_twist(observed * off), observed};
     }
 
     /// Solves for the corrections of all keyframes, 6 values each. A least-squares term
@@ -261,16 +279,13 @@ private:
         // The residual of a term is x_second - T x_first - expected_difference. T
         // transfers the correction of a rigid body from the first position to the second.
         const auto add_term = [&](std::size_t first, std::size_t second, const Twist& expected_difference,
-                                  double sigma_m, double sigma_rad, double weight) {
-            Vector6 weights;
-            weights << Eigen::Vector3d::Constant(weight / (sigma_m * sigma_m)),
-                Eigen::Vector3d::Constant(weight / (sigma_rad * sigma_rad));
+                                  const Matrix6& weights) {
             // Jacobians of the residual: ja = -T for x_first, jb = I for x_second.
             const Matrix6 ja =
                 -twist_transfer(keyframe_pose(second).translation - keyframe_pose(first).translation);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = to_vector(expected_difference);
-            const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
+            const Matrix6 wa = weights * ja, wb = weights * jb;
             // Adds J^T W J to the matrix. Adds J^T W expected_difference to g.
             add_block(first, first, ja.transpose() * wa);
             add_block(first, second, ja.transpose() * wb);
@@ -281,11 +296,13 @@ private:
         };
         // The error of odometry grows with the path, so a longer step has a lower weight.
         for (std::size_t k = 0; k + 1 < keyframes_.size(); ++k)
-            add_term(k, k + 1, Twist{}, kOdometrySigma_m, kOdometrySigma_rad,
-                     kKeyframeDistance_m / (path_to_keyframe_m(k + 1) - path_to_keyframe_m(k)));
+            add_term(k, k + 1, Twist{},
+                     kKeyframeDistance_m / (path_to_keyframe_m(k + 1) - path_to_keyframe_m(k)) *
+                         diagonal_weights(kOdometrySigma_m, kOdometrySigma_rad));
         for (std::size_t i = 0; i < closures_.size(); ++i)
-            add_term(closures_[i].earlier, closures_[i].later, closures_[i].off, kClosureSigma_m,
-                     kClosureSigma_rad, closure_weights[i]);
+            add_term(closures_[i].earlier, closures_[i].later, closures_[i].off,
+                     closure_weights[i] * closures_[i].observed.transpose() *
+                         diagonal_weights(kClosureSigma_m, kClosureSigma_rad) * closures_[i].observed);
         for (int i = 0; i < 6; ++i) entries.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * n, 6 * n);
         h.setFromTriplets(entries.begin(), entries.end());
@@ -305,7 +322,7 @@ private:
         const Vector6 moves =
             block_of(corrections, loop_closure.later) -
             transfer_correction(keyframes_[loop_closure.later], loop_closure.earlier, corrections);
-        return (moves - to_vector(loop_closure.off)).head<3>().norm();
+        return (loop_closure.observed * (moves - to_vector(loop_closure.off))).head<3>().norm();
     }
 
     /// Corrects all poses by the loop closures. Solves several times with new robust

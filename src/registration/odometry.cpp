@@ -21,11 +21,7 @@ namespace relidar {
 namespace {
 
 constexpr int kMaxSteps = 8;
-constexpr double kMinStep_m = 1e-3;  // stops the iteration if a step is shorter than this
-// Weight of a term that pulls each pose to its predicted pose, relative to the mean
-// weight of the points. The term matters only in directions that the points do not
-// determine, for example along a road without walls.
-constexpr double kPriorWeight = 3e-4;
+constexpr double kMinStep_m = 1e-3;       // stops the iteration if a step is shorter than this
 constexpr double kMinAlignedShare = 0.1;  // with fewer points on planes of the map, the alignment has failed
 // Map cells that got no new points while the vehicle drove this distance are removed.
 // Else odometry could match an earlier pass over the road, which close_loops() aligns.
@@ -34,12 +30,15 @@ constexpr double kMaxCellAge_m = 80.0;
 // rare, because checking all cells takes as long as adding a scan.
 constexpr double kCleanupInterval_m = 5.0;
 constexpr double kSamePrediction_m = 0.05;  // of two predictions that are this close, only one is tried
+// A less likely prediction is used only if so many more of the points then lie on planes.
+constexpr double kMinPredictionGain = 0.03;
 constexpr int kMaxLostScans = 5;  // after so many consecutive scans that do not match, the map is cleared
 constexpr std::size_t kPosesPerSection = 200;  // number of poses in a section of the log
 // Consecutive sections of a log share this number of poses, so that each section has a
 // map before its first new scan.
 constexpr std::size_t kSectionOverlap = 20;
-constexpr int kTrialScans = 4;  // scans on which several initial speeds are tried, without given poses
+constexpr int kTrialScans = 4;      // scans on which several initial speeds are tried, without given poses
+constexpr int kSettlingScans = 12;  // scans after which the speed is known
 // Forward motions per scan that are tried: from -kMaxTrialReverse_m to kMaxTrialMotion_m,
 // which is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kMaxTrialMotion_m = 4.0, kMaxTrialReverse_m = 1.0;
@@ -72,10 +71,12 @@ public:
         PoseCandidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
             const PoseCandidate candidate = align_scan(pose_index, start, scan);
-            if (candidate.share > best.share) best = candidate;
+            const bool is_first = &start == &starts.front();
+            if (candidate.share > best.share + (is_first ? 0.0 : kMinPredictionGain)) best = candidate;
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kMinAlignedShare;
         set_pose(pose_index, is_lost ? starts.front() : best.pose);
+        n_added_ = pose_index + 1 - begin_;
         if (pose_index > begin_)
             travelled_m_ +=
                 glm::distance(track_.pose[pose_index].translation, track_.pose[pose_index - 1].translation);
@@ -91,6 +92,8 @@ public:
     const PoseTrack& track() const { return track_; }
     /// sum over all scans of the share of points that lie on planes of the map
     double total_share() const { return share_; }
+    /// motion between the last two added poses
+    Pose last_motion() const { return predict_motion(n_added_ + begin_); }
 
 private:
     struct PoseCandidate {
@@ -105,6 +108,7 @@ private:
     PlaneMaps maps_;
     double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
+    std::size_t n_added_ = 0;  // number of poses
 
     /// Adds a scan to the map at its estimated pose, and removes old map cells.
     void extend_map(const std::vector<SubsampledPoint>& scan) {
@@ -189,31 +193,39 @@ private:
             });
         fraction_on_planes = double(equations.count_on_planes()) / double(scan.size());
         Pose pose = track_.pose[pose_index];
-        const double step_m = equations.move_pose(pose, kPriorWeight, compute_twist(start_pose, pose));
+        const double step_m = equations.move_pose(
+            pose, start_pose, equations.find_unobserved(min_information(options_.use_pose_motion)));
         set_pose(pose_index, pose);
         return step_m;
     }
 };
 
 /// Estimates the motion between the first two poses of a section without given poses.
-/// Returns the forward motion with which most points of the first scans match planes.
+/// Tries several forward motions, the smallest first, and uses the one with which most
+/// points of the first scans match planes. Returns the motion after the following scans,
+/// because the first scans alone show it only roughly.
 Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options, const LogSection& section) {
-    Pose best;
-    double best_share = -1.0;
-    for (double step_m = -kMaxTrialReverse_m; step_m <= kMaxTrialMotion_m; step_m += kTrialStep_m) {
-        const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
-        SectionOdometry follower(initial_track, options, section.begin, motion);
-        int n_trials = 0;
-        for (std::size_t k = section.begin; k < section.end && n_trials < kTrialScans; ++k) {
+    const auto track_scans = [&](double step_m, int n_scans) {
+        SectionOdometry follower(initial_track, options, section.begin,
+                                 Pose{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}});
+        for (std::size_t k = section.begin; k < section.end && n_scans > 0; ++k) {
             follower.add_pose(k, scans[k]);
-            if (!scans[k].empty()) ++n_trials;  // A scan without points shows nothing.
+            if (!scans[k].empty()) --n_scans;  // A scan without points shows nothing.
         }
-        if (follower.total_share() <= best_share) continue;
-        best_share = follower.total_share();
-        best = motion;
-    }
-    return best;
+        return follower;
+    };
+    double best_step_m = 0.0, best_share = -1.0;
+    const auto try_step = [&](double step_m) {
+        const double share = track_scans(step_m, kTrialScans).total_share() / kTrialScans;
+        if (share <= best_share + kMinPredictionGain) return;
+        best_share = share;
+        best_step_m = step_m;
+    };
+    for (double step_m = 0.0; step_m <= kMaxTrialMotion_m; step_m += kTrialStep_m) try_step(step_m);
+    for (double step_m = kTrialStep_m; step_m <= kMaxTrialReverse_m; step_m += kTrialStep_m)
+        try_step(-step_m);
+    return track_scans(best_step_m, kSettlingScans).last_motion();
 }
 
 /// Estimates the poses of a section. The first pose stays unchanged.

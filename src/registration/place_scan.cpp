@@ -14,7 +14,6 @@ namespace {
 // are small, because only one pose is estimated and speed does not matter.
 constexpr double kThinningCell_m = 0.1;
 constexpr double kKernelScale_m = 0.05;    // at this distance from the surface, a point has a weight of 1/4
-constexpr double kPosePriorWeight = 1e-4;  // pulls the pose to its start, relative to the points
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;
 
@@ -46,6 +45,7 @@ std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const Regi
 }  // namespace
 
 ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneCaster& scene_view,
+                         const std::vector<UnobservedMotion>& unobserved,
                          const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
     const Pose initial_pose = track.pose[pose_index];
@@ -70,9 +70,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         }
         result.on_surfaces = double(equations.count_on_planes()) / double(n_rays);
         if (equations.empty()) return result;
-        // The prior pulls the pose towards its value before the alignment.
-        Pose& pose = track.pose[pose_index];
-        step_m = equations.move_pose(pose, kPosePriorWeight, compute_twist(initial_pose, pose));
+        step_m = equations.move_pose(track.pose[pose_index], initial_pose, unobserved);
     }
     const double moved_m = glm::distance(initial_pose.translation, track.pose[pose_index].translation);
     if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n_rays) || moved_m > options.largest_m)

@@ -15,10 +15,7 @@ constexpr int kChunks = 64;
 // Number of optimisation rounds in which the grid cells for fitting planes shrink, and
 // number of further rounds with the smallest cells.
 constexpr int kShrinkingRounds = 8, kLastRounds = 2;
-constexpr double kGridShift_cells = 0.37;  // Shift of the cell grid from one round to the next, in cells.
-// Weight of a term that pulls pose corrections to zero, relative to the mean weight of
-// the points. The term matters only in directions that the points do not determine.
-constexpr double kAdjustmentPrior = 1e-4;
+constexpr double kGridShift_cells = 0.37;     // Shift of the cell grid from one round to the next, in cells.
 constexpr std::size_t kMinPlacedPoints = 30;  // minimum number of points on planes that determine a pose
 constexpr double kMinShareOnPlanes = 0.05;    // minimum share of a registered scan's points on planes
 
@@ -77,8 +74,14 @@ const LocalPlane* PlaneMap::find_plane_at(const glm::dvec3& point_m) const {
 }
 
 PoseAdjustment::PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                               const PoseTrack& reference, const PoseCorrectionPrior& prior,
                                std::vector<SubsampledPoint> points, std::vector<bool> gauge)
-    : initial_track_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
+    : initial_track_(initial_track),
+      track_(start),
+      reference_(reference),
+      points_(std::move(points)),
+      gauge_(std::move(gauge)),
+      prior_(prior) {
     centre_poses();
     start_ = track_;
 }
@@ -126,10 +129,9 @@ PoseEquations PoseAdjustment::sum_equations(const std::vector<WorldPointWithOrig
 FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PlaneMap map = fit_cell_planes(points_, placed, round, grid_shift_cells);
-    const Eigen::VectorXd corrections = stack_twists(start_, track_);  // [poses * 6] so far
     PoseEquations equations = sum_equations(placed, map, round.scale_m);
-    if (prior_) add_prior(equations, corrections);  // only for boxes of actors
-    const Eigen::VectorXd step = equations.solve_steps(track_, corrections, kAdjustmentPrior);
+    add_prior(equations);
+    const Eigen::VectorXd step = equations.solve_steps(track_);
     const PoseTrack previous = track_;
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         track_.pose[k] = apply_twist(track_.pose[k], to_twist(block_of(step, k)));
@@ -142,17 +144,26 @@ FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
     return round;
 }
 
-/// Adds the terms of the prior: they pull each correction to zero, and consecutive
-/// corrections towards each other, the more the shorter the time between them is.
-/// @param corrections  [poses, 6] so far
-void PoseAdjustment::add_prior(PoseEquations& equations, const Eigen::VectorXd& corrections) const {
-    constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_->link refers
+/// Adds the terms of the prior. They pull each correction to zero, and the motion between
+/// consecutive poses to that of the reference track: weakly, the more the shorter the
+/// time between the poses is, and strongly in a direction that the points do not show.
+void PoseAdjustment::add_prior(PoseEquations& equations) const {
+    constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_.link refers
+    const std::vector<std::vector<UnobservedMotion>> unobserved =
+        equations.find_unobserved(min_information(prior_.has_given_poses));
+    const Eigen::VectorXd corrections = stack_twists(start_, track_);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        equations.add_zero_prior(k, prior_->pull, block_of(corrections, k));
+        equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
-        const double link_scale = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_smooth_prior(k, link_scale * prior_->link,
-                                   block_of(corrections, k + 1) - block_of(corrections, k));
+        const glm::dvec3 offset_m = track_.pose[k + 1].translation - track_.pose[k].translation;
+        // The twist of the earlier pose is that of the later pose, seen from its position.
+        const Matrix6 carry_back = twist_transfer(-offset_m);
+        Matrix6 weights = hold_stiffness(unobserved[k + 1]) +
+                          carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;
+        weights.diagonal() += kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]) * prior_.link;
+        const Pose expected = track_.pose[k] * inverse(reference_.pose[k]) * reference_.pose[k + 1];
+        equations.add_motion_prior(k, weights, offset_m,
+                                   to_vector(compute_twist(expected, track_.pose[k + 1])));
     }
 }
 
@@ -188,7 +199,7 @@ double PoseAdjustment::time_fraction(std::size_t before, std::size_t pose, std::
 /// Interpolates unknown corrections over time between the nearest known corrections. At
 /// the ends of the track, uses the nearest known correction.
 void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_known) {
-    const Eigen::VectorXd corrections = stack_twists(start_, track_);
+    const Eigen::VectorXd corrections = stack_twists(reference_, track_);
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
         if (is_correction_known[k]) continue;
         auto [before, after] = find_neighbours(k, is_correction_known);
@@ -197,7 +208,7 @@ void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_kno
         if (after == k) after = before;           // at the end
         const double s = before == after ? 0.0 : time_fraction(before, k, after);
         const Vector6 earlier = block_of(corrections, before), later = block_of(corrections, after);
-        track_.pose[k] = apply_twist(start_.pose[k], to_twist(earlier + s * (later - earlier)));
+        track_.pose[k] = apply_twist(reference_.pose[k], to_twist(earlier + s * (later - earlier)));
     }
 }
 
@@ -251,18 +262,24 @@ std::vector<std::size_t> PoseAdjustment::interpolate_lost(const SubsampledScans&
     return lost;
 }
 
-void PoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
+SinglePoseEquations PoseAdjustment::equations_of_pose(const PlaneMap& map, std::size_t pose_index,
+                                                      const std::vector<SubsampledPoint>& points,
+                                                      double kernel_scale_m) const {
+    return sum_point_equations(points.size(), [&](SinglePoseEquations& sum, std::size_t i) {
+        const WorldPointWithOrigin placed = point_to_world(track_, points[i]);
+        const LocalPlane* plane = map.find_plane_at(placed.point_m);
+        if (!plane) return;
+        // A point moves less than this pose if it was measured between two poses.
+        const double motion_fraction = weight_of_pose(points[i], pose_index);
+        sum.add_residual(make_residual(placed, *plane, kernel_scale_m), motion_fraction);
+    });
+}
+
+void PoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index, const Pose& start,
                                 const std::vector<SubsampledPoint>& points, double kernel_scale_m) {
-    const SinglePoseEquations equations =
-        sum_point_equations(points.size(), [&](SinglePoseEquations& sum, std::size_t i) {
-            const WorldPointWithOrigin placed = point_to_world(track_, points[i]);
-            const LocalPlane* plane = map.find_plane_at(placed.point_m);
-            if (!plane) return;
-            // A point moves less than this pose if it was measured between two poses.
-            const double motion_fraction = weight_of_pose(points[i], pose_index);
-            sum.add_residual(make_residual(placed, *plane, kernel_scale_m), motion_fraction);
-        });
-    equations.move_pose(track_.pose[pose_index], kAdjustmentPrior);
+    const SinglePoseEquations equations = equations_of_pose(map, pose_index, points, kernel_scale_m);
+    equations.move_pose(track_.pose[pose_index], start,
+                        equations.find_unobserved(min_information(prior_.has_given_poses)));
 }
 
 }  // namespace relidar

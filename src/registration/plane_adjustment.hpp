@@ -21,25 +21,39 @@ struct PlaneMap {
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
 };
 
-/// Weights of terms that keep pose corrections small and smooth, relative to one point.
+/// Weights of terms that keep the corrections of poses small and smooth. See
+/// point_weight().
 struct PoseCorrectionPrior {
-    Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that makes the corrections of two consecutive poses similar;
-    /// it is multiplied by (0.1 s / time between the poses)
-    Vector6 link = Vector6::Zero();
+    Vector6 pull;  ///< weight of the term that pulls each correction to zero
+    /// weight of the term that pulls the motion between two consecutive poses to that of
+    /// the reference track; it is multiplied by (0.1 s / time between the poses)
+    Vector6 link;
+    bool has_given_poses;  ///< see min_information()
+
+    /// @param pull_m, pull_rad, link_m, link_rad  standard deviations
+    PoseCorrectionPrior(double pull_m, double pull_rad, double link_m, double link_rad, bool is_given = true)
+        : has_given_poses(is_given) {
+        pull << Eigen::Vector3d::Constant(point_weight(pull_m)),
+            Eigen::Vector3d::Constant(point_weight(pull_rad));
+        link << Eigen::Vector3d::Constant(point_weight(link_m)),
+            Eigen::Vector3d::Constant(point_weight(link_rad));
+    }
 };
 
 /// Optimises all poses of a track so that points of different sweeps lie on common
-/// planes. The planes are fitted again in each round.
+/// planes. The planes are fitted again in each round. Motions that the points do not show
+/// stay as in a reference track.
 class PoseAdjustment {
 public:
     /// @param initial_track  poses before any correction
     /// @param start  start values of the poses, accurate enough for the first cell size
     /// @param points  points of all sweeps, sweep by sweep
+    /// @param reference  track whose motions are kept where points do not show the motion
     /// @param gauge  [poses] true for the poses whose mean correction is kept at zero, so
     /// that the track does not move as a unit
-    PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
-                   std::vector<SubsampledPoint> points, std::vector<bool> gauge);
+    PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start, const PoseTrack& reference,
+                   const PoseCorrectionPrior& prior, std::vector<SubsampledPoint> points,
+                   std::vector<bool> gauge);
 
     /// Optimises all poses in several rounds. The cell size and the scale of the robust
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
@@ -47,7 +61,6 @@ public:
     std::vector<FitRound> adjust_poses(const FitRound& first_round_settings,
                                        const FitRound& last_round_settings,
                                        const std::function<bool(double finished_fraction)>& should_continue);
-    void set_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
     PlaneMap fit_planes(const FitRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
@@ -60,9 +73,13 @@ public:
                                               const std::vector<double>& shares_on_planes,
                                               const std::vector<bool>& pose_has_points,
                                               double max_deviation_m);
+    /// Returns the equations that move one pose towards fixed planes.
+    SinglePoseEquations equations_of_pose(const PlaneMap& map, std::size_t pose_index,
+                                          const std::vector<SubsampledPoint>& points, double scale_m) const;
     /// Moves one pose by a Gauss-Newton step towards fixed planes.
-    void align_pose(const PlaneMap& map, std::size_t pose_index, const std::vector<SubsampledPoint>& points,
-                    double scale_m);
+    /// @param start  pose that is kept where points do not show the motion
+    void align_pose(const PlaneMap& map, std::size_t pose_index, const Pose& start,
+                    const std::vector<SubsampledPoint>& points, double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
     static bool has_enough_planes(double fraction_on_planes, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
@@ -77,14 +94,15 @@ public:
 
 private:
     PoseTrack initial_track_, track_, start_;  // start_: poses before the first round
+    PoseTrack reference_;
     std::vector<SubsampledPoint> points_;
     std::vector<bool> gauge_;  // [poses] see the constructor
-    std::optional<PoseCorrectionPrior> prior_;
+    PoseCorrectionPrior prior_;
 
     FitRound run_round(FitRound round, double grid_shift_cells);
     PoseEquations sum_equations(const std::vector<WorldPointWithOrigin>& world_points, const PlaneMap& map,
                                 double scale_m) const;
-    void add_prior(PoseEquations& equations, const Eigen::VectorXd& corrections) const;
+    void add_prior(PoseEquations& equations) const;
     void centre_poses();
     void fill_corrections(const std::vector<bool>& is_correction_known);
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;

@@ -53,6 +53,7 @@ glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
     const Eigen::Matrix3d& axes = solver.eigenvectors();
     const Eigen::Vector3d& eigenvalues = solver.eigenvalues();
     plane = {.point_m = mean, .normal = column_of(axes, 0), .u = column_of(axes, 1), .v = column_of(axes, 2)};
+    plane.set_tilts(sum, eigenvalues[0], eigenvalues[1], eigenvalues[2]);
     return glm::dvec3(eigenvalues[0], eigenvalues[1], eigenvalues[2]) / sum;
 }
 

@@ -2,6 +2,7 @@
 // Fits planes to the points of all scans, one in each cell of a grid.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <optional>
@@ -23,6 +24,19 @@ inline FitRound blend_rounds(const FitRound& first_round_settings, const FitRoun
 struct LocalPlane {
     glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
+    /// Standard deviations of the tilts of `normal` towards u and v.
+    double tilt_u_rad = 0.0, tilt_v_rad = 0.0;
+
+    /// Computes the tilts of a plane that was fitted to n points. The variance of a tilt is
+    /// variance along the normal / (n * variance along u) + kMinTilt_rad^2
+    /// because surfaces are curved, and cells contain edges. So points share their errors,
+    /// and more than kMaxPoints of them do not help.
+    void set_tilts(double n_points, double normal_variance_m2, double u_variance_m2, double v_variance_m2) {
+        constexpr double kMaxPoints = 10.0, kMinTilt_rad = 0.03;
+        const double variance_m2 = std::max(normal_variance_m2, 0.0) / std::min(n_points, kMaxPoints);
+        tilt_u_rad = std::sqrt(variance_m2 / u_variance_m2 + kMinTilt_rad * kMinTilt_rad);
+        tilt_v_rad = std::sqrt(variance_m2 / v_variance_m2 + kMinTilt_rad * kMinTilt_rad);
+    }
 };
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1

@@ -49,7 +49,10 @@ void VoxelPlaneMap::refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& ce
     const bool is_plane = f.variance[1] >= std::pow(kVoxelSpread * cell_m_, 2) &&
                           f.variance[0] <= std::pow(kMaxThicknessPerCell * cell_m_, 2);
     cell.plane.reset();
-    if (is_plane) cell.plane = LocalPlane{cell_centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
+    if (is_plane) {
+        cell.plane = LocalPlane{cell_centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
+        cell.plane->set_tilts(cell.sums.n, f.variance[0], f.variance[1], f.variance[2]);
+    }
     cell.n_fitted.store(cell.sums.n, std::memory_order_release);
 }
 

@@ -22,6 +22,8 @@ constexpr std::size_t kMaxPlaneParts = 64, kMinPlanesPerPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.
 constexpr double kSolverTolerance = 1e-4;
+// Standard deviations of the start pose of a single scan.
+constexpr double kStartSigma_m = 0.2, kStartSigma_rad = 0.02;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
@@ -66,39 +68,43 @@ PlaneResidual make_residual(const WorldPointWithOrigin& point, const LocalPlane&
     PlaneResidual row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
     row.weight = robust_weight(row.residual_m, scale_m);
-    row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
+    const glm::dvec3 arm_m = point.point_m - point.vehicle_m;
+    const auto derivative = [&](const glm::dvec3& direction) {
+        Vector6 j;
+        j << to_eigen(direction), to_eigen(glm::cross(arm_m, direction));
+        return j;
+    };
+    row.j = derivative(plane.normal);
+    row.j_error << derivative(plane.tilt_u_rad * plane.u), derivative(plane.tilt_v_rad * plane.v);
     return row;
 }
 
 void SinglePoseEquations::add_residual(const PlaneResidual& plane_residual, double pose_motion_fraction) {
-    stiffness_ += plane_residual.weight * pose_motion_fraction * pose_motion_fraction * plane_residual.j *
-                  plane_residual.j.transpose();
+    const double weight = plane_residual.weight * pose_motion_fraction * pose_motion_fraction;
+    stiffness_ += weight * plane_residual.j * plane_residual.j.transpose();
+    noise_ += weight * plane_residual.j_error * plane_residual.j_error.transpose();
     gradient_ += plane_residual.weight * pose_motion_fraction * plane_residual.residual_m * plane_residual.j;
     n_on_planes_ += plane_residual.is_on_plane();
 }
 
 SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& other) {
     stiffness_ += other.stiffness_;
+    noise_ += other.noise_;
     gradient_ += other.gradient_;
     n_on_planes_ += other.n_on_planes_;
     return *this;
 }
 
-double SinglePoseEquations::move_pose(Pose& pose, double prior_weight,
-                                      const Twist& current_correction) const {
+double SinglePoseEquations::move_pose(Pose& pose, const Pose& start,
+                                      const std::vector<UnobservedMotion>& unobserved) const {
     if (empty()) return 0.0;
-    // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: diagonal prior, c:
-    // current correction. Metres and radians have different priors.
-    Matrix6 stiffness = stiffness_;
-    Vector6 gradient = gradient_;
-    const double prior_m = prior_weight * stiffness_.diagonal().head<3>().mean(),
-                 prior_rad = prior_weight * stiffness_.diagonal().tail<3>().mean();
-    for (int i = 0; i < 6; ++i) {
-        const double prior = i < 3 ? prior_m : prior_rad;
-        stiffness(i, i) += prior;
-        gradient[i] += prior * current_correction[std::size_t(i)];
-    }
-    const Vector6 step = -stiffness.llt().solve(gradient);
+    // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: prior, c: correction of
+    // the pose so far. P is weak, except for motions that the points do not show.
+    Matrix6 prior = hold_stiffness(unobserved);
+    prior.diagonal().head<3>().array() += point_weight(kStartSigma_m);
+    prior.diagonal().tail<3>().array() += point_weight(kStartSigma_rad);
+    const Vector6 gradient = gradient_ + prior * to_vector(compute_twist(start, pose));
+    const Vector6 step = -(stiffness_ + prior).llt().solve(gradient);
     pose = apply_twist(pose, to_twist(step));
     constexpr double kArm_m = 10.0;  // distance of the points whose motion is returned
     return glm::length(glm::dvec3(step[0], step[1], step[2])) +
@@ -116,6 +122,7 @@ Matrix6 twist_transfer(const glm::dvec3& offset_m) {
 PoseEquations::PoseEquations(std::size_t n_poses)
     : diagonal_(n_poses, Matrix6::Zero()),
       off_diagonal_(n_poses, Matrix6::Zero()),
+      noise_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
@@ -123,10 +130,12 @@ void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual&
     // interpolation. So block (i, k) of the matrix gets s_i s_k w j j^T.
     const auto [before, after] = poses_of_point(point);
     const Matrix6 w_j_jt = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
+    const Matrix6 noise = plane_residual.weight * plane_residual.j_error * plane_residual.j_error.transpose();
     for (const auto& [pose, s] : {before, after}) {
         if (s == 0.0) continue;
         block_of(gradient_, pose) += plane_residual.weight * plane_residual.residual_m * s * plane_residual.j;
         diagonal_[pose] += s * s * w_j_jt;
+        noise_[pose] += s * s * noise;
     }
     // Block (before, after). Its transpose below the diagonal is not stored.
     off_diagonal_[before.first] += before.second * after.second * w_j_jt;
@@ -182,6 +191,7 @@ void PoseEquations::add_equations(PoseEquations&& other) {
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         diagonal_[k] += other.diagonal_[k];
         off_diagonal_[k] += other.off_diagonal_[k];
+        noise_[k] += other.noise_[k];
     }
     gradient_ += other.gradient_;
     // `plane_end_` refers to `couplings_`, where those of the other planes follow.
@@ -197,12 +207,28 @@ void PoseEquations::add_zero_prior(std::size_t pose, const Vector6& weights, con
     block_of(gradient_, pose) += weights.cwiseProduct(correction);
 }
 
-void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference) {
-    diagonal_[pose].diagonal() += weights;
-    diagonal_[pose + 1].diagonal() += weights;
-    off_diagonal_[pose].diagonal() -= weights;
-    block_of(gradient_, pose) -= weights.cwiseProduct(difference);
-    block_of(gradient_, pose + 1) += weights.cwiseProduct(difference);
+void PoseEquations::add_motion_prior(std::size_t pose, const Matrix6& weights, const glm::dvec3& offset_m,
+                                     const Vector6& difference) {
+    // The next pose moves with its pose like one rigid body, so the residual of the term
+    // is difference + x_next - carry x.
+    const Matrix6 carry = twist_transfer(offset_m), carry_t_weights = carry.transpose() * weights;
+    diagonal_[pose] += carry_t_weights * carry;
+    diagonal_[pose + 1] += weights;
+    off_diagonal_[pose] -= carry_t_weights;
+    block_of(gradient_, pose) -= carry_t_weights * difference;
+    block_of(gradient_, pose + 1) += weights * difference;
+}
+
+std::vector<std::vector<UnobservedMotion>> PoseEquations::find_unobserved(double min_information) const {
+    std::vector<Matrix6> information = diagonal_;
+    for (const PlanePoseCoupling& coupling : couplings_) {
+        const Eigen::Matrix<double, 6, 3> c = coupling.c.cast<double>();
+        information[coupling.pose] -= c * c.transpose();
+    }
+    std::vector<std::vector<UnobservedMotion>> motions(information.size());
+    for (std::size_t k = 0; k < information.size(); ++k)
+        motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
+    return motions;
 }
 
 /// Computes H x with H = T - sum over planes of c c^T. T has the blocks diagonal_ and
@@ -238,16 +264,14 @@ class PoseGroupEquations {
 public:
     /// Sums the equations of the poses: a motion g of a group moves its pose k by the
     /// twist A_k g (carry_), so block (j, k) of the poses becomes A_j^T block A_k.
-    /// @param pull diagonal of the prior of each pose
-    PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
+    PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track)
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
             carry_.push_back(twist_transfer(track.pose[k].translation -
                                             track.pose[k / kPosesPerGroup * kPosesPerGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
             const std::size_t group = k / kPosesPerGroup, next_group = (k + 1) / kPosesPerGroup;
-            find_block(group, group) +=
-                carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
+            find_block(group, group) += carry_[k].transpose() * equations.diagonal_[k] * carry_[k];
             if (k + 1 == n_) break;
             const Matrix6 pair_matrix = carry_[k].transpose() * equations.off_diagonal_[k] * carry_[k + 1];
             find_block(group, next_group) += pair_matrix;
@@ -312,34 +336,24 @@ private:
     }
 };
 
-/// Solves (H + P) x = -(g + P c) for the steps x of all poses. H: multiply(), g:
-/// gradient_, P: diagonal matrix of the prior, c: current corrections.
-Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
-                                           double prior_weight) const {
-    const std::size_t n = diagonal_.size();
-    Vector6 mean = Vector6::Zero();
-    for (const Matrix6& block : diagonal_) mean += block.diagonal() / double(n);
-    const Vector6 pose_prior = prior_weight * mean;
-    const Eigen::VectorXd prior = pose_prior.replicate(Eigen::Index(n), 1);  // diagonal of P
-    // The preconditioner, about the inverse of H + P, solves each pose alone, and adds a
+/// Solves H x = -g for the steps x of all poses. H: multiply(), g: gradient_.
+Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track) const {
+    // The preconditioner, about the inverse of H, solves each pose alone, and adds a
     // solution in which groups of poses move like rigid bodies.
     std::vector<Eigen::LLT<Matrix6>> factorised_blocks;
     for (const Matrix6& block : diagonal_)
         // The small constant keeps the matrix of a pose without points invertible.
-        factorised_blocks.emplace_back(block + Matrix6(pose_prior.asDiagonal()) +
-                                       1e-12 * Matrix6::Identity());
-    const PoseGroupEquations groups(*this, track, pose_prior);
+        factorised_blocks.emplace_back(block + 1e-12 * Matrix6::Identity());
+    const PoseGroupEquations groups(*this, track);
     const auto precondition = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
-        for (std::size_t k = 0; k < n; ++k) block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
+        for (std::size_t k = 0; k < diagonal_.size(); ++k)
+            block_of(z, k) = factorised_blocks[k].solve(block_of(r, k));
         groups.add_group_motions(r, z);
         return z;
     };
-    const auto multiply_with_prior = [&](const Eigen::VectorXd& p) -> Eigen::VectorXd {
-        return multiply(p) + prior.cwiseProduct(p);
-    };
-    return solve_conjugate_gradient(-gradient_ - prior.cwiseProduct(current_corrections), multiply_with_prior,
-                                    precondition);
+    return solve_conjugate_gradient(
+        -gradient_, [&](const Eigen::VectorXd& p) { return multiply(p); }, precondition);
 }
 
 }  // namespace relidar

@@ -19,14 +19,10 @@
 
 #include "base/parallel.hpp"
 #include "registration/plane_cells.hpp"
+#include "registration/unobserved_motion.hpp"
 
 namespace relidar {
 
-using Vector6 = Eigen::Matrix<double, 6, 1>;
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
-
-inline Twist to_twist(const Vector6& x) { return {x[0], x[1], x[2], x[3], x[4], x[5]}; }
-inline Vector6 to_vector(const Twist& twist) { return Eigen::Map<const Vector6>(twist.data()); }
 /// Returns the six values of a pose in a vector of all poses.
 template <class Vector>
 auto block_of(Vector& vector, std::size_t pose_index) {
@@ -37,8 +33,16 @@ auto block_of(Vector& vector, std::size_t pose_index) {
 struct PlaneResidual {
     double residual_m, weight;
     Vector6 j;
+    /// standard deviation of j: one column for each of the two tilts of the normal
+    Eigen::Matrix<double, 6, 2> j_error;
     bool is_on_plane() const { return weight > 0.25; }
 };
+/// Returns the weight of a prior with standard deviation `sigma` (metres or radians), in
+/// the unit in which a point of a plane has the weight 1. Points deviate by about 5 cm.
+inline double point_weight(double sigma) {
+    constexpr double kPointSigma_m = 0.05;
+    return (kPointSigma_m / sigma) * (kPointSigma_m / sigma);
+}
 /// Returns the distance of a point from a plane, with its robust weight and its
 /// derivatives by the twist of the vehicle pose (translation, rotation).
 /// @param scale_m distance at which the weight is 1/4
@@ -55,14 +59,19 @@ public:
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_on_planes() const { return n_on_planes_; }
+    std::vector<UnobservedMotion> find_unobserved(double min_information) const {
+        return relidar::find_unobserved(stiffness_, noise_, min_information);
+    }
     /// Moves a pose by one Gauss-Newton step, unless the equations are empty.
-    /// @param prior_weight  weight of a term that pulls the total correction of the pose
-    /// to zero, relative to the mean weight of the points
+    /// @param start  pose to which a weak prior pulls (kStartSigma_m, kStartSigma_rad)
+    /// @param unobserved  motions in which the pose stays at `start`
     /// @return the distance in metres by which points ten metres away move
-    double move_pose(Pose& pose, double prior_weight, const Twist& current_correction = {}) const;
+    double move_pose(Pose& pose, const Pose& start, const std::vector<UnobservedMotion>& unobserved) const;
 
 private:
     Matrix6 stiffness_ = Matrix6::Zero();
+    /// expected part of stiffness_ that comes from errors of the normals
+    Matrix6 noise_ = Matrix6::Zero();
     Vector6 gradient_ = Vector6::Zero();
     std::size_t n_on_planes_ = 0;
 };
@@ -97,17 +106,22 @@ public:
                   const std::vector<WorldPointWithOrigin>& world_points,
                   std::span<const std::uint32_t> point_indices, const LocalPlane& plane, double scale_m);
     void add_equations(PoseEquations&& other);
+    /// Returns for each pose the motions that its points do not show if all other poses
+    /// stay fixed. Call before priors are added.
+    std::vector<std::vector<UnobservedMotion>> find_unobserved(double min_information) const;
     void add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction);
-    /// Adds a term that pulls the corrections of a pose and the next pose towards each
-    /// other. `difference`: second minus first correction
-    void add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference);
+    /// Adds a term that pulls the motion from a pose to the next pose towards a given
+    /// motion.
+    /// @param weights  for the six values of a twist of the next pose
+    /// @param offset_m  position of the next pose minus position of the pose
+    /// @param difference  twist from the next pose according to the given motion to the
+    /// actual next pose
+    void add_motion_prior(std::size_t pose, const Matrix6& weights, const glm::dvec3& offset_m,
+                          const Vector6& difference);
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
     /// motions of groups of eight poses, so that long logs need no more iterations.
-    /// @param prior_weight  weight of the prior that pulls `current_corrections` to
-    /// zero, as a share of the mean diagonal
-    Eigen::VectorXd solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
-                                double prior_weight) const;
+    Eigen::VectorXd solve_steps(const PoseTrack& track) const;
 
     std::size_t n_planes() const { return plane_end_.size(); }
     double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
@@ -122,6 +136,8 @@ private:
     };
     /// [poses] blocks (k, k) and (k, k + 1) of the sum of w J^T J; other blocks are zero
     std::vector<Matrix6> diagonal_, off_diagonal_;
+    /// [poses] expected part of diagonal_ that comes from errors of the normals
+    std::vector<Matrix6> noise_;
     Eigen::VectorXd gradient_;
     std::vector<PlanePoseCoupling> couplings_;  ///< of all planes, plane by plane
     std::vector<std::size_t> plane_end_;        ///< [planes] end of each plane's couplings

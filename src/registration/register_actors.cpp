@@ -140,19 +140,10 @@ PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint>
                                const std::vector<bool>& pose_has_points) {
     const std::vector<double>& time_s = box.world_from_box.time_s;
     const PoseTrack identity{time_s, std::vector<Pose>(time_s.size())};
-    PoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
-    // A weight is relative to that of a point, so it is (sigma of a point / sigma)^2.
-    constexpr double kPointSigma_m = 0.05;
-    const auto weight_of = [](double sigma) { return std::pow(kPointSigma_m / sigma, 2); };
-    // The pull to zero expects label errors of 0.15 m and 2 degrees (0.035). The link of
-    // consecutive poses expects that they change by 0.05 m and 1 degree in 0.1 s.
-    const double pull_m = weight_of(0.15), pull_rad = weight_of(0.035);
-    const double link_m = weight_of(0.05), link_rad = weight_of(0.017);
-    PoseCorrectionPrior prior;
-    prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
-    prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
-    adjustment.set_prior(prior);
-    return adjustment;
+    // Labels have errors of 0.15 m and 2 degrees (0.035), which change by 0.05 m and 1
+    // degree in 0.1 s.
+    const PoseCorrectionPrior prior(0.15, 0.035, 0.05, 0.017);
+    return {identity, identity, identity, prior, std::move(points), pose_has_points};
 }
 
 /// Returns true if the points of an actor fit a fixed box about as well as a moving box:

@@ -28,6 +28,12 @@ constexpr FitRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale
 constexpr FitRound kFinalOdometryRound{0.5, 0.1};
 constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
+/// The poses of a log may drift by metres and jump now and then, but from scan to scan
+/// they are right to decimetres.
+PoseCorrectionPrior make_prior(const RegistrationOptions& options) {
+    return {1.0, 0.1, 0.1, 0.01, options.use_pose_motion};
+}
+
 /// Returns the cell size for thinning. Few scans need small cells for enough points.
 double thinning_cell_m(std::size_t n_scans) {
     return std::clamp(kMaxThinningCell_m * std::sqrt(double(n_scans) / kScansPerCell), kMinThinningCell_m,
@@ -71,7 +77,7 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
         for (std::size_t k = 0; k < test_scans.size(); ++k) {
             if (!is_test_sweep[k]) continue;
             for (int step = 0; step < kStepsPerLevel; ++step)
-                adjustment.align_pose(map, k, test_scans[k], round.scale_m);
+                adjustment.align_pose(map, k, poses_before[k], test_scans[k], round.scale_m);
             if (!is_finest || !has_failed(k)) continue;
             adjustment.set_pose(k, poses_before[k]);
             lost.push_back(k);
@@ -138,8 +144,9 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
     std::vector<SubsampledPoint> points;
     for (const std::vector<SubsampledPoint>& scan : scans)
         points.insert(points.end(), scan.begin(), scan.end());
-    PoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
-                              options.use_pose_motion ? is_train : keep_middle(is_train));
+    PoseAdjustment adjustment(sweeps.track, closed.track,
+                              options.use_pose_motion ? sweeps.track : closed.track, make_prior(options),
+                              std::move(points), options.use_pose_motion ? is_train : keep_middle(is_train));
     result.rounds = adjustment.adjust_poses(first, kFinalRound, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
@@ -164,6 +171,34 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
     result.world_from_vehicle = spread_corrections(log.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;
     return result;
+}
+
+std::vector<std::vector<UnobservedMotion>> find_unobserved_motions(const Log& log,
+                                                                   const std::vector<int>& map_frames,
+                                                                   const RegistrationOptions& options) {
+    const SweepSet sweeps = group_sweeps(log);
+    const std::vector<bool> is_in_map = flag_sweeps(sweeps, map_frames, log.frames.size());
+    const double cell_m = thinning_cell_m(std::size_t(std::ranges::count(is_in_map, true)));
+    const SubsampledScans scans =
+        thin_sweeps(log, sweeps, std::vector<bool>(is_in_map.size(), true), options, cell_m);
+    std::vector<SubsampledPoint> map_points;
+    for (std::size_t k = 0; k < scans.size(); ++k)
+        if (is_in_map[k]) map_points.insert(map_points.end(), scans[k].begin(), scans[k].end());
+    const PoseAdjustment adjustment(sweeps.track, sweeps.track, sweeps.track, make_prior(options),
+                                    std::move(map_points), is_in_map);
+    const PlaneMap map = adjustment.fit_planes(kFinalRound);
+    std::vector<std::vector<UnobservedMotion>> motions(sweeps.pose.size());
+    parallel_for(static_cast<int>(motions.size()), [&](int index) {
+        const auto k = std::size_t(index);
+        motions[k] = adjustment.equations_of_pose(map, k, scans[k], kFinalRound.scale_m)
+                         .find_unobserved(min_information(options.use_pose_motion));
+    });
+    std::vector<std::vector<UnobservedMotion>> of_poses;
+    for (const double time_s : log.world_from_vehicle.time_s) {
+        const TrackInterpolation at = sweeps.track.find_segment(time_s);
+        of_poses.push_back(motions[at.s < 0.5 ? at.left : at.left + 1]);
+    }
+    return of_poses;
 }
 
 }  // namespace relidar

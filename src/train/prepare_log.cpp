@@ -2,6 +2,7 @@
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -71,32 +72,93 @@ std::string describe_length(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
+/// Lists the frames whose pose has a property. Several LiDARs can have a frame with the
+/// same number.
+template <class Condition>
+std::vector<int> list_frames(const Log& log, const Condition& has_property) {
+    std::vector<int> frames;
+    for (const Frame& frame : log.frames)
+        if (has_property(log.find_pose_index(frame)) && (frames.empty() || frames.back() != frame.index))
+            frames.push_back(frame.index);
+    return frames;
+}
+
 constexpr double kMostLost = 0.05;  // share of scans that may fail to register; one may always
 
 /// Prints which scans could not be registered.
-/// @throws DataError if too many scans failed
-void report_unregistered(const Log& sequence, const RegistrationResult& registration, const Config& config,
+/// @throws DataError if too many scans of a log without poses failed
+void report_unregistered(const Log& log, const RegistrationResult& registration, const Config& config,
                          const LogPreparationCallbacks& session) {
     if (registration.lost.empty()) return;
-    std::vector<int> lost_frames;
-    for (const Frame& frame : sequence.frames) {
-        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.find_pose_index(frame));
-        // Several LiDARs can have a frame with the same number.
-        const bool is_listed = !lost_frames.empty() && lost_frames.back() == frame.index;
-        if (is_lost && !is_listed) lost_frames.push_back(frame.index);
-    }
-    const std::size_t n_scans = sequence.world_from_vehicle.pose.size();
+    const std::vector<int> lost_frames = list_frames(
+        log, [&](std::size_t pose) { return std::ranges::binary_search(registration.lost, pose); });
+    const std::size_t n_scans = log.world_from_vehicle.pose.size();
     const std::string text =
         fmt::format("{} of {} scans could not be registered to their neighbours (frames {})",
                     lost_frames.size(), n_scans, list_text(lost_frames));
+    if (has_usable_poses(log, config)) {
+        session.report_line(text + "; they keep the poses of the log, moved like their neighbours");
+        return;
+    }
     const double max_lost = std::max(1.0, kMostLost * double(n_scans));
     if (double(lost_frames.size()) > max_lost && !config.train.allow_lost_scans)
         fail(
             "cannot estimate the poses of {} from its scans: {}; expected that this happens for at most "
-            "{:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses of these scans, "
-            "or train.refine_poses=none to keep the poses of the log",
-            sequence.name, text, 100.0 * kMostLost);
+            "{:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses of these scans",
+            log.name, text, 100.0 * kMostLost);
     session.report_line(text + "; their poses are interpolated from their neighbours");
+}
+
+/// Names the motions along and about the axes of the vehicle (x forward, y left, z up).
+constexpr std::array<const char*, 6> kMotionNames = {"forward", "sideways", "vertical",
+                                                     "rolling", "pitching", "turning"};
+
+/// Returns for each axis of the vehicle whether the scan shows less than half of a motion
+/// along it, and of a rotation about it.
+std::array<bool, 6> find_hidden_axes(const Pose& pose, const std::vector<UnobservedMotion>& unobserved) {
+    std::array<bool, 6> is_hidden{};
+    for (std::size_t i = 0; i < 6; ++i) {
+        glm::dvec3 axis(0.0);
+        axis[int(i % 3)] = 1.0;
+        axis = pose.rotation * axis;
+        Twist motion{};
+        for (std::size_t k = 0; k < 3; ++k) motion[i / 3 * 3 + k] = axis[int(k)];
+        const Twist shown = remove_unobserved(motion, unobserved);
+        double share = 0.0;
+        for (std::size_t k = 0; k < 6; ++k) share += shown[k] * motion[k];
+        is_hidden[i] = share < 0.5;
+    }
+    return is_hidden;
+}
+
+/// Reports motions of the vehicle that the scans do not show. Warns if they are a guess
+/// because the log has no poses.
+void report_unobserved(Log& log, const Split& split, const Config& config,
+                       const LogPreparationCallbacks& session) {
+    const PoseTrack& track = log.world_from_vehicle;
+    const std::vector<std::vector<UnobservedMotion>> unobserved =
+        find_unobserved_motions(log, split.train, registration_options(log, config));
+    std::vector<std::string> parts;
+    for (std::size_t axis = 0; axis < kMotionNames.size(); ++axis) {
+        const std::vector<int> frames = list_frames(log, [&](std::size_t pose) {
+            return find_hidden_axes(track.pose[pose], unobserved[pose])[axis];
+        });
+        if (!frames.empty())
+            parts.push_back(fmt::format("{} (frames {})", kMotionNames[axis], list_text(frames)));
+    }
+    if (parts.empty()) return;
+    const std::string text =
+        fmt::format("the scans do not show how the vehicle moved: {}", fmt::join(parts, ", "));
+    if (has_usable_poses(log, config)) {
+        session.report_line(text + "; this part of the motion is that of the log's poses");
+        return;
+    }
+    const std::string warning = fmt::format(
+        "warning: {}; this part of the motion is a guess that assumes a constant speed. Poses of wheel "
+        "odometry or GNSS in dataset.poses would help",
+        text);
+    session.report_line(warning);
+    log.notes.push_back(warning);  // the command `info` prints notes
 }
 
 /// Registers the scans of the log with each other.
@@ -111,7 +173,7 @@ std::optional<RegistrationResult> run_registration(const Log& sequence, const Sp
         options.group = session.group;
         return register_scans(sequence, split, options);
     } catch (const DataError& error) {
-        if (!config.train.allow_lost_scans) throw;
+        if (!config.train.allow_lost_scans && !has_usable_poses(sequence, config)) throw;
         session.report_line(fmt::format("{}; the poses of the log are used instead", error.what()));
         return std::nullopt;
     }
@@ -166,7 +228,9 @@ void register_vehicle(Log& log, const Split& split, const Config& config,
     if (!registration.done) registration.world_from_vehicle.pose.clear();
     PoseTrack track{log.world_from_vehicle.time_s,
                     call.group.broadcast(std::move(registration.world_from_vehicle.pose))};
-    if (!track.pose.empty()) set_trajectory(log, std::move(track));
+    if (track.pose.empty()) return;
+    set_trajectory(log, std::move(track));
+    if (call.group.is_first()) report_unobserved(log, split, config, call);
 }
 
 /// Estimates a range offset for each beam, so that beams agree on the position of planes.

@@ -14,6 +14,7 @@
 
 #include "base/fail.hpp"
 #include "train/iteration_reports.hpp"
+#include "train/poses/register_options.hpp"
 
 namespace relidar {
 
@@ -135,6 +136,14 @@ IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scen
     return masks;
 }
 
+/// Returns the motions of the vehicle that the scans do not show, so that training does
+/// not change them.
+std::vector<std::vector<UnobservedMotion>> unobserved_motions(const Log& log, const Split& split,
+                                                              const Config& config) {
+    if (!config.train.refines("sensor")) return {};
+    return find_unobserved_motions(log, split.train, registration_options(log, config));
+}
+
 /// Returns the grid whose cells are used as training rays, or nothing if training uses
 /// the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
@@ -168,7 +177,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
                .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
                .grid = training_grid(config)}),
       batches_(device, config, frames_.all()),
-      refiner_(device, sequence, initial, config.train, frames_),
+      refiner_(device, sequence, initial, config.train, frames_, unobserved_motions(sequence, split, config)),
       differentiable_(device, initial, config.image,
                       {.accel = choose_refit(config, n_fixed_surfels).accel,
                        .trace = training_options(config),

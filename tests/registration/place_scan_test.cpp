@@ -75,7 +75,7 @@ ScanAlignment placed(const Log& log, std::size_t pose, const RegistrationOptions
             }
             return surface_hits;
         },
-        options);
+        {}, options);
 }
 
 double compute_angle_between(const Pose& first, const Pose& second) {

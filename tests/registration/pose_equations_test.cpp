@@ -61,14 +61,32 @@ Problem make_random_problem(unsigned seed) {
     return p;
 }
 
-/// Solves min sum w (r + row of poses . x - row of plane . y)^2 + prior over x and y by
+Vector6 prior_weights() {
+    Vector6 weights;
+    weights << 1.0, 1.0, 1.0, 50.0, 50.0, 50.0;
+    return weights;
+}
+/// A prior between two poses, and the twist from the expected to the actual second pose.
+const glm::dvec3 kOffset_m(1.0, 0.1, 0.0);
+Matrix6 motion_weights() {
+    Vector6 a;
+    a << 20.0, 3.0, 0.0, 1.0, 0.0, 2.0;
+    return a * a.transpose();
+}
+Vector6 motion_difference() {
+    Vector6 d;
+    d << 0.02, -0.01, 0.03, 0.002, 0.001, -0.003;
+    return d;
+}
+
+/// Solves min sum w (r + row of poses . x - row of plane . y)^2 + priors over x and y by
 /// dense elimination of the planes. The remaining equations for the poses are H x = -g.
 struct DenseEquations {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
 };
 
-DenseEquations make_dense_equations(const Problem& problem, double prior) {
+DenseEquations make_dense_equations(const Problem& problem) {
     const Eigen::Index n = 6 * (kPoses + 1), m = n + 3 * Eigen::Index(problem.planes.size());
     Eigen::MatrixXd h = Eigen::MatrixXd::Zero(m, m);
     Eigen::VectorXd g = Eigen::VectorXd::Zero(m);
@@ -85,11 +103,22 @@ DenseEquations make_dense_equations(const Problem& problem, double prior) {
             h += row.weight * all * all.transpose();
             g += row.weight * row.residual_m * all;
         }
-    Vector6 mean = Vector6::Zero();
     for (Eigen::Index k = 0; k <= kPoses; ++k)
-        mean += h.block<6, 6>(6 * k, 6 * k).diagonal() / double(kPoses + 1);
-    for (Eigen::Index k = 0; k <= kPoses; ++k)
-        h.block<6, 6>(6 * k, 6 * k) += prior * Matrix6(mean.asDiagonal());
+        h.block<6, 6>(6 * k, 6 * k) += Matrix6(prior_weights().asDiagonal());
+    for (Eigen::Index k = 0; k < kPoses; ++k) {
+        // The next pose is expected to move by (v + w x offset, w) of the pose.
+        Eigen::MatrixXd row = Eigen::MatrixXd::Zero(6, m);
+        row.block<6, 6>(0, 6 * k + 6).setIdentity();
+        row.block<6, 6>(0, 6 * k).diagonal().setConstant(-1.0);
+        for (int axis = 0; axis < 3; ++axis) {
+            glm::dvec3 w(0.0);
+            w[axis] = 1.0;
+            const glm::dvec3 moved = glm::cross(w, kOffset_m);
+            for (int i = 0; i < 3; ++i) row(i, 6 * k + 3 + axis) = -moved[i];
+        }
+        h += row.transpose() * motion_weights() * row;
+        g += row.transpose() * motion_weights() * motion_difference();
+    }
     const Eigen::LLT<Eigen::MatrixXd> planes(h.bottomRightCorner(m - n, m - n));
     const Eigen::MatrixXd coupling = h.topRightCorner(n, m - n);
     return {h.topLeftCorner(n, n) - coupling * planes.solve(coupling.transpose()),
@@ -104,10 +133,12 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         PoseEquations equations(kPoses + 1);
         for (std::size_t c = 0; c < p.planes.size(); ++c)
             equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
-        constexpr double kPrior = 1e-4;
-        const Eigen::VectorXd actual =
-            equations.solve_steps(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
-        const DenseEquations dense = make_dense_equations(p, kPrior);
+        for (std::size_t k = 0; k <= kPoses; ++k) {
+            equations.add_zero_prior(k, prior_weights(), Vector6::Zero());
+            if (k < kPoses) equations.add_motion_prior(k, motion_weights(), kOffset_m, motion_difference());
+        }
+        const Eigen::VectorXd actual = equations.solve_steps(p.track);
+        const DenseEquations dense = make_dense_equations(p);
         const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;
     }

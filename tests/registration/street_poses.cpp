@@ -204,22 +204,18 @@ SpinningSensor sensor() {
 
 }  // namespace
 
-Log drive_around_block(int n_frames) {
+Log record_drive(const PoseTrack& track, std::vector<street::StreetShape> shapes, int columns) {
     Log drive;
-    drive.name = "drive around a block";
+    drive.name = "drive";
     drive.lidars[0].sensor = sensor();
+    drive.lidars[0].sensor.columns = columns;
+    drive.world_from_vehicle = track;
     const RayTable rays = make_rays(drive.lidars[0].sensor);
-    for (int k = 0; k < n_frames; ++k) {
-        drive.world_from_vehicle.time_s.push_back(0.1 * k);
-        drive.world_from_vehicle.pose.push_back(
-            compute_sensor_pose_at(compute_driven_m(0.1 * k, 0.1 * n_frames)));
-        drive.frames.push_back(
-            {.index = k,
-             .time_s = 0.1 * k,
-             .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
-    }
-    const street::StreetCaster town(make_town());
-    parallel_for(n_frames, [&](int k) {
+    const ScanArray<float> zeros(rays.size(), 0.0f);
+    for (std::size_t k = 0; k < track.pose.size(); ++k)
+        drive.frames.push_back({.index = int(k), .time_s = track.time_s[k], .scan = {rays, zeros, zeros}});
+    const street::StreetCaster town({std::move(shapes), {}});
+    parallel_for(int(track.pose.size()), [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash_pair(11, std::uint64_t(k)));
         street::ActorPoses no_actors;
@@ -232,6 +228,13 @@ Log drive_around_block(int n_frames) {
         }
     });
     return drive;
+}
+
+Log drive_around_block(int n_frames) {
+    PoseTrack track;
+    for (int k = 0; k < n_frames; ++k)
+        track.append(0.1 * k, compute_sensor_pose_at(compute_driven_m(0.1 * k, 0.1 * n_frames)));
+    return record_drive(track, make_town().shapes, 128);
 }
 
 }  // namespace relidar::test

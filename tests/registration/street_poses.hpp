@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <vector>
+
 #include <relidar/log/sequence.hpp>
+
+#include "read/datasets/street/street.hpp"
 
 namespace relidar::test {
 
@@ -23,9 +27,12 @@ struct PoseError {
 /// Errors after removing the common rigid motion.
 PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions);
 
-/// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz: straight roads,
-/// curves, a stop of 2 s, and an end slightly beyond the start. A sweep has 32 x 128
-/// rays, a rolling shutter, range noise of 1 cm, and no labels.
+/// Records a drive between shapes on flat ground. A sweep has 32 beams, a rolling
+/// shutter, range noise of 1 cm, and no labels.
+Log record_drive(const PoseTrack& track, std::vector<street::StreetShape> shapes, int columns);
+
+/// Makes a drive of 283 m around a block in n_frames sweeps of 128 columns at 10 Hz:
+/// straight roads, curves, a stop of 2 s, and an end slightly beyond the start.
 Log drive_around_block(int n_frames);
 
 }  // namespace relidar::test

@@ -166,6 +166,28 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
     EXPECT_THAT(warning, test::Names("w order"));
 }
 
+/// A bare tunnel does not show how far the vehicle drove.
+TEST(PrepareLog, SaysWhichMotionTheScansDoNotShow) {
+    PoseTrack track;
+    for (int k = 0; k < 8; ++k) track.append(0.1 * k, {{1.0, 0.0, 0.0, 0.0}, {0.3 * k, 0.0, 1.5}});
+    const std::vector<street::StreetShape> walls{{.centre = {0, 3, 2}, .half = {200, 0.2, 2}},
+                                                 {.centre = {0, -3, 2}, .half = {200, 0.2, 2}},
+                                                 {.centre = {0, 0, 4.2}, .half = {200, 4, 0.2}}};
+    const Log tunnel = test::record_drive(track, walls, 360);
+    for (const bool has_poses : {true, false}) {
+        Config config;
+        config.train.refine_poses = "sensor";
+        if (!has_poses) config.dataset.poses = kNoPoses;
+        Log log = tunnel;
+        std::string text;
+        prepare_log(log, split_frames(log, 0), config,
+                    {[&](const std::string& line) { text += line + "\n"; }, {}, {}});
+        EXPECT_THAT(text, test::Names("forward (frames 0, 1, 2"));
+        EXPECT_EQ(text.find("warning: ") != std::string::npos, !has_poses) << text;
+        EXPECT_EQ(log.notes.empty(), has_poses);
+    }
+}
+
 class PlaceHeldOut : public test::DeviceTest {};
 
 Run train_small_run(Device& device) {

@@ -39,6 +39,17 @@ struct FitRound {
     double step_m = 0.0;  ///< longest translation of a pose in this step
 };
 
+/// A small motion of a pose that its scan does not show, for example along a tunnel. The
+/// poses of the log, or their prediction, decide about this motion.
+struct UnobservedMotion {
+    Twist direction;  ///< the motion v: translation and rotation vector, in world axes
+    /// a, with a . v = 1. The product a . x is the share of this motion in a twist x.
+    Twist coordinate;
+};
+
+/// Returns the part of a twist that the scans show.
+Twist remove_unobserved(const Twist& twist, const std::vector<UnobservedMotion>& unobserved);
+
 struct RegistrationResult {
     /// Corrected poses of the vehicle, or those of the log if `done` is false.
     PoseTrack world_from_vehicle;
@@ -106,11 +117,22 @@ struct ScanAlignment {
 /// Aligns one pose of the vehicle with a scene. The scene and all other poses stay fixed:
 ///   min over the pose of  sum over points p of rho(n . (p - q)),
 ///   rho as in register_scans()
-/// q and n are point and normal of the surface that the scene shows along the ray of p,
+/// The pose keeps the given unobserved motions. q and n are point and normal of the surface that the scene shows along the ray of p,
 /// rendered again after each Gauss-Newton step. Uses all LiDARs that swept at that time.
 /// @param pose  index into Log::world_from_vehicle
+/// @param unobserved  find_unobserved_motions() of this pose
 ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneCaster& scene_view,
-                         const RegistrationOptions& options);
+                         const std::vector<UnobservedMotion>& unobserved, const RegistrationOptions& options);
+
+/// Returns for each pose of the log which motions its scans do not show: those for which
+/// the planes of other scans give hardly more information than the errors of their fitted
+/// normals would give. A pose without a scan of the main LiDAR has the same as the
+/// nearest pose with a scan.
+/// @param map_frames  frames whose points form the planes
+/// @return [poses of the log]
+std::vector<std::vector<UnobservedMotion>> find_unobserved_motions(const Log& log,
+                                                                   const std::vector<int>& map_frames,
+                                                                   const RegistrationOptions& options);
 
 struct ActorRegistrationResult {
     std::size_t n_actors = 0;      ///< number of moving boxes that are long enough

@@ -124,8 +124,8 @@ struct LogPreparationCallbacks {
 /// deterministic, so a resumed training prepares the log again. All processes of a group
 /// get the same result, but only the first process calls `report_line`.
 /// @throws Error with exit code 130 if stopped
-/// @throws DataError if more than 5 % of the scans cannot be registered and
-/// train.allow_lost_scans is not set
+/// @throws DataError if the log has no poses, more than 5 % of the scans cannot be
+/// registered, and train.allow_lost_scans is not set
 /// @throws UsageError if the log has no poses and the settings do not register it
 void prepare_log(Log& log, const Split& split, const Config& config, LogPreparationCallbacks callbacks = {});
 

@@ -229,7 +229,8 @@ void visit_settings(C& config, Visitor&& visitor) {
                     "actors' boxes");
     RELIDAR_SETTING(
         train.allow_lost_scans, accept_anything(),
-        "train even if more than 5 % of the scans could not be registered; false: this is an error");
+        "train even if more than 5 % of the scans of a log without poses could not be registered; false: "
+        "this is an error");
     RELIDAR_SETTING(train.frame_memory_mib, accept_between(0, kMaxCount),
                     mark_expert("device memory in MiB for the rays and targets of frames; frames that do not "
                                 "fit are uploaded again for each step that uses them"));

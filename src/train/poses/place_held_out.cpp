@@ -68,6 +68,8 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
     }
     const RegistrationOptions options = registration_options(run.sequence, config);
     ScanRenderer renderer(device, run.scene, surface_config(config), run.sequence);
+    const std::vector<std::vector<UnobservedMotion>> unobserved =
+        find_unobserved_motions(run.sequence, run.split.train, options);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
     // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
@@ -84,7 +86,7 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
                 return render_surfaces(renderer, run, position, rays, from);
             },
-            options);
+            unobserved[pose], options);
         ++result.scans;
         if (!placed.is_aligned) continue;
         track.pose[pose] = placed.world_from_vehicle;

@@ -114,8 +114,9 @@ std::vector<Twist> PoseCorrectedRays::sum_gradients(std::span<const float> parti
     return gradients;
 }
 
-TrackCorrection::TrackCorrection(PoseTrack track)
+TrackCorrection::TrackCorrection(PoseTrack track, std::vector<std::vector<UnobservedMotion>> unobserved)
     : track_(std::move(track)),
+      unobserved_(std::move(unobserved)),
       values_(6 * track_.pose.size(), 0.0),
       moment1_(values_),
       moment2_(values_),
@@ -173,6 +174,7 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
         visited_[pose] = false;
         const double step = double(++n_steps_[pose]);
         const double bias1 = 1.0 - std::pow(kBeta1, step), bias2 = 1.0 - std::pow(kBeta2, step);
+        Twist move;
         for (std::size_t k = 0; k < 6; ++k) {
             const std::size_t i = 6 * pose + k;
             const bool is_translation = k < 3;
@@ -182,9 +184,12 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
             const double gradient = gradient_[i] + 2.0 * prior * values_[i];
             moment1_[i] += (1.0 - kBeta1) * (gradient - moment1_[i]);
             moment2_[i] += (1.0 - kBeta2) * (gradient * gradient - moment2_[i]);
-            values_[i] -= rate * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+            move[k] = -rate * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
             gradient_[i] = 0.0;
         }
+        // Adam makes full steps even if the gradient is only noise.
+        if (!unobserved_.empty()) move = remove_unobserved(move, unobserved_[pose]);
+        for (std::size_t k = 0; k < 6; ++k) values_[6 * pose + k] += move[k];
     }
 }
 
@@ -211,14 +216,14 @@ void TrackCorrection::remove_mean_motion() {
 /// Prepares the corrections that train.refine_poses selects: of the sensor poses, which
 /// need the gradients of rays, and of the actors' boxes, which need those of instances.
 PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
-                         const TrainingFrames& frames)
+                         const TrainingFrames& frames, std::vector<std::vector<UnobservedMotion>> unobserved)
     : config_(config),
       is_active_(config.refine_poses != "none"),
       frames_(frames),
       layout_(strip_surfels(layout)),
       poses_(copy_without_scans(sequence)) {
     if (config.refines("sensor")) {
-        sensor_.emplace(sequence.world_from_vehicle);
+        sensor_.emplace(sequence.world_from_vehicle, std::move(unobserved));
         rays_.emplace(device, frames.all());
         sensor_readback_.emplace(device, rays_->partial_sums().size(), "pose gradients of rays");
     }

@@ -13,6 +13,7 @@
 
 #include <relidar/gpu/stream.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/registration/registration.hpp>
 #include <relidar/scene/scene.hpp>
 
 #include "gpu/kernel.hpp"
@@ -31,7 +32,9 @@ struct PoseStepRates {
 
 class TrackCorrection {
 public:
-    explicit TrackCorrection(PoseTrack track);
+    /// @param unobserved  [poses] motions that the correction of each pose must not
+    /// contain, or empty
+    explicit TrackCorrection(PoseTrack track, std::vector<std::vector<UnobservedMotion>> unobserved = {});
 
     const PoseTrack& uncorrected_track() const { return track_; }
     /// Interpolates between the nearest optimised poses. Zero if no pose was optimised.
@@ -58,10 +61,11 @@ public:
 
 private:
     PoseTrack track_;
-    std::vector<double> values_, moment1_, moment2_;  ///< [poses,6]
-    std::vector<std::uint64_t> n_steps_;              ///< [poses] number of steps
-    std::vector<double> gradient_;                    ///< [poses,6] sum of the gradients since the last step
-    std::vector<bool> visited_;  ///< [poses] true if a gradient was added since the last step
+    std::vector<std::vector<UnobservedMotion>> unobserved_;  ///< [poses] or empty
+    std::vector<double> values_, moment1_, moment2_;         ///< [poses,6]
+    std::vector<std::uint64_t> n_steps_;                     ///< [poses] number of steps
+    std::vector<double> gradient_;  ///< [poses,6] sum of the gradients since the last step
+    std::vector<bool> visited_;     ///< [poses] true if a gradient was added since the last step
 
     Twist stored_correction(std::size_t pose) const;
 };
@@ -130,8 +134,10 @@ class PoseRefiner {
 public:
     /// @param layout  the tracks of its instances are corrected
     /// @param config  with train.refine_poses=none, all functions do nothing
+    /// @param unobserved  motions of the vehicle that stay as they are, see
+    /// find_unobserved_motions()
     PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
-                const TrainingFrames& frames);
+                const TrainingFrames& frames, std::vector<std::vector<UnobservedMotion>> unobserved);
 
     bool is_enabled() const { return is_active_; }
     /// Returns which gradients the backward pass must compute for record_gradients().
