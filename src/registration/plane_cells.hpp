@@ -23,6 +23,7 @@ inline FitRound blend_rounds(const FitRound& first_round_settings, const FitRoun
 struct LocalPlane {
     glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
+    double weight = 1.0;  ///< below 1 if it is uncertain that the points form a plane
 };
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
@@ -34,6 +35,16 @@ double robust_weight(double residual_m, double kernel_scale_m);
 std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& points,
                                     std::span<const std::uint32_t> point_indices, double cell_size_m,
                                     double kernel_scale_m);
+
+/// Fits a plane like fit_plane(), but reduces LocalPlane::weight gradually instead of
+/// rejecting the plane. So slightly different points always get a slightly different
+/// plane. Returns nothing if the weight is zero.
+std::optional<LocalPlane> fit_smooth_plane(const std::vector<WorldPointWithOrigin>& points,
+                                           std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                           double kernel_scale_m);
+
+/// Returns 0 below `begin`, 1 above `end`, and a smooth transition in between.
+double smooth_step(double x, double begin, double end);
 
 /// Sorts points into the cells of a grid.
 class PointCellGrid {

@@ -110,6 +110,7 @@ public:
                                 double prior_weight) const;
 
     std::size_t n_planes() const { return plane_end_.size(); }
+    double weight() const { return weight_; }  ///< sum of the weights of all points on planes
     double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
