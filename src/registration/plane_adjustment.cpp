@@ -15,7 +15,13 @@ constexpr int kChunks = 64;
 // Number of optimisation rounds in which the grid cells for fitting planes shrink, and
 // number of further rounds with the smallest cells.
 constexpr int kShrinkingRounds = 8, kLastRounds = 2;
-constexpr double kGridShift_cells = 0.37;     // Shift of the cell grid from one round to the next, in cells.
+constexpr double kGridShift_cells = 0.37;  // Shift of the cell grid from one round to the next, in cells.
+// converge_poses() uses several grids, in which the weight of a point falls to zero over
+// this distance (in cells) from the border of its cell. Its cells shrink slowly, because
+// otherwise slightly different points can converge to different minima. It stops if no
+// pose moves by more than kConverged_m.
+constexpr int kOverlappingGrids = 4, kSlowShrinkingRounds = 16, kMaxRounds = 60;
+constexpr double kBorder_cells = 0.25, kConverged_m = 1e-4;
 constexpr std::size_t kMinPlacedPoints = 30;  // minimum number of points on planes that determine a pose
 constexpr double kMinShareOnPlanes = 0.05;    // minimum share of a registered scan's points on planes
 
@@ -36,10 +42,24 @@ Eigen::VectorXd stack_twists(const PoseTrack& first_track, const PoseTrack& seco
     return result;
 }
 
+/// Sets the weight of each point in its cell. It is zero at the border of the cell, so
+/// that a point enters and leaves a cell gradually. The mean sum over all grids is 1.
+void fade_near_borders(std::vector<WorldPointWithOrigin>& points, double cell_m, double grid_shift_cells) {
+    const double mean_sum = kOverlappingGrids * std::pow(1.0 - kBorder_cells, 3);
+    for (WorldPointWithOrigin& point : points) {
+        const glm::dvec3 in_cell = glm::fract(point.point_m / cell_m + grid_shift_cells);
+        point.weight = 1.0 / mean_sum;
+        for (int axis = 0; axis < 3; ++axis)
+            point.weight *= smooth_step(std::min(in_cell[axis], 1.0 - in_cell[axis]), 0.0, kBorder_cells);
+    }
+}
+
 /// Fits a plane in each cell that contains points from at least two sweeps.
+/// @param fit  fit_plane() or fit_smooth_plane()
+template <class Fit>
 PlaneMap fit_cell_planes(const std::vector<SubsampledPoint>& points,
                          const std::vector<WorldPointWithOrigin>& world_points, const FitRound& round,
-                         double grid_shift_cells) {
+                         double grid_shift_cells, const Fit& fit) {
     PlaneMap map{PointCellGrid(world_points, round.cell_m, grid_shift_cells), {}};
     map.planes.resize(map.cells.size());
     parallel_blocks(map.cells.size(), [&](std::size_t cell) {
@@ -49,7 +69,7 @@ PlaneMap fit_cell_planes(const std::vector<SubsampledPoint>& points,
         const bool has_several_sweeps =
             points[point_indices.front()].pose != points[point_indices.back()].pose;
         if (has_several_sweeps)
-            map.planes[cell] = fit_plane(world_points, point_indices, round.cell_m, round.scale_m);
+            map.planes[cell] = fit(world_points, point_indices, round.cell_m, round.scale_m);
     });
     return map;
 }
@@ -96,13 +116,46 @@ std::vector<FitRound> PoseAdjustment::adjust_poses(
         // round, so that cell borders change.
         const double fraction = std::min(1.0, i / double(kShrinkingRounds - 1));
         const FitRound settings = blend_rounds(first_round_settings, last_round_settings, fraction);
-        rounds.push_back(run_round(settings, kGridShift_cells * i));
+        rounds.push_back(run_round(settings, sum_grid(settings, kGridShift_cells * i)));
     }
     return rounds;
 }
 
+void PoseAdjustment::converge_poses(const FitRound& first, const FitRound& last) {
+    for (int i = 0; i < kMaxRounds; ++i) {
+        const double fraction = std::min(1.0, i / double(kSlowShrinkingRounds - 1));
+        const FitRound round = blend_rounds(first, last, fraction);
+        if (run_round(round, sum_grids(round)).step_m < kConverged_m && fraction == 1.0) break;
+    }
+}
+
+double PoseAdjustment::mean_weight(const FitRound& round) const {
+    return sum_grids(round).weight() / double(points_.size());
+}
+
 PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
-    return fit_cell_planes(points_, points_to_world(track_, points_), round_settings, 0.0);
+    return fit_cell_planes(points_, points_to_world(track_, points_), round_settings, 0.0, fit_plane);
+}
+
+/// Returns the equations of all points in one grid, from planes fitted by fit_plane().
+PoseEquations PoseAdjustment::sum_grid(const FitRound& round, double grid_shift_cells) const {
+    const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
+    const PlaneMap map = fit_cell_planes(points_, placed, round, grid_shift_cells, fit_plane);
+    return sum_equations(placed, map, round.scale_m);
+}
+
+/// Returns the sum of the equations in several overlapping grids. It changes gradually
+/// with the points, because no point or plane is added or removed suddenly.
+PoseEquations PoseAdjustment::sum_grids(const FitRound& round) const {
+    std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
+    PoseEquations sum(track_.pose.size());
+    for (int i = 0; i < kOverlappingGrids; ++i) {
+        const double shift_cells = i / double(kOverlappingGrids);
+        fade_near_borders(placed, round.cell_m, shift_cells);
+        const PlaneMap map = fit_cell_planes(points_, placed, round, shift_cells, fit_smooth_plane);
+        sum.add_equations(sum_equations(placed, map, round.scale_m));
+    }
+    return sum;
 }
 
 /// Returns the Gauss-Newton equations of all poses: the sum over the points in cells with
@@ -123,13 +176,10 @@ PoseEquations PoseAdjustment::sum_equations(const std::vector<WorldPointWithOrig
     return std::move(chunk_sums[0]);
 }
 
-/// Fits a plane to the points in each cell, and moves all poses by one Gauss-Newton step
-/// towards these planes.
+/// Moves all poses by one Gauss-Newton step towards the planes fitted to their points.
+/// @param equations  of the current poses
 /// @return the settings with the statistics of this round
-FitRound PoseAdjustment::run_round(FitRound round, double grid_shift_cells) {
-    const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
-    const PlaneMap map = fit_cell_planes(points_, placed, round, grid_shift_cells);
-    PoseEquations equations = sum_equations(placed, map, round.scale_m);
+FitRound PoseAdjustment::run_round(FitRound round, PoseEquations equations) {
     add_prior(equations);
     const Eigen::VectorXd step = equations.solve_steps(track_);
     const PoseTrack previous = track_;

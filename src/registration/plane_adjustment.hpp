@@ -61,6 +61,12 @@ public:
     std::vector<FitRound> adjust_poses(const FitRound& first_round_settings,
                                        const FitRound& last_round_settings,
                                        const std::function<bool(double finished_fraction)>& should_continue);
+    /// Like adjust_poses(), but continues until the poses converge. Small changes of the
+    /// points change the result only a little. A round takes about four times as long.
+    void converge_poses(const FitRound& first, const FitRound& last);
+    /// Returns the mean weight of the points on the planes that converge_poses() uses. It
+    /// is about 1 if all points lie exactly on planes.
+    double mean_weight(const FitRound& round) const;
     PlaneMap fit_planes(const FitRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
@@ -99,7 +105,9 @@ private:
     std::vector<bool> gauge_;  // [poses] see the constructor
     PoseCorrectionPrior prior_;
 
-    FitRound run_round(FitRound round, double grid_shift_cells);
+    FitRound run_round(FitRound round, PoseEquations equations);
+    PoseEquations sum_grid(const FitRound& round, double grid_shift_cells) const;
+    PoseEquations sum_grids(const FitRound& round) const;
     PoseEquations sum_equations(const std::vector<WorldPointWithOrigin>& world_points, const PlaneMap& map,
                                 double scale_m) const;
     void add_prior(PoseEquations& equations) const;

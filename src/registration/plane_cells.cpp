@@ -57,6 +57,44 @@ glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
     return glm::dvec3(eigenvalues[0], eigenvalues[1], eigenvalues[2]) / sum;
 }
 
+/// Result of an iteratively reweighted fit.
+struct RobustPlane {
+    LocalPlane plane;
+    double n_inliers = 0.0;    ///< number of points closer to the plane than the kernel scale
+    double weight_sum = 0.0;   ///< sum of the weights of all points
+    double variance_m2 = 0.0;  ///< variance of the points along the narrower direction of the plane
+};
+
+/// Fits a plane by iteratively reweighted least squares.
+/// @param min_inliers  stops if fewer points are inliers, because refits would not help
+RobustPlane fit_robust_plane(const std::vector<WorldPointWithOrigin>& points,
+                             std::span<const std::uint32_t> point_indices, double scale_m,
+                             double min_inliers) {
+    std::vector<double> weight;
+    for (const std::uint32_t i : point_indices) weight.push_back(points[i].weight);
+    RobustPlane fit;
+    for (int refit = 0; refit < kPlaneRefits; ++refit) {
+        fit.variance_m2 = fit_weighted_plane(points, point_indices, weight, fit.plane).y;
+        fit.n_inliers = fit.weight_sum = 0.0;
+        for (std::size_t k = 0; k < point_indices.size(); ++k) {
+            const WorldPointWithOrigin& point = points[point_indices[k]];
+            const double robust =
+                robust_weight(glm::dot(fit.plane.normal, point.point_m - fit.plane.point_m), scale_m);
+            weight[k] = point.weight * robust;
+            fit.weight_sum += weight[k];
+            // At a distance of scale_m from the plane, a point has the weight 1/4.
+            if (robust > 0.25) ++fit.n_inliers;
+        }
+        if (fit.n_inliers < min_inliers) break;
+    }
+    return fit;
+}
+
+/// Minimum standard deviation of the points of a plane in each direction of the plane.
+double min_spread_m(double cell_size_m, double scale_m) {
+    return std::max(kMinSpreadPerCell * cell_size_m, kMinSpreadPerKernel * scale_m);
+}
+
 }  // namespace
 
 double robust_weight(double residual_m, double scale_m) {
@@ -69,27 +107,36 @@ std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& poi
                                     double scale_m) {
     // With fewer inliers, a cell has several surfaces or none: refits do not help.
     constexpr double kHopelessInlierShare = 0.3;
-    const std::size_t n = point_indices.size();
-    if (n < kMinPlanePoints) return std::nullopt;
-    std::vector<double> weight(n, 1.0);
-    LocalPlane plane;
-    double n_inliers = 0.0, variance_m2 = 0.0;
-    for (int refit = 0; refit < kPlaneRefits; ++refit) {
-        // y: the middle variance, along the narrower direction of the plane
-        variance_m2 = fit_weighted_plane(points, point_indices, weight, plane).y;
-        n_inliers = 0.0;
-        for (std::size_t k = 0; k < n; ++k) {
-            const glm::dvec3 offset_m = points[point_indices[k]].point_m - plane.point_m;
-            weight[k] = robust_weight(glm::dot(plane.normal, offset_m), scale_m);
-            // At a distance of scale_m from the plane, a point has the weight 1/4.
-            if (weight[k] > 0.25) ++n_inliers;
-        }
-        if (n_inliers < kHopelessInlierShare * double(n)) return std::nullopt;
-    }
-    const double min_spread_m = std::max(kMinSpreadPerCell * cell_size_m, kMinSpreadPerKernel * scale_m);
-    const bool is_wide = variance_m2 > min_spread_m * min_spread_m;
-    if (!is_wide || n_inliers < kMinInlierShare * double(n)) return std::nullopt;
-    return plane;
+    const auto n = double(point_indices.size());
+    if (point_indices.size() < kMinPlanePoints) return std::nullopt;
+    const RobustPlane fit = fit_robust_plane(points, point_indices, scale_m, kHopelessInlierShare * n);
+    const double spread_m = min_spread_m(cell_size_m, scale_m);
+    const bool is_wide = fit.variance_m2 > spread_m * spread_m;
+    if (!is_wide || fit.n_inliers < kMinInlierShare * n) return std::nullopt;
+    return fit.plane;
+}
+
+std::optional<LocalPlane> fit_smooth_plane(const std::vector<WorldPointWithOrigin>& points,
+                                           std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                           double scale_m) {
+    // The weight increases from 0 to 1 between these two values of the number of points,
+    // of their mean robust weight, and of their spread / min_spread_m().
+    constexpr double kPoints[] = {6.0, 24.0}, kMeanWeight[] = {0.45, 0.75}, kSpread[] = {0.75, 1.25};
+    double n = 0.0;
+    for (const std::uint32_t i : point_indices) n += points[i].weight;
+    if (n <= kPoints[0]) return std::nullopt;
+    RobustPlane fit = fit_robust_plane(points, point_indices, scale_m, 0.0);
+    const double spread = std::sqrt(fit.variance_m2) / min_spread_m(cell_size_m, scale_m);
+    fit.plane.weight = smooth_step(n, kPoints[0], kPoints[1]) *
+                       smooth_step(fit.weight_sum / n, kMeanWeight[0], kMeanWeight[1]) *
+                       smooth_step(spread, kSpread[0], kSpread[1]);
+    if (!(fit.plane.weight > 0.0)) return std::nullopt;
+    return fit.plane;
+}
+
+double smooth_step(double x, double begin, double end) {
+    const double t = std::clamp((x - begin) / (end - begin), 0.0, 1.0);
+    return t * t * (3.0 - 2.0 * t);
 }
 
 /// Sorts the points by cell and, within a cell, by index.

@@ -37,6 +37,7 @@ struct LocalPlane {
         tilt_u_rad = std::sqrt(variance_m2 / u_variance_m2 + kMinTilt_rad * kMinTilt_rad);
         tilt_v_rad = std::sqrt(variance_m2 / v_variance_m2 + kMinTilt_rad * kMinTilt_rad);
     }
+    double weight = 1.0;  ///< below 1 if it is uncertain that the points form a plane
 };
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
@@ -48,6 +49,16 @@ double robust_weight(double residual_m, double kernel_scale_m);
 std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& points,
                                     std::span<const std::uint32_t> point_indices, double cell_size_m,
                                     double kernel_scale_m);
+
+/// Fits a plane like fit_plane(), but reduces LocalPlane::weight gradually instead of
+/// rejecting the plane. So slightly different points always get a slightly different
+/// plane. Returns nothing if the weight is zero.
+std::optional<LocalPlane> fit_smooth_plane(const std::vector<WorldPointWithOrigin>& points,
+                                           std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                           double kernel_scale_m);
+
+/// Returns 0 below `begin`, 1 above `end`, and a smooth transition in between.
+double smooth_step(double x, double begin, double end);
 
 /// Sorts points into the cells of a grid.
 class PointCellGrid {

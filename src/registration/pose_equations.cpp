@@ -67,7 +67,7 @@ Eigen::VectorXd solve_conjugate_gradient(const Eigen::VectorXd& b, const Multipl
 PlaneResidual make_residual(const WorldPointWithOrigin& point, const LocalPlane& plane, double scale_m) {
     PlaneResidual row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
-    row.weight = robust_weight(row.residual_m, scale_m);
+    row.weight = point.weight * plane.weight * robust_weight(row.residual_m, scale_m);
     const glm::dvec3 arm_m = point.point_m - point.vehicle_m;
     const auto derivative = [&](const glm::dvec3& direction) {
         Vector6 j;

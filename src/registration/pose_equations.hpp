@@ -124,6 +124,7 @@ public:
     Eigen::VectorXd solve_steps(const PoseTrack& track) const;
 
     std::size_t n_planes() const { return plane_end_.size(); }
+    double weight() const { return weight_; }  ///< sum of the weights of all points on planes
     double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:

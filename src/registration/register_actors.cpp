@@ -20,8 +20,10 @@ constexpr double kAboveGround_m = 0.25;   // lower points of a box can belong to
 // Minimum number of points of an actor, of points of a pose, and of poses with points.
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr FitRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-constexpr double kMinShareGain = 0.02;  // a corrected track must have so many more of its points on planes
+constexpr double kWeightGain = 0.02;  // increase of the mean weight of points that half proves a better fit
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;  // of a pose; more is an error
+// A box stands if the points fit a fixed box with this share of their mean weight.
+constexpr double kStandingShare = 0.8;
 constexpr double kMaxStandingMotion_m = 3.0;  // a box that moves farther than this is not standing
 constexpr int kPosesPerSide = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;  // maximum time to the poses from which a pose is interpolated
@@ -128,12 +130,6 @@ std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>
     return apply_twist(reference, to_twist(coefficients.row(0).transpose()));
 }
 
-/// Returns the share of an actor's points that lie on planes fitted to these points.
-double share_on_fitted_planes(const PoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
-    return adjustment.share_on_planes(adjustment.fit_planes(kLastActorRound), points,
-                                      kLastActorRound.scale_m);
-}
-
 /// Prepares the optimisation of the poses of a labelled box, in the frame of the box. A
 /// prior keeps the corrections small and smooth.
 PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
@@ -146,11 +142,12 @@ PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint>
     return {identity, identity, identity, prior, std::move(points), pose_has_points};
 }
 
-/// Returns true if the points of an actor fit a fixed box about as well as a moving box:
-/// about as many points then lie on common planes.
-/// @param moving_box_fraction_on_planes  share of the points on planes of the moving box
+/// Returns true if the points of an actor fit a fixed box about as well as a moving box.
+/// @param moving_box_weight  mean weight of the points on planes of the moving box
 bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
-                   const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
+                   const std::vector<bool>& pose_has_points, double moving_box_weight) {
+    // discover_tracks() has already proven that these boxes move.
+    if (box.category == kDiscoveredCategory) return false;
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
@@ -159,8 +156,21 @@ bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
     std::vector<SubsampledPoint> in_fixed_box = actor_points.points;
     for (SubsampledPoint& point : in_fixed_box)
         point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
-    const PoseAdjustment adjustment = make_adjustment(box, in_fixed_box, pose_has_points);
-    return share_on_fitted_planes(adjustment, in_fixed_box) >= moving_box_fraction_on_planes - kMinShareGain;
+    const PoseAdjustment adjustment = make_adjustment(box, std::move(in_fixed_box), pose_has_points);
+    return adjustment.mean_weight(kLastActorRound) >= kStandingShare * moving_box_weight;
+}
+
+/// Returns how much of the corrections is applied, from 0 to 1. It is less than 1 if the
+/// corrected track hardly fits better, or if a correction is implausible.
+/// @param corrections  [poses] corrections of the poses
+/// @param weight_gain  increase of the mean weight of the points on planes
+double weigh_corrections(const std::vector<Twist>& corrections, double weight_gain) {
+    double largest = 0.0;  // as a share of the maximum correction
+    for (const Twist& c : corrections)
+        largest = std::max({largest, glm::length(glm::dvec3(c[0], c[1], c[2])) / kLargestCorrection_m,
+                            glm::length(glm::dvec3(c[3], c[4], c[5])) / kLargestCorrection_rad});
+    // A single implausible correction means that the optimisation has failed.
+    return smooth_step(weight_gain, 0.0, 2.0 * kWeightGain) * (1.0 - smooth_step(largest, 0.5, 1.0));
 }
 
 /// Corrects the track of a box, so that its points from all frames lie on common planes.
@@ -175,38 +185,33 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
     PoseAdjustment adjustment = make_adjustment(box, actor_points.points, has_points);
-    const double labelled_share = share_on_fitted_planes(adjustment, actor_points.points);
-    adjustment.adjust_poses(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = share_on_fitted_planes(adjustment, actor_points.points);
-    std::vector<double> lengths_m;
-    for (std::size_t k = 0; k < has_points.size(); ++k) {
-        const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
-        // A single implausible correction means that the optimisation has failed.
-        const double length_m = glm::length(glm::dvec3(twist[0], twist[1], twist[2]));
-        if (length_m > kLargestCorrection_m ||
-            glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad)
-            return;
-        if (has_points[k]) lengths_m.push_back(length_m);
-    }
-    if (is_stationary(box, actor_points, has_points, std::max(labelled_share, registered_share))) {
-        std::vector<Pose>& poses = box.world_from_box.pose;
-        std::fill(poses.begin(), poses.end(), Pose(poses[poses.size() / 2]));
+    const double labelled_weight = adjustment.mean_weight(kLastActorRound);
+    adjustment.converge_poses(kFirstActorRound, kLastActorRound);
+    const double registered_weight = adjustment.mean_weight(kLastActorRound);
+    PoseTrack& track = box.world_from_box;
+    if (is_stationary(box, actor_points, has_points, std::max(labelled_weight, registered_weight))) {
+        std::fill(track.pose.begin(), track.pose.end(), Pose(track.pose[track.pose.size() / 2]));
         ++result.n_standing;
         return;
     }
-    if (registered_share < labelled_share + kMinShareGain) return;
+    std::vector<Twist> corrections;
+    for (const Pose& pose : adjustment.track().pose) corrections.push_back(compute_twist(Pose{}, pose));
+    const double applied_share = weigh_corrections(corrections, registered_weight - labelled_weight);
+    if (applied_share == 0.0) return;
+    std::vector<double> lengths_m;
     // The adjustment moved the points in the box. The box moves by the inverse instead.
-    PoseTrack& track = box.world_from_box;
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
-        track.pose[k] = track.pose[k] * inverse(adjustment.track().pose[k]);
+        const Pose applied = apply_twist(Pose{}, to_twist(applied_share * to_vector(corrections[k])));
+        track.pose[k] = track.pose[k] * inverse(applied);
         track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
+        if (has_points[k]) lengths_m.push_back(glm::length(applied.translation));
     }
     // Poses without points were not registered. They follow their registered neighbours.
     const PoseTrack registered = track;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         if (!has_points[k]) track.pose[k] = fit_parabola(registered, has_points, k).value_or(track.pose[k]);
     ++result.n_registered;
-    moved_distances_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
+    moved_distances_m.push_back(compute_median(lengths_m));
 }
 
 }  // namespace

@@ -37,6 +37,7 @@ using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 /// World positions of a point, and of the vehicle when it measured the point.
 struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
+    double weight = 1.0;  ///< below 1 near the border of a cell, see fade_near_borders()
 };
 /// Moves a point to the world frame, with the pose interpolated at its firing time.
 WorldPointWithOrigin point_to_world(const PoseTrack& track, const SubsampledPoint& point);

@@ -1,16 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "registration/unobserved_motion.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
 namespace relidar {
 namespace {
 
-// Stiffness against an unobserved motion, in the unit in which the noise is 1. The false
-// information is below min_information(), so it moves a pose by at most 0.1 %.
-constexpr double kHoldStiffness = 1e4;
-
+// Stiffness against an unobserved motion, as a multiple of its greatest false information.
+constexpr double kHold = 1000.0;
+// The stiffness falls with this power of the information above min_information(). So half
+// of a motion is hidden at 1.5 times this information, and less than 1 % at twice.
+constexpr double kHoldFall = 16.0;
 // A rotation by 1 radian counts as much as a motion of this length.
 constexpr double kArm_m = 5.0;
 
@@ -24,7 +28,7 @@ std::vector<UnobservedMotion> find_unobserved(const Matrix6& information, const 
     more_noise.diagonal().array() += 1e-9;
     const Eigen::GeneralizedSelfAdjointEigenSolver<Matrix6> solver(information, more_noise);
     Eigen::Index n = 0;
-    while (n < 6 && solver.eigenvalues()[n] < min_information) ++n;
+    while (n < 6 && solver.eigenvalues()[n] < 2.0 * min_information) ++n;
     // The coordinates A of the motions V fulfil A V = 1. A twist x minus V A x is the
     // smallest one that differs from x only by unobserved motions.
     Vector6 metric;
@@ -33,8 +37,13 @@ std::vector<UnobservedMotion> find_unobserved(const Matrix6& information, const 
     const Eigen::MatrixXd weighted = directions.transpose() * metric.asDiagonal();
     const Eigen::MatrixXd coordinates = (weighted * directions).llt().solve(weighted);
     std::vector<UnobservedMotion> motions;
-    for (Eigen::Index i = 0; i < n; ++i)
-        motions.push_back({to_twist(directions.col(i)), to_twist(coordinates.row(i).transpose())});
+    for (Eigen::Index i = 0; i < n; ++i) {
+        const double shown = std::max(solver.eigenvalues()[i], 0.0),
+                     stiffness = kHold * min_information *
+                                 std::pow(min_information / std::max(shown, min_information), kHoldFall);
+        motions.push_back({to_twist(directions.col(i)), to_twist(coordinates.row(i).transpose()), stiffness,
+                           stiffness / (stiffness + shown)});
+    }
     return motions;
 }
 
@@ -42,7 +51,7 @@ Matrix6 hold_stiffness(const std::vector<UnobservedMotion>& motions) {
     Matrix6 stiffness = Matrix6::Zero();
     for (const UnobservedMotion& motion : motions) {
         const Vector6 coordinate = to_vector(motion.coordinate);
-        stiffness += kHoldStiffness * coordinate * coordinate.transpose();
+        stiffness += motion.stiffness * coordinate * coordinate.transpose();
     }
     return stiffness;
 }
@@ -50,7 +59,7 @@ Matrix6 hold_stiffness(const std::vector<UnobservedMotion>& motions) {
 Matrix6 observed_projection(const std::vector<UnobservedMotion>& motions) {
     Matrix6 projection = Matrix6::Identity();
     for (const UnobservedMotion& motion : motions)
-        projection -= to_vector(motion.direction) * to_vector(motion.coordinate).transpose();
+        projection -= motion.hidden * to_vector(motion.direction) * to_vector(motion.coordinate).transpose();
     return projection;
 }
 

@@ -23,14 +23,15 @@ inline Vector6 to_vector(const Twist& twist) { return Eigen::Map<const Vector6>(
 /// them, weak information is better than a guess.
 inline double min_information(bool has_given_poses) { return has_given_poses ? 10.0 : 2.0; }
 
-/// Returns the motions v with v^T H v < min_information v^T N v.
+/// Returns the motions v with v^T H v < 2 min_information v^T N v. From min_information on,
+/// they are hidden less and less, so that small changes of the points change little.
 /// @param information  H, normal matrix of the points by the twist of the pose
 /// @param noise  N, expected value of H if only errors of the normals contributed to it
 std::vector<UnobservedMotion> find_unobserved(const Matrix6& information, const Matrix6& noise,
                                               double min_information);
 
-/// Returns the weight matrix that prevents the given motions: kHoldStiffness a a^T,
-/// summed over their coordinates a.
+/// Returns the weight matrix that prevents the given motions: the sum of stiffness a a^T
+/// over their coordinates a.
 Matrix6 hold_stiffness(const std::vector<UnobservedMotion>& motions);
 
 /// Returns the matrix of remove_unobserved().

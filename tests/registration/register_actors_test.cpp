@@ -76,6 +76,38 @@ TEST(RegisterActors, KeepsExactLabels) {
         EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
+/// Adds Gaussian noise to all ranges. Returns the largest distance, in metres, by which
+/// this noise moves a pose of a registered box.
+double move_by_noise(const Log& log, double sigma_m) {
+    Log registered = log, noisy = log;
+    std::mt19937_64 random(5);
+    std::normal_distribution<double> noise_m(0.0, sigma_m);
+    for (Frame& frame : noisy.frames)
+        for (float& range_m : frame.scan.range_m)
+            if (range_m > 0.0f) range_m = float(range_m + noise_m(random));
+    const std::vector<int> frames = split_frames(log, 10).train;
+    EXPECT_EQ(register_actors(registered, frames).n_registered, log.boxes.size());
+    register_actors(noisy, frames);
+    double largest_m = 0.0;
+    for (std::size_t i = 0; i < log.boxes.size(); ++i) {
+        const std::vector<Pose>&poses = registered.boxes[i].world_from_box.pose,
+              &noisy_poses = noisy.boxes[i].world_from_box.pose;
+        for (std::size_t k = 0; k < poses.size(); ++k)
+            largest_m = std::max(largest_m, glm::distance(poses[k].translation, noisy_poses[k].translation));
+    }
+    return largest_m;
+}
+
+TEST(RegisterActors, MovesBoxesLittleIfRangesChangeLittle) {
+    for (const std::uint64_t seed : {1, 2}) {
+        Log street = make_street_log({.seed = seed, .n_frames = 20, .rows = 32, .columns = 512});
+        for (std::size_t i = 0; i < street.boxes.size(); ++i)
+            street.boxes[i] = add_label_errors(street.boxes[i], 10 * seed + i);
+        EXPECT_LT(move_by_noise(street, 1e-5), 1e-4) << "seed " << seed;
+        EXPECT_LT(move_by_noise(street, 5e-3), 0.01) << "seed " << seed;
+    }
+}
+
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     Log street = make_street_log({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
     ASSERT_FALSE(street.boxes.empty());

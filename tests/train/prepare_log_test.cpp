@@ -16,6 +16,7 @@
 #include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
+#include "registration/street_poses.hpp"
 #include "support/names.hpp"
 
 namespace relidar {

@@ -39,15 +39,18 @@ struct FitRound {
     double step_m = 0.0;  ///< longest translation of a pose in this step
 };
 
-/// A small motion of a pose that its scan does not show, for example along a tunnel. The
+/// A small motion of a pose that its scan hardly shows, for example along a tunnel. The
 /// poses of the log, or their prediction, decide about this motion.
 struct UnobservedMotion {
     Twist direction;  ///< the motion v: translation and rotation vector, in world axes
     /// a, with a . v = 1. The product a . x is the share of this motion in a twist x.
     Twist coordinate;
+    double stiffness;  ///< weight of (a . x)^2 that holds the pose
+    double hidden;     ///< 1: the scan does not show the motion, 0: it shows it
 };
 
-/// Returns the part of a twist that the scans show.
+/// Returns the part of a twist x that the scan shows: x - sum over motions of hidden v
+/// (a . x).
 Twist remove_unobserved(const Twist& twist, const std::vector<UnobservedMotion>& unobserved);
 
 struct RegistrationResult {
